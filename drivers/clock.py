@@ -1,0 +1,75 @@
+"""Time behind one interface. Nothing else in the program reads a clock or sleeps.
+
+Two implementations: :class:`RealClock` for hardware, :class:`SimulatedClock` for the mock bus, where time only moves
+when somebody waits for it.
+"""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+NS = 1_000_000_000
+
+
+class Clock(Protocol):
+    """Monotonic time in integer nanoseconds from an arbitrary origin."""
+
+    def now_ns(self) -> int:
+        """Return the time in nanoseconds."""
+        ...
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Wait until ``now_ns() >= deadline_ns``; return at once if that has passed."""
+        ...
+
+
+class RealClock:
+    """The machine's monotonic clock."""
+
+    def now_ns(self) -> int:
+        """Return the monotonic time in nanoseconds."""
+        return time.monotonic_ns()
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Sleep to an absolute deadline."""
+        left = deadline_ns - time.monotonic_ns()
+        if left > 0:
+            time.sleep(left / NS)
+
+
+class SimulatedClock:
+    """Simulated time: moves only when someone sleeps or waits, firing what falls due on the way.
+
+    Deterministic: events at the same instant fire in the order in which they were scheduled.
+    """
+
+    def __init__(self, start_ns: int = 0) -> None:
+        self._now = start_ns
+        self._order = 0
+        self._events: list[tuple[int, int, Callable[[], None]]] = []
+
+    def now_ns(self) -> int:
+        """Return the simulated time in nanoseconds."""
+        return self._now
+
+    def call_at(self, when_ns: int, action: Callable[[], None]) -> None:
+        """Run ``action`` when simulated time reaches ``when_ns`` (now at the earliest)."""
+        self._order += 1
+        heapq.heappush(self._events, (max(when_ns, self._now), self._order, action))
+
+    def next_event_ns(self) -> int | None:
+        """Return when the next scheduled event falls due, or None."""
+        return self._events[0][0] if self._events else None
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Advance simulated time to ``deadline_ns``, firing every event that falls due by then."""
+        events = self._events
+        while events and events[0][0] <= deadline_ns:
+            when, _, action = heapq.heappop(events)
+            self._now = when
+            action()
+        if deadline_ns > self._now:
+            self._now = deadline_ns

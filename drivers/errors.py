@@ -1,0 +1,52 @@
+"""The error tree of the device side, split by who must act.
+
+Every message says what was found, the limit it broke, the unit, and what to do about it.
+"""
+
+from __future__ import annotations
+
+
+class DeviceError(Exception):
+    """Base of everything a device or bus can do wrong."""
+
+
+class LinkError(DeviceError):
+    """The bus or port itself failed (not opened, bus-off, no answer): check cabling, power, bit rate."""
+
+
+class ObjectAccessError(DeviceError):
+    """A device refused an object (SDO abort, serial error code).
+
+    Args:
+        index: Object index.
+        subindex: Object subindex.
+        code: Abort code as the device sent it.
+        message: Why, and what to do.
+    """
+
+    def __init__(self, index: int, subindex: int, code: int, message: str) -> None:
+        super().__init__(f"object {index:04X}h:{subindex:02X}h: {message} (abort code {code:08X}h)")
+        self.index = index
+        self.subindex = subindex
+        self.code = code
+
+
+class StateError(DeviceError):
+    """The drive is not in the state that the verb needs, or did not reach the one it asked for."""
+
+
+class DriveFault(DeviceError):
+    """The drive reported a fault (statusword, EMCY).
+
+    Args:
+        code: Error code of object 603Fh, or of the EMCY frame.
+        message: What it means and what to do.
+    """
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(f"drive fault {code:04X}h: {message}")
+        self.code = code
+
+
+class ConfigurationError(DeviceError):
+    """The device is not what the bench file says: wrong identity, scale, unit or limit."""

@@ -1,0 +1,216 @@
+"""What the rest of the program sees of a bench: small verbs in SI units.
+
+One :class:`Link` exchanges all outputs and inputs once a cycle; :class:`Servo` and :class:`Encoder` are the devices on
+it. Angles, speeds and torques are at the joint, after the gear, unless the name says ``motor``.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from drivers.clock import Clock
+
+
+class ServoState(Enum):
+    """State of the CiA 402 power drive system, as decoded from object 6041h."""
+
+    NOT_READY = "not ready to switch on"
+    SWITCH_ON_DISABLED = "switch on disabled"
+    READY = "ready to switch on"
+    SWITCHED_ON = "switched on"
+    OPERATION_ENABLED = "operation enabled"
+    QUICK_STOP_ACTIVE = "quick stop active"
+    FAULT_REACTION = "fault reaction active"
+    FAULT = "fault"
+
+    @property
+    def energised(self) -> bool:
+        """Whether the power stage may produce torque in this state."""
+        return self in _ENERGISED
+
+
+_ENERGISED = frozenset({ServoState.OPERATION_ENABLED, ServoState.QUICK_STOP_ACTIVE, ServoState.FAULT_REACTION})
+
+
+@dataclass(frozen=True)
+class Identity:
+    """Who answers at the other end (object 1018h, 1008h, 100Ah or their serial equivalents)."""
+
+    name: str
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial_number: int
+    hardware_version: str = ""
+    software_version: str = ""
+
+
+@dataclass(frozen=True)
+class ServoLimits:
+    """Limits held by the drive itself, at the joint and in SI units.
+
+    ``following_error_rad`` is None where the drive's window is off (6065h = FFFFFFFFh).
+    """
+
+    angle_min_rad: float
+    angle_max_rad: float
+    speed_rad_s: float
+    torque_N_m: float
+    current_A: float
+    following_error_rad: float | None
+    quick_stop_option: int
+    quick_stop_deceleration_rad_s2: float
+
+
+class ServoSample(NamedTuple):
+    """What the drive said about one cycle.
+
+    ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is False when a part of the
+    answer is missing or bad; the values are then those of the last good frame.
+    """
+
+    device_time_s: float
+    motor_angle_rad: float
+    velocity_rad_s: float
+    current_A: float
+    voltage_V: float
+    supply_voltage_V: float
+    temperature_C: float
+    following_error_rad: float
+    statusword: int
+    fresh: bool
+
+
+class EncoderSample(NamedTuple):
+    """What the joint encoder said about one cycle."""
+
+    device_time_s: float
+    angle_rad: float
+    fresh: bool
+
+
+class RawFrame(NamedTuple):
+    """One frame as it was on the wire, for the log. ``sent`` is True for the host's own."""
+
+    time_ns: int
+    identifier: int
+    data: bytes
+    sent: bool
+
+
+class Link(ABC):
+    """A bus or port with the devices on it, exchanged once a cycle."""
+
+    clock: Clock
+
+    @abstractmethod
+    def open(self) -> None:
+        """Open the bus. Moves nothing and energises nothing.
+
+        Raises:
+            LinkError: It cannot be opened; the message names the cause.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Close the bus; safe to call twice and after a failure."""
+
+    @abstractmethod
+    def exchange(self) -> None:
+        """Send every device's outputs, latch all inputs at one instant and collect them.
+
+        Sends the master's heartbeat as well, so that it stops when the control loop does. A device that does not answer
+        in time leaves its last sample with ``fresh`` False; it raises only when the bus itself is gone.
+
+        Raises:
+            LinkError: The bus failed.
+            DriveFault: A device sent an emergency message.
+        """
+
+    @abstractmethod
+    def take_frames(self) -> list[RawFrame]:
+        """Return the raw frames seen since the last call, oldest first."""
+
+
+class Servo(ABC):
+    """A position servo. Only :meth:`enable` ever moves it toward power."""
+
+    @abstractmethod
+    def identity(self) -> Identity:
+        """Read who it is."""
+
+    @abstractmethod
+    def state(self) -> ServoState:
+        """Read the drive's state from the device (6041h), not from a cached frame."""
+
+    @abstractmethod
+    def read_limits(self) -> ServoLimits:
+        """Read back the limits the drive itself holds."""
+
+    @abstractmethod
+    def write_limits(self, limits: ServoLimits) -> None:
+        """Write limits into the drive and verify them by reading back.
+
+        Raises:
+            ConfigurationError: The drive holds another value than the one written.
+        """
+
+    @abstractmethod
+    def prepare(self, cycle_s: float) -> None:
+        """Check units against the drive, map process data, set the cycle, arm the heartbeat watch. No power.
+
+        Raises:
+            ConfigurationError: Scale, unit or identity differ from the bench file.
+        """
+
+    @abstractmethod
+    def enable(self) -> None:
+        """Energise and hold the present position.
+
+        Raises:
+            StateError: Not reached in time; the drive is left de-energised.
+            DriveFault: The drive is in fault.
+        """
+
+    @abstractmethod
+    def disable(self) -> None:
+        """Take the power off and verify by reading 6041h that it is.
+
+        Raises:
+            StateError: The drive still reports an energised state.
+        """
+
+    @abstractmethod
+    def quick_stop(self) -> None:
+        """Brake with the drive's own ramp; never leads to power."""
+
+    @abstractmethod
+    def reset_fault(self) -> None:
+        """Clear a fault. Ends de-energised; never restarts motion."""
+
+    @abstractmethod
+    def set_target(self, angle_rad: float) -> None:
+        """Stage the joint angle that the next exchange sends."""
+
+    @abstractmethod
+    def sample(self) -> ServoSample:
+        """Return the sample of the last exchange."""
+
+
+class Encoder(ABC):
+    """A joint encoder."""
+
+    @abstractmethod
+    def identity(self) -> Identity:
+        """Read who it is."""
+
+    @abstractmethod
+    def prepare(self, cycle_s: float) -> None:
+        """Check resolution against the device and map process data."""
+
+    @abstractmethod
+    def sample(self) -> EncoderSample:
+        """Return the sample of the last exchange."""

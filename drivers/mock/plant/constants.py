@@ -1,0 +1,89 @@
+"""Constants of the simulated machine, as frozen records in SI units.
+
+Friction, inertia and load are stated at the joint (valve shaft), motor constants at the motor shaft; the gear ratio
+joins them (assumption 5, theta = i theta_r).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True)
+class Motor:
+    """DC motor, eq. 1: R I + L dI/dt = U - Ke domega_m ; torque Km I."""
+
+    resistance_ohm: float = 1.56
+    inductance_H: float = 0.00132
+    torque_constant_N_m_A: float = 0.03
+    back_emf_constant_V_s_rad: float = 0.02588
+    gear_ratio: float = 100.0
+
+
+@dataclass(frozen=True)
+class Joint:
+    """Inertia, system load (eq. 9), working load (eq. 12, 13) and lever (eq. 17), at the joint.
+
+    ``inertia_kg_m2`` is the total seen at the joint, the motor's rotor included.
+    """
+
+    inertia_kg_m2: float = 0.204
+    Mc_N_m: float = 6.825
+    Ms_N_m: float = 12.025
+    omega_sf_rad_s: float = 0.0557
+    sigma_2_N_m_s_rad: float = 5.3462
+    mu_c: float = 0.052
+    mu_s: float = 0.086
+    omega_sL_rad_s: float = 0.0326
+    mu_2_s_rad: float = 0.032
+    alpha: float = 2.0
+    moment_arm_m: float = 0.095
+    lever_ratio: float = 10.0
+    gravity_m_s2: float = 9.80665
+
+
+@dataclass(frozen=True)
+class Loops:
+    """The drive's cascade: position P, velocity PI, current PI, all at ``rate_Hz``.
+
+    With ``velocity_gain_N_m_s_rad`` None the drive is position P only: joint torque command = ``position_gain`` times
+    the position error, ``position_gain`` in N m/rad instead of 1/s.
+    """
+
+    rate_Hz: float = 20000.0
+    position_gain: float = 60.0
+    velocity_gain_N_m_s_rad: float | None = 120.0
+    velocity_integral_1_s: float = 60.0
+    velocity_filter_Hz: float = 400.0
+    velocity_feedforward: float = 1.0
+    current_gain_V_A: float = 5.0
+    current_integral_1_s: float = 1000.0
+    voltage_limit_V: float = 60.0
+    current_limit_A: float = 25.0
+
+
+@dataclass(frozen=True)
+class Sensing:
+    """What the drive and the joint encoder can see.
+
+    Zero counts or zero quantum mean an exact sensor. ``current_noise_A`` is the rms noise of the logged mean over one
+    cycle of ``cycle_s``; each sample of the current loop carries it times the square root of the samples per cycle.
+    """
+
+    motor_counts_per_turn: int = 4096
+    joint_counts_per_turn: int = 262144
+    current_noise_A: float = 0.020
+    cycle_s: float = 0.001
+
+
+@dataclass(frozen=True)
+class Machine:
+    """Everything that defines one simulated bench. ``steps_per_loop`` integration steps make one drive-loop period."""
+
+    motor: Motor = field(default_factory=Motor)
+    joint: Joint = field(default_factory=Joint)
+    loops: Loops = field(default_factory=Loops)
+    sensing: Sensing = field(default_factory=Sensing)
+    steps_per_loop: int = 5
+    supply_V: float = 60.0
+    temperature_C: float = 25.0

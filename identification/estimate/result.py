@@ -1,0 +1,130 @@
+"""What an estimator returns: values with their credentials, and everything a report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from identification.recording import Array
+
+UNITS_ROTARY: Mapping[str, str] = {
+    "J": "kg m^2",
+    "Mc": "N m",
+    "Ms": "N m",
+    "omega_sf": "rad/s",
+    "sigma_2": "N m s/rad",
+    "mu_c": "1",
+    "mu_s": "1",
+    "omega_sL": "rad/s",
+    "mu_2": "s/rad",
+    "offset": "N m",
+}
+UNITS_LINEAR: Mapping[str, str] = {
+    **UNITS_ROTARY,
+    "J": "kg",
+    "Mc": "N",
+    "Ms": "N",
+    "omega_sf": "m/s",
+    "sigma_2": "N s/m",
+    "omega_sL": "m/s",
+    "mu_2": "s/m",
+    "offset": "N",
+}
+SYSTEM_PARAMETERS = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+"""Found by the unloaded stage (eq. 16)."""
+LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
+"""Found by the loaded stage (eq. 15)."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimate with its 90 % interval.
+
+    ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then says why, in words.
+    """
+
+    name: str
+    unit: str
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    identifiable: bool = True
+    at_bound: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Torque error at the stated bandwidth. Relative is the norm of the residual over the norm of the torque."""
+
+    unit: str
+    bandwidth_Hz: float
+    train_rms: float
+    train_relative: float
+    validate_rms: float | None = None
+    validate_relative: float | None = None
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How one stage's search went.
+
+    Attributes:
+        stage: ``unloaded``, ``loaded`` or ``joint``.
+        method: Name of the optimiser.
+        evaluations: Residual evaluations spent.
+        generations: Generations or iterations spent.
+        cost: Final cost, in ``cost_unit``.
+        target: Cost at which the search stops early, or None.
+        reached: Whether the target was met (None without one).
+        cost_history: Best cost after each generation, shape (g,).
+        parameter_history: Name to best value after each generation, shape (g,).
+    """
+
+    stage: str
+    method: str
+    evaluations: int
+    generations: int
+    cost: float
+    cost_unit: str
+    target: float | None = None
+    reached: bool | None = None
+    cost_history: Array | None = None
+    parameter_history: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The signals of one recording as the fit saw them, all at the stated bandwidth, shape (n,)."""
+
+    recording: str
+    role: str
+    stage: str
+    time: Array
+    angle: Array
+    velocity: Array
+    torque: Array
+    torque_model: Array
+    friction: Array
+    used: Array
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of one identification of one dataset by one method."""
+
+    method: str
+    motion: str
+    alpha: float
+    parameters: Mapping[str, Parameter]
+    fit: Fit
+    stages: tuple[Convergence, ...]
+    warnings: tuple[str, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    fits_by_recording: Mapping[str, Fit] = field(default_factory=dict)
+    evaluations: int = 0
+    seconds: float = 0.0
+
+    def values(self) -> dict[str, float]:
+        """Return name to value of the identifiable parameters."""
+        return {name: p.value for name, p in self.parameters.items() if p.value is not None}

@@ -1,0 +1,183 @@
+"""The data contract: what a recording is, in SI units, and the bench it was made on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+CHANNELS: Mapping[str, str] = {
+    "time": "s",
+    "voltage": "V",
+    "supply_voltage": "V",
+    "current": "A",
+    "torque": "N m",
+    "motor_angle": "rad",
+    "angle": "rad",
+    "velocity": "rad/s",
+    "command": "rad",
+    "load_force": "N",
+    "temperature": "deg C",
+    "pressure": "Pa",
+    "enabled": "1",
+}
+"""Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N).
+
+``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear; ``motor_angle``, ``current`` and
+``voltage`` at the motor.
+"""
+
+
+class RecordingError(ValueError):
+    """A recording that cannot be used; the message names the recording, the channel and the row."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Known constants of the machine a recording was made on.
+
+    Attributes:
+        motion: ``rotary`` (rad, N m) or ``linear`` (m, N).
+        torque_constant: Km, N m/A at the motor shaft; None where a torque channel is given or the fit is in amperes.
+        back_emf_constant: Ke, V s/rad of the motor shaft.
+        resistance: R, ohm.
+        inductance: L, H.
+        gear_ratio: i, motor turns per joint turn (assumption 5, theta = i theta_r).
+        moment_arm: L1, m (eq. 13).
+        lever_ratio: L3/L4 (eq. 17).
+        gravity: Local acceleration of free fall, m/s^2.
+    """
+
+    motion: Literal["rotary", "linear"] = "rotary"
+    torque_constant: float | None = None
+    back_emf_constant: float | None = None
+    resistance: float | None = None
+    inductance: float | None = None
+    gear_ratio: float = 1.0
+    moment_arm: float | None = None
+    lever_ratio: float = 10.0
+    gravity: float = 9.80665
+
+    def contact_force(self, weight_mass: float) -> float:
+        """Contact force F'_P = (L3/L4) m_w g of the lever-weight device, N (eq. 17)."""
+        return self.lever_ratio * weight_mass * self.gravity
+
+
+@dataclass(frozen=True)
+class Pendulum:
+    """A known weight that turns with the joint: torque -m g l sin(angle - zero), inertia m l^2.
+
+    Attributes:
+        mass: kg.
+        length: m, from the axis to the centre of mass.
+        zero: rad, the joint angle at which it hangs straight down.
+    """
+
+    mass: float
+    length: float
+    zero: float = 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is fitted beyond, or held out of, the nominal nine parameters.
+
+    Attributes:
+        terms: Declared physics of the bench by catalogue name, or ``offset``; fitted, never "found".
+        fixed: Parameter name to value, not fitted.
+        alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
+    """
+
+    terms: tuple[str, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    alpha: float = 2.0
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One stretch of evenly or unevenly sampled channels under one load.
+
+    Attributes:
+        name: Short name for tables and legends.
+        channels: Canonical name to samples, shape (n,), SI units; always holds ``time``, strictly increasing.
+            NaN marks samples that were not measured (``voltage`` while the power stage is off).
+        bench: The machine.
+        stage: ``unloaded`` or ``loaded``.
+        weight_mass: m_w on the lever, kg.
+        pendulum: A weight that turns with the joint, or None.
+        role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
+        averaged: Channels whose samples are means over the period that ends at their time.
+        source: File the samples came from.
+        sha256: Of that file.
+        notes: Every correction made on reading, in words.
+    """
+
+    name: str
+    channels: Mapping[str, Array]
+    bench: Bench
+    stage: Literal["unloaded", "loaded"] = "unloaded"
+    weight_mass: float = 0.0
+    pendulum: Pendulum | None = None
+    role: Literal["fit", "validate"] = "fit"
+    averaged: frozenset[str] = frozenset()
+    source: str = ""
+    sha256: str = ""
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes, names and time.
+
+        Raises:
+            RecordingError: On an unknown channel, a length that differs, or time that does not increase.
+        """
+        if "time" not in self.channels:
+            raise RecordingError(f"{self.name}: no channel 'time'")
+        n = len(self.channels["time"])
+        if n < 2:
+            raise RecordingError(f"{self.name}: {n} samples; at least 2 are needed")
+        for channel, values in self.channels.items():
+            if channel not in CHANNELS:
+                raise RecordingError(f"{self.name}: unknown channel {channel!r}; known are {', '.join(CHANNELS)}")
+            if values.shape != (n,):
+                raise RecordingError(f"{self.name}: channel {channel!r} has shape {values.shape}, time has ({n},)")
+        steps = np.diff(self.channels["time"])
+        bad = np.flatnonzero(~(steps > 0))
+        if bad.size:
+            row = int(bad[0]) + 1
+            raise RecordingError(f"{self.name}: time does not increase at sample {row} (step {steps[row - 1]:.6g} s)")
+
+    @property
+    def time(self) -> Array:
+        """Time stamps, s, shape (n,)."""
+        return self.channels["time"]
+
+    @property
+    def period(self) -> float:
+        """Median sample period, s."""
+        return float(np.median(np.diff(self.time)))
+
+    @property
+    def contact_force(self) -> float:
+        """F'_P pressing on the valve, N (eq. 17)."""
+        return self.bench.contact_force(self.weight_mass)
+
+    def with_notes(self, *notes: str) -> Recording:
+        """Return a copy with more notes."""
+        return replace(self, notes=self.notes + notes)
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Recordings of one bench and what is to be fitted to them."""
+
+    recordings: tuple[Recording, ...]
+    model: Model = field(default_factory=Model)
+
+    def part(self, role: Literal["fit", "validate"]) -> tuple[Recording, ...]:
+        """Return the recordings of one role."""
+        return tuple(r for r in self.recordings if r.role == role)
