@@ -1,0 +1,1 @@
+"""The bench: configuration, sequences, safety, recorder, command line and reports, wired together here."""

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
+
 from identification.recording import Array
 
 UNITS_ROTARY: Mapping[str, str] = {
@@ -106,7 +109,7 @@ class Trace:
     torque: Array
     torque_model: Array
     friction: Array
-    used: Array
+    used: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,1 @@
+"""What we believe of the machine: friction and load as terms with named parameters."""

@@ -84,6 +84,6 @@ class Machine:
     joint: Joint = field(default_factory=Joint)
     loops: Loops = field(default_factory=Loops)
     sensing: Sensing = field(default_factory=Sensing)
-    steps_per_loop: int = 5
+    steps_per_loop: int = 2
     supply_V: float = 60.0
     temperature_C: float = 25.0

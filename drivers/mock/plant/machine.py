@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.mock.plant import constants
+from drivers.mock.plant import constants, friction, loops
+
+_NOISE_BLOCK = 1 << 16
+_NO_PATH = np.zeros(0)
 
 
 class Reading(NamedTuple):
@@ -25,33 +30,179 @@ class Reading(NamedTuple):
     following_error_counts: float
 
 
+class Truth(NamedTuple):
+    """The machine's exact state, for tests and for benches with exact channels; never goes over a bus."""
+
+    angle_rad: float
+    velocity_rad_s: float
+    current_A: float
+    friction_work_J: float
+
+
+def friction_vector(joint: constants.Joint, contact_force_N: float) -> NDArray[np.float64]:
+    """Pack the joint's constants for compiled code; ``contact_force_N`` is F_P of eq. 13."""
+    p = np.zeros(friction.FRICTION_SIZE)
+    p[friction.MC] = joint.Mc_N_m
+    p[friction.DM] = joint.Ms_N_m - joint.Mc_N_m
+    p[friction.OMEGA_SF] = joint.omega_sf_rad_s
+    p[friction.SIGMA_2] = joint.sigma_2_N_m_s_rad
+    p[friction.MU_C] = joint.mu_c
+    p[friction.DMU] = joint.mu_s - joint.mu_c
+    p[friction.OMEGA_SL] = joint.omega_sL_rad_s
+    p[friction.MU_2] = joint.mu_2_s_rad
+    p[friction.ALPHA] = joint.alpha
+    p[friction.MOMENT] = contact_force_N * joint.moment_arm_m
+    p[friction.INERTIA] = joint.inertia_kg_m2
+    return p
+
+
+def drive_vector(machine: constants.Machine) -> NDArray[np.float64]:
+    """Pack motor and loop constants for compiled code, all seen from the joint."""
+    motor, cascade, sensing = machine.motor, machine.loops, machine.sensing
+    loop_s = 1.0 / cascade.rate_Hz
+    counts = sensing.motor_counts_per_turn * motor.gear_ratio
+    d = np.zeros(loops.DRIVE_SIZE)
+    d[loops.RESISTANCE] = motor.resistance_ohm
+    d[loops.INDUCTANCE] = motor.inductance_H
+    d[loops.TORQUE_PER_AMPERE] = motor.torque_constant_N_m_A * motor.gear_ratio
+    d[loops.EMF_PER_SPEED] = motor.back_emf_constant_V_s_rad * motor.gear_ratio
+    d[loops.LOOP_S] = loop_s
+    d[loops.STEPS] = machine.steps_per_loop
+    d[loops.POSITION_GAIN] = cascade.position_gain
+    d[loops.VELOCITY_GAIN] = cascade.velocity_gain_N_m_s_rad or 0.0
+    d[loops.VELOCITY_INTEGRAL_GAIN] = cascade.velocity_integral_1_s
+    d[loops.VELOCITY_FILTER] = 1.0 - math.exp(-2.0 * math.pi * cascade.velocity_filter_Hz * loop_s)
+    d[loops.FEEDFORWARD] = cascade.velocity_feedforward
+    d[loops.CURRENT_GAIN] = cascade.current_gain_V_A
+    d[loops.CURRENT_INTEGRAL_GAIN] = cascade.current_integral_1_s
+    d[loops.VOLTAGE_LIMIT] = min(cascade.voltage_limit_V, machine.supply_V)
+    d[loops.CURRENT_LIMIT] = cascade.current_limit_A
+    d[loops.COUNT] = 2.0 * math.pi / counts if counts else 0.0
+    d[loops.NOISE] = sensing.current_noise_A * math.sqrt(sensing.cycle_s * cascade.rate_Hz)
+    return d
+
+
 class SimulatedMachine:
-    """Motor, gear, friction, lever with weights and the drive's loops, integrated with a fixed step."""
+    """Motor, gear, friction, lever with weights and the drive's loops, integrated with a fixed step.
+
+    Starts at rest at angle 0 with the power off and nothing on the lever. With exact sensors (zero counts) a motor
+    count is 1 microradian of the joint for the interface's sake, and the loops see the exact angle.
+    """
 
     def __init__(self, machine: constants.Machine, rng: np.random.Generator) -> None:
         self.constants = machine
         self.loop_ns = round(1e9 / machine.loops.rate_Hz)
+        self._rng = rng
+        self._noise = rng.standard_normal(_NOISE_BLOCK)
+        self._noise_at = 0
+        self._s = np.zeros(loops.STATE_SIZE)
+        self._d = drive_vector(machine)
+        self._p = friction_vector(machine.joint, 0.0)
+        self._motor_count_rad = float(self._d[loops.COUNT]) or 1e-6
+        self._joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
-        """Hang a total of ``mass_kg`` on the lever (eq. 17)."""
-        raise NotImplementedError
+        """Hang a total of ``mass_kg`` on the lever: contact force (L3/L4) m_w g (eq. 17)."""
+        joint = self.constants.joint
+        self.press(joint.lever_ratio * mass_kg * joint.gravity_m_s2)
+
+    def press(self, contact_force_N: float) -> None:
+        """Press on the valve with this contact force F_P (eq. 13)."""
+        self._p = friction_vector(self.constants.joint, contact_force_N)
+
+    def limit_current(self, current_A: float) -> None:
+        """Lower the current the drive may ask for; it never exceeds the limit of its own loops."""
+        self._d[loops.CURRENT_LIMIT] = min(self.constants.loops.current_limit_A, current_A)
 
     def power(self, on: bool) -> None:
-        """Switch the power stage. Off: the motor is open-circuit and coasts."""
-        raise NotImplementedError
+        """Switch the power stage. Off: the motor is open-circuit and coasts. On: it holds where it is."""
+        s = self._s
+        if on and s[loops.MODE] == loops.OFF:
+            s[loops.MODE] = loops.TRACK
+            s[loops.TARGET] = s[loops.MEASURED]
+            s[loops.TARGET_LEFT] = 0.0
+            s[loops.TARGET_STEP] = 0.0
+        elif not on:
+            s[loops.MODE] = loops.OFF
 
     def track(self, target_counts: float, over_ns: int) -> None:
         """Follow ``target_counts`` (motor encoder), reached by linear interpolation ``over_ns`` from now."""
-        raise NotImplementedError
+        s = self._s
+        if s[loops.MODE] == loops.OFF:
+            return
+        s[loops.MODE] = loops.TRACK
+        left = max(1, round(over_ns / self.loop_ns))
+        s[loops.TARGET_LEFT] = left
+        s[loops.TARGET_STEP] = (target_counts * self._motor_count_rad - s[loops.TARGET]) / left
 
     def brake(self, deceleration_rad_s2: float) -> None:
         """Ramp the commanded joint speed to zero at this deceleration and hold there (quick stop)."""
-        raise NotImplementedError
+        s = self._s
+        if s[loops.MODE] == loops.OFF:
+            return
+        if s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
+            s[loops.TARGET_STEP] = 0.0
+        s[loops.MODE] = loops.BRAKE
+        s[loops.BRAKE_STEP] = deceleration_rad_s2 * self._d[loops.LOOP_S]
 
     def advance(self, duration_ns: int) -> None:
-        """Integrate for a whole number of loop periods."""
-        raise NotImplementedError
+        """Integrate for a whole number of loop periods.
+
+        Raises:
+            ValueError: ``duration_ns`` is not one.
+        """
+        count, rest = divmod(duration_ns, self.loop_ns)
+        if rest or count < 0:
+            raise ValueError(f"{duration_ns} ns is not a whole number of loop periods of {self.loop_ns} ns")
+        self._advance(count, _NO_PATH)
+
+    def follow(self, path_rad: NDArray[np.float64]) -> None:
+        """Integrate one loop period for each joint angle of ``path_rad``, asked for one after another."""
+        self._advance(len(path_rad), path_rad)
+
+    def _advance(self, count: int, path: NDArray[np.float64]) -> None:
+        done = 0
+        while count > 0:
+            if self._noise_at == _NOISE_BLOCK:
+                self._noise = self._rng.standard_normal(_NOISE_BLOCK)
+                self._noise_at = 0
+            n = min(count, _NOISE_BLOCK - self._noise_at)
+            noise = self._noise[self._noise_at : self._noise_at + n]
+            loops.advance(n, self._s, self._d, self._p, noise, path[done : done + n])
+            self._noise_at += n
+            done += n
+            count -= n
 
     def latch(self) -> Reading:
         """Return what the sensors see now and start new means for current and voltage."""
-        raise NotImplementedError
+        s = self._s
+        theta = float(s[loops.THETA])
+        n = float(s[loops.SUM_LOOPS])
+        if n:
+            seconds = n * float(self._d[loops.LOOP_S])
+            noise = float(s[loops.SUM_NOISE]) / n if s[loops.MODE] != loops.OFF else 0.0
+            current = float(s[loops.SUM_CURRENT]) / seconds + noise
+            voltage = float(s[loops.SUM_VOLTAGE]) / seconds
+        else:
+            current = voltage = 0.0
+        s[loops.SUM_CURRENT] = s[loops.SUM_VOLTAGE] = s[loops.SUM_NOISE] = s[loops.SUM_LOOPS] = 0.0
+        following = 0.0
+        if s[loops.MODE] != loops.OFF:
+            following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self._motor_count_rad
+        return Reading(
+            math.floor(theta / self._motor_count_rad),
+            math.floor(theta / self._joint_count_rad),
+            float(s[loops.VELOCITY_ESTIMATE]) * self.constants.motor.gear_ratio,
+            current,
+            voltage,
+            self.constants.supply_V,
+            self.constants.temperature_C,
+            following,
+        )
+
+    def truth(self) -> Truth:
+        """Return the exact state."""
+        s = self._s
+        return Truth(
+            float(s[loops.THETA]), float(s[loops.OMEGA]), float(s[loops.CURRENT]), float(s[loops.FRICTION_WORK])
+        )

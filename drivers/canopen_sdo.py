@@ -1,0 +1,113 @@
+"""SDO access without threads: canopen's client, with the bus pumped by whoever waits for the answer."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Protocol
+
+import canopen
+from canopen.objectdictionary import ObjectDictionary
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+
+_ABORTED = 0x80
+
+
+class Wire(Protocol):
+    """What a node needs of its link."""
+
+    sdo_timeout_s: float
+    cycle: int
+    master_id: int
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send one frame."""
+        ...
+
+    def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
+        """Receive and dispatch frames until ``ready()``; False after ``timeout_s``."""
+        ...
+
+    def heartbeat(self) -> None:
+        """Send the master's heartbeat."""
+        ...
+
+    def set_cycle(self, cycle_s: float, who: str) -> None:
+        """Set the cycle time, the same for all devices."""
+        ...
+
+
+class PumpedSdoClient(SdoClient):
+    """SDO client that pumps the link while it waits, so that simulated and real time run the same code."""
+
+    def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
+        super().__init__(rx_cobid, tx_cobid, od)  # type: ignore[no-untyped-call]
+        self._wire = wire
+
+    def read_response(self) -> bytes:
+        """Return the next response.
+
+        Raises:
+            SdoAbortedError: The server aborted the transfer.
+            SdoCommunicationError: No response in time.
+        """
+        if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
+            raise SdoCommunicationError(f"no SDO response within {self._wire.sdo_timeout_s:g} s")
+        response: bytes = self.responses.get_nowait()
+        if response[0] == _ABORTED:
+            raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
+        return response
+
+
+class PumpedNode(canopen.RemoteNode):
+    """canopen's remote node with :class:`PumpedSdoClient` as its SDO client."""
+
+    def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
+        self._wire = wire
+        super().__init__(node_id, dictionary)
+
+    def add_sdo(self, rx_cobid: int, tx_cobid: int) -> PumpedSdoClient:
+        """Add an SDO channel."""
+        client = PumpedSdoClient(rx_cobid, tx_cobid, self.object_dictionary, self._wire)
+        self.sdo_channels.append(client)
+        if self.has_network():
+            self.network.subscribe(client.tx_cobid, client.on_response)
+        return client
+
+
+@contextmanager
+def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
+    """Turn canopen's SDO errors into this package's.
+
+    Raises:
+        ObjectAccessError: The device refuses.
+        LinkError: No answer.
+    """
+    try:
+        yield
+    except SdoAbortedError as error:
+        reason = SdoAbortedError.CODES.get(error.code, "unknown reason")
+        raise ObjectAccessError(index, subindex, error.code, f"node {node_id} refuses: {reason}") from error
+    except SdoCommunicationError as error:
+        raise LinkError(
+            f"node {node_id}, object {index:04X}h:{subindex:02X}h: {error}; "
+            "check power, cabling, termination, bit rate and node identifier"
+        ) from error
+
+
+def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
+    """Find an object in the EDS.
+
+    Raises:
+        ConfigurationError: The EDS has no such object.
+    """
+    found = dictionary.get_variable(index, subindex)
+    if found is None:
+        raise ConfigurationError(
+            f"object {index:04X}h:{subindex:02X}h is not in the device's EDS; use its own EDS file"
+        )
+    return found

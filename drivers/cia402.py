@@ -1,0 +1,99 @@
+"""CiA 402 power drive system as the host sees it: states, commands, and one table of what may be asked when.
+
+States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords that lead toward
+power.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+from typing import Final
+
+from drivers.errors import StateError
+from drivers.interfaces import ServoState as S
+
+CONTROLWORD: Final = (0x6040, 0)
+STATUSWORD: Final = (0x6041, 0)
+CYCLIC_SYNCHRONOUS_POSITION: Final = 8
+
+STATUS: Final[tuple[tuple[int, int, S], ...]] = (
+    (0x4F, 0x00, S.NOT_READY),
+    (0x4F, 0x40, S.SWITCH_ON_DISABLED),
+    (0x6F, 0x21, S.READY),
+    (0x6F, 0x23, S.SWITCHED_ON),
+    (0x6F, 0x27, S.OPERATION_ENABLED),
+    (0x6F, 0x07, S.QUICK_STOP_ACTIVE),
+    (0x4F, 0x0F, S.FAULT_REACTION),
+    (0x4F, 0x08, S.FAULT),
+)
+"""Statusword mask and value of each state."""
+
+_BY_BITS: Final[Mapping[int, S]] = {
+    word: state for word in range(0x70) for mask, value, state in STATUS if word & 0x6F == word and word & mask == value
+}
+
+
+class Command(Enum):
+    """What the host can ask of a drive."""
+
+    ENABLE = "enable"
+    DISABLE = "disable"
+    QUICK_STOP = "quick stop"
+    RESET_FAULT = "reset fault"
+
+
+SHUTDOWN: Final = 0x06
+SWITCH_ON: Final = 0x07
+ENABLE_OPERATION: Final = 0x0F
+DISABLE_VOLTAGE: Final = 0x00
+QUICK_STOP: Final = 0x02
+FAULT_RESET: Final = 0x80
+
+CONTROLWORDS: Final[Mapping[tuple[S, Command], int]] = {
+    # Toward power, one transition at a time.
+    (S.SWITCH_ON_DISABLED, Command.ENABLE): SHUTDOWN,
+    (S.READY, Command.ENABLE): SWITCH_ON,
+    (S.SWITCHED_ON, Command.ENABLE): ENABLE_OPERATION,
+    (S.OPERATION_ENABLED, Command.ENABLE): ENABLE_OPERATION,
+    # Away from power, from anywhere.
+    **{(state, Command.DISABLE): DISABLE_VOLTAGE for state in S},
+    **{(state, Command.QUICK_STOP): QUICK_STOP for state in S},
+    # Fault reset leads to SWITCH ON DISABLED only; bit 7 acts on its rising edge.
+    (S.FAULT, Command.RESET_FAULT): FAULT_RESET,
+    (S.SWITCH_ON_DISABLED, Command.RESET_FAULT): DISABLE_VOLTAGE,
+}
+"""Controlword that carries a command out in a state; a pair that is absent is an illegal move."""
+
+STOPPED: Final = frozenset({S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT})
+"""States that a quick stop may end in."""
+
+_REMEDY: Final[Mapping[Command, str]] = {
+    Command.ENABLE: "disable it, or reset its fault, first",
+    Command.RESET_FAULT: "disable it first; there is no fault to reset, or its reaction is not over",
+}
+
+
+def decode_state(statusword: int) -> S:
+    """Return the state that a statusword shows.
+
+    Raises:
+        StateError: No state of CiA 402 has these bits.
+    """
+    state = _BY_BITS.get(statusword & 0x6F)
+    if state is None:
+        raise StateError(f"statusword {statusword:04X}h shows no state of CiA 402: check the process data mapping")
+    return state
+
+
+def controlword(state: S, command: Command) -> int:
+    """Return the controlword that carries ``command`` out in ``state``.
+
+    Raises:
+        StateError: The command is not allowed in that state.
+    """
+    word = CONTROLWORDS.get((state, command))
+    if word is None:
+        remedy = _REMEDY.get(command, "wait")
+        raise StateError(f"'{command.value}' is not allowed in state '{state.value}': {remedy}")
+    return word

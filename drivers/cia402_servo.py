@@ -1,0 +1,273 @@
+"""A position servo behind the CiA 402 profile, in cyclic synchronous position mode, over any transport."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Final
+
+from drivers import cia402, servo_limits
+from drivers.cia402 import Command, controlword, decode_state
+from drivers.clock import NS
+from drivers.emergency import explain
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
+from drivers.interfaces import Identity, Link, Servo, ServoLimits, ServoSample, ServoState
+from drivers.objects import PdoLayout, ProcessChannel, read_identity
+from drivers.units import ServoScales, Unwrapper
+
+_OUTPUT: Final = 1
+_MOTION: Final = 1
+_SPEED: Final = 2
+_SUPPLY: Final = 3
+_SUPPLY_EVERY: Final = 10
+_ABORT_IS_FAULT: Final = 1
+_US: Final = 1e-6
+_INT32: Final = range(-(1 << 31), 1 << 31)
+
+
+class Cia402Servo(Servo):
+    """A drive in cyclic synchronous position mode. Only :meth:`enable` ever moves it toward power.
+
+    Args:
+        channel: The device.
+        link: The link it is on; exchanged here only while :meth:`enable` walks the states.
+        scales: Its units, from the bench file.
+        watch_s: The drive stops by itself when the control loop is silent for this long.
+        state_timeout_s: How long it may take to reach a state.
+    """
+
+    def __init__(
+        self,
+        channel: ProcessChannel,
+        link: Link,
+        scales: ServoScales,
+        watch_s: float = 0.1,
+        state_timeout_s: float = 1.0,
+    ) -> None:
+        self._channel = channel
+        self._link = link
+        self._clock = link.clock
+        self._scales = scales
+        self._watch_s = watch_s
+        self._timeout_s = state_timeout_s
+        self._cycle_ns = 0
+        self._word = cia402.DISABLE_VOLTAGE
+        self._target = 0
+        self._previous = 0
+        self._staged_in = 0
+        self._time = Unwrapper(1 << 32)
+
+    def identity(self) -> Identity:
+        """Read who it is."""
+        return read_identity(self._channel)
+
+    def state(self) -> ServoState:
+        """Read the drive's state from the device (6041h)."""
+        return decode_state(self._channel.read(*cia402.STATUSWORD))
+
+    def read_limits(self) -> ServoLimits:
+        """Read back the limits the drive itself holds."""
+        return servo_limits.read(self._channel, self._scales)
+
+    def write_limits(self, limits: ServoLimits) -> None:
+        """Write limits into the drive and verify them by reading back.
+
+        Raises:
+            ConfigurationError: The drive holds another value, or one does not fit.
+            ObjectAccessError: The drive refuses one.
+        """
+        servo_limits.write(self._channel, self._scales, limits)
+
+    def prepare(self, cycle_s: float) -> None:
+        """Check units, map process data, set the cycle, and prove that the heartbeat watch can be set. No power.
+
+        The watch itself runs from :meth:`enable` to :meth:`disable`, so that the loop may pause in between.
+
+        Raises:
+            ConfigurationError: Scale or unit differ from the bench file, or the drive did not take a setting.
+            StateError: The drive is energised.
+        """
+        state = self.state()
+        if state.energised:
+            raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
+        self._word = cia402.DISABLE_VOLTAGE
+        scales = self._scales
+        scales.check(self._channel)
+        milliseconds = round(cycle_s * 1e3)
+        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
+            raise ConfigurationError(f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)")
+        channel = self._channel
+        servo_limits.store(channel, (0x60C2, 1), milliseconds)
+        servo_limits.store(channel, (0x60C2, 2), -3)
+        servo_limits.store(channel, (0x6007, 0), _ABORT_IS_FAULT)
+        channel.map_process_data(
+            outputs=[PdoLayout(_OUTPUT, (cia402.CONTROLWORD, (0x607A, 0)))],
+            inputs=[
+                PdoLayout(_MOTION, (cia402.STATUSWORD, (0x6064, 0), (0x6078, 0))),
+                PdoLayout(_SPEED, ((0x606C, 0), (0x1013, 0))),
+                PdoLayout(_SUPPLY, ((0x6079, 0), scales.voltage_object, scales.temperature_object), _SUPPLY_EVERY),
+            ],
+            cycle_s=cycle_s,
+        )
+        self._cycle_ns = round(cycle_s * NS)
+        self._time = Unwrapper(1 << 32)
+        channel.watch(self._watch_s)
+        channel.unwatch()
+        self._stage(channel.read(0x6064))
+
+    def enable(self) -> None:
+        """Energise and hold the present position, exchanging all the while.
+
+        Raises:
+            StateError: Not prepared, not allowed in this state, or not reached in time; the drive is left
+                de-energised.
+            DriveFault: The drive is in fault.
+        """
+        if not self._cycle_ns:
+            raise StateError("the drive is not prepared: call prepare() first")
+        state = self.state()
+        if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+            raise self._fault()
+        controlword(state, Command.ENABLE)
+        try:
+            self._channel.watch(self._watch_s)
+            self._word = cia402.DISABLE_VOLTAGE
+            self._stage(self._channel.read(0x6064))
+            self._select_mode()
+            self._walk()
+        except DeviceError:
+            with suppress(DeviceError):
+                self.disable()
+            raise
+
+    def disable(self) -> None:
+        """Take the power off, verify by reading 6041h that it is, and end the heartbeat watch.
+
+        Raises:
+            StateError: The drive still reports an energised state.
+            LinkError: The drive cannot be reached; it stops by itself when its watch runs out.
+        """
+        self._command(Command.DISABLE)
+        self._await(lambda state: not state.energised, "a de-energised state")
+        self._channel.unwatch()
+
+    def quick_stop(self) -> None:
+        """Brake with the drive's own ramp (605Ah, 6085h); never leads to power.
+
+        Raises:
+            StateError: The drive neither stops nor is it stopped.
+            LinkError: The drive cannot be reached.
+        """
+        self._command(Command.QUICK_STOP)
+        self._await(lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault")
+
+    def reset_fault(self) -> None:
+        """Clear a fault. Ends in SWITCH ON DISABLED; never restarts motion.
+
+        Raises:
+            StateError: There is no fault to reset, or it comes back.
+        """
+        word = controlword(self.state(), Command.RESET_FAULT)
+        self._command(Command.DISABLE)
+        if word == cia402.FAULT_RESET:
+            self._channel.write(*cia402.CONTROLWORD, word)
+            self._channel.write(*cia402.CONTROLWORD, cia402.DISABLE_VOLTAGE)
+        self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled")
+
+    def set_target(self, angle_rad: float) -> None:
+        """Stage the joint angle that the next exchange sends.
+
+        Raises:
+            ConfigurationError: The angle is beyond what 607Ah can hold.
+        """
+        counts = self._scales.counts(angle_rad)
+        if counts not in _INT32:
+            raise ConfigurationError(f"target {angle_rad:g} rad is {counts} counts, beyond 32 bits: check the scales")
+        self._stage(counts)
+
+    def sample(self) -> ServoSample:
+        """Return the sample of the last exchange."""
+        channel, scales = self._channel, self._scales
+        statusword, position, current = channel.latest(_MOTION)
+        velocity, time_us = channel.latest(_SPEED)
+        supply, voltage, temperature = channel.latest(_SUPPLY)
+        following = 0.0
+        if statusword & 0x6F == 0x27:
+            # What was sent with the exchange before is what the drive has interpolated up to this one's SYNC.
+            demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
+            following = (demand - position) * scales.joint_rad_per_count
+        return ServoSample(
+            self._time.update(time_us) * _US,
+            position * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+            velocity * scales.joint_speed_unit_rad_s * scales.sign,
+            current * scales.current_unit_A * scales.sign,
+            voltage * scales.voltage_unit_V * scales.sign,
+            supply * 1e-3,
+            temperature * scales.temperature_unit_C,
+            following,
+            statusword,
+            channel.fresh,
+        )
+
+    def _stage(self, counts: int) -> None:
+        if self._channel.cycle != self._staged_in:
+            self._previous = self._target
+            self._staged_in = self._channel.cycle
+        self._target = counts
+        self._channel.stage(_OUTPUT, self._word, counts)
+
+    def _command(self, command: Command) -> None:
+        # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the command.
+        self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
+        if self._cycle_ns:
+            self._stage(self._target)
+        self._channel.write(*cia402.CONTROLWORD, self._word)
+
+    def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
+        deadline = self._clock.now_ns() + round(self._timeout_s * NS)
+        while not reached(state := self.state()):
+            if self._clock.now_ns() >= deadline:
+                raise StateError(
+                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, wanted {wanted}: "
+                    "take its power away by hand"
+                )
+
+    def _cycles(self) -> Iterator[bool]:
+        # Exchanges at the cycle's pace; yields whether there is time left.
+        due = self._clock.now_ns()
+        deadline = due + round(self._timeout_s * NS)
+        while True:
+            due += self._cycle_ns
+            self._clock.sleep_until_ns(due)
+            self._link.exchange()
+            yield self._clock.now_ns() < deadline
+
+    def _select_mode(self) -> None:
+        self._channel.write(0x6060, 0, cia402.CYCLIC_SYNCHRONOUS_POSITION)
+        for in_time in self._cycles():
+            mode = self._channel.read(0x6061)
+            if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
+                return
+            if not in_time:
+                raise StateError(f"mode of operation is {mode} (6061h), wanted 8: the drive does not offer CSP (6502h)")
+
+    def _walk(self) -> None:
+        for in_time in self._cycles():
+            statusword, position, _ = self._channel.latest(_MOTION)
+            state = decode_state(statusword)
+            if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+                raise self._fault()
+            if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
+                return
+            if not in_time:
+                raise StateError(
+                    f"the drive is still in state '{state.value}' after {self._timeout_s:g} s of enabling: "
+                    "check its supply and its enable input"
+                )
+            if self._channel.fresh:
+                self._word = controlword(state, Command.ENABLE)
+                self._stage(position)
+
+    def _fault(self) -> DriveFault:
+        code = self._channel.read(0x603F)
+        return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")

@@ -1,0 +1,39 @@
+"""Error codes of EMCY frames and of object 603Fh in words (CiA 301, CiA 402)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+_MEANINGS: Final[Mapping[int, str]] = {
+    0x2310: "continuous over-current: check for a jam, lower the torque asked for",
+    0x2320: "short circuit at the output: check the motor cable before power is switched on again",
+    0x3210: "DC link over-voltage: fit a brake resistor or lower the deceleration",
+    0x3220: "DC link under-voltage: check the supply",
+    0x4210: "device over-temperature: let it cool, check the ventilation",
+    0x4310: "drive over-temperature: let it cool, check the ventilation",
+    0x7320: "position sensor: check the encoder and its cable",
+    0x8100: "communication lost: the drive was told to stop, or the bus failed",
+    0x8130: "heartbeat lost: the control loop stopped or the bus is overloaded; find out why before enabling again",
+    0x8210: "process data frame too short: the mapping in the device is not the one configured; prepare it again",
+    0x8611: "following error: the axis did not keep up with the target; check for a jam and the limits, then reset",
+}
+_CLASSES: Final[Mapping[int, str]] = {
+    0x1: "generic error",
+    0x2: "current",
+    0x3: "voltage",
+    0x4: "temperature",
+    0x5: "device hardware",
+    0x6: "device software",
+    0x7: "additional modules",
+    0x8: "monitoring",
+    0x9: "external error",
+    0xF: "additional functions or vendor specific",
+}
+
+
+def explain(code: int) -> str:
+    """Return what an error code means and what to do about it."""
+    if code in _MEANINGS:
+        return _MEANINGS[code]
+    return f"{_CLASSES.get(code >> 12, 'unknown class')}; see the drive's manual"

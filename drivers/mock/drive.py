@@ -1,0 +1,307 @@
+"""Simulated CiA 402 servo drive: speaks the real wire, moves the simulated machine."""
+
+from __future__ import annotations
+
+import math
+from enum import IntEnum
+from pathlib import Path
+from typing import Final
+
+from drivers.clock import SimulatedClock
+from drivers.mock import dictionary as od
+from drivers.mock.bus import SimulatedBus
+from drivers.mock.dictionary import SdoAbortError, key
+from drivers.mock.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
+from drivers.mock.plant import constants
+from drivers.mock.plant.machine import Reading
+from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
+from drivers.mock.sampler import Sampler
+from drivers.mock.timer import Timer
+
+DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
+FOLLOWING_ERROR: Final = 0x8611
+CONNECTION_LOST: Final = 0x8100
+RATED_CURRENT_MA: Final = 15000
+CSP: Final = 8
+
+_VOLTAGE: Final = key(0x2100)
+_TEMPERATURE: Final = key(0x2101)
+_ERROR_CODE: Final = key(0x603F)
+_CONTROLWORD: Final = key(0x6040)
+_STATUSWORD: Final = key(0x6041)
+_MODE: Final = key(0x6060)
+_MODE_DISPLAY: Final = key(0x6061)
+_POSITION: Final = key(0x6064)
+_WINDOW: Final = key(0x6065)
+_VELOCITY: Final = key(0x606C)
+_MAX_TORQUE: Final = key(0x6072)
+_MAX_CURRENT: Final = key(0x6073)
+_TORQUE: Final = key(0x6077)
+_CURRENT: Final = key(0x6078)
+_DC_LINK: Final = key(0x6079)
+_TARGET: Final = key(0x607A)
+_TARGET_MIN: Final = key(0x607D, 1)
+_TARGET_MAX: Final = key(0x607D, 2)
+_MAX_SPEED: Final = key(0x607F)
+_FOLLOWING: Final = key(0x60F4)
+
+_WINDOW_OFF: Final = 0xFFFFFFFF
+_VOLTAGE_ENABLED: Final = 0x0010
+_REMOTE: Final = 0x0200
+_TARGET_REACHED: Final = 0x0400
+_INTERNAL_LIMIT: Final = 0x0800
+_FOLLOWS: Final = 0x1000
+_FOLLOWING_ERROR_BIT: Final = 0x2000
+_RAMP_SETTLE_NS: Final = 20_000_000
+_AT_LIMIT: Final = 0.98
+"""The measured mean is noisy, so a current this close to its limit counts as limited."""
+
+
+class QuickStop(IntEnum):
+    """605Ah: how to stop, and whether to stay in QUICK STOP ACTIVE."""
+
+    DISABLE = 0
+    SLOW_DOWN = 1
+    RAMP = 2
+    SLOW_DOWN_AND_STAY = 5
+    RAMP_AND_STAY = 6
+
+
+class SimulatedDrive(SimulatedNode):
+    """A position servo in cyclic synchronous position mode.
+
+    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared); 6078h is the mean
+    current since the last SYNC, per mille of 6075h. The power stage is on only in the states of :data:`POWERED`.
+
+    Attributes:
+        power_state: State of the power drive system.
+    """
+
+    def __init__(
+        self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, sampler: Sampler, clock_offset_us: int = 0
+    ) -> None:
+        super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
+        self.power_state = State.SWITCH_ON_DISABLED
+        self._sampler = sampler
+        self._machine = sampler.machine
+        self._motor = self._machine.constants.motor
+        self._increments, self._revolutions = encoder_resolution(self._machine.constants)
+        self._counts_per_rad = self._increments / self._revolutions / (2.0 * math.pi)
+        self._per_mille_A = 1e6 / RATED_CURRENT_MA
+        self._ramp = Timer(clock, self._ramp_done)
+        self._last_word = 0
+        self._demand = 0.0
+        self._period_ns = 1_000_000
+        self._flags = 0
+        objects = self.objects
+        objects.checks[0x6060] = _check_mode
+        objects.checks[0x605A] = _check_quick_stop
+        objects.checks[0x60C2] = self._check_disabled
+        objects.written[0x6060] = lambda _sub, value: self._values.__setitem__(_MODE_DISPLAY, value)
+        objects.written[0x60C2] = lambda _sub, _value: self._read_period()
+        objects.written[0x6072] = objects.written[0x6073] = lambda _sub, _value: self._limit_current()
+        objects.written[0x6040] = lambda _sub, _value: self._outputs()
+        self.restore()
+
+    def restore(self) -> None:
+        """Return to SWITCH ON DISABLED with the constants of this machine in the dictionary."""
+        values = self._values
+        values[key(0x6075)] = RATED_CURRENT_MA
+        values[key(0x6076)] = round(self._motor.torque_constant_N_m_A * RATED_CURRENT_MA)
+        values[key(0x608F, 1)], values[key(0x608F, 2)] = self._increments, self._revolutions
+        values[_MAX_TORQUE] = values[_MAX_CURRENT] = self._greatest_current()
+        self._limit_current()
+        self._last_word = self._flags = 0
+        self._read_period()
+        self._enter(State.SWITCH_ON_DISABLED)
+
+    def halt(self) -> None:
+        """Take the power off at once."""
+        self._enter(State.SWITCH_ON_DISABLED)
+
+    def refresh(self) -> None:
+        """Update measured values without ending the averaging period."""
+        self._measure(self._sampler.peek(self._clock.now_ns()))
+
+    def latch(self) -> None:
+        """Sample everything at a SYNC, end the averaging period, and watch the following error."""
+        reading = self._sampler.latch(self._clock.now_ns())
+        self._measure(reading)
+        window = self._values[_WINDOW]
+        if (
+            window != _WINDOW_OFF
+            and self.power_state is State.OPERATION_ENABLED
+            and abs(reading.following_error_counts) > window
+        ):
+            self._flags |= _FOLLOWING_ERROR_BIT
+            self._fault(FOLLOWING_ERROR, PROFILE)
+
+    def act(self) -> None:
+        """Obey controlword and target position."""
+        word = self._values[_CONTROLWORD]
+        if word != self._last_word or self.power_state is not State.OPERATION_ENABLED:
+            self._obey(word)
+        if self.power_state is State.OPERATION_ENABLED:
+            self._follow()
+        self._show_status()
+
+    def connection_lost(self, code: int) -> None:
+        """React to the loss of the master as 6007h says; nothing is to be done where no power can come."""
+        if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
+            return
+        match self.objects.integer(0x6007):
+            case 1:
+                self._fault(code or CONNECTION_LOST, COMMUNICATION, announce=False)
+            case 2:
+                self._enter(State.SWITCH_ON_DISABLED)
+            case 3 if self.power_state is not State.QUICK_STOP_ACTIVE:
+                self._enter(TRANSITIONS[self.power_state, Command.QUICK_STOP])
+        self._show_status()
+
+    def _measure(self, reading: Reading) -> None:
+        values = self._values
+        self.stamp(self._sampler.time_ns)
+        values[_POSITION] = reading.motor_counts
+        values[_VELOCITY] = round(reading.motor_velocity_rad_s * self._counts_per_rad)
+        per_mille = round(reading.current_A * self._per_mille_A)
+        values[_CURRENT] = values[_TORQUE] = _clamp_i16(per_mille)
+        values[_DC_LINK] = round(reading.supply_V * 1e3)
+        values[_VOLTAGE] = _clamp_i16(round(reading.voltage_V * 1e2))
+        values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
+        values[_FOLLOWING] = round(reading.following_error_counts)
+
+    def _obey(self, word: int) -> None:
+        rising = word & ~self._last_word
+        self._last_word = word
+        if self.power_state is State.FAULT:
+            if rising & FAULT_RESET:
+                self._values[_ERROR_CODE] = 0
+                self._flags = 0
+                self._enter(State.SWITCH_ON_DISABLED)
+                self.clear_errors()
+            return
+        order = command(word)
+        following = TRANSITIONS.get((self.power_state, order))
+        if following is None:
+            return
+        leaves_stop = self.power_state is State.QUICK_STOP_ACTIVE and order is Command.ENABLE_OPERATION
+        # Transition 16 exists only where the drive stays in QUICK STOP ACTIVE after the ramp.
+        if not leaves_stop or self.objects.integer(0x605A) >= QuickStop.SLOW_DOWN_AND_STAY:
+            self._enter(following)
+
+    def _enter(self, state: State) -> None:
+        self._ramp.stop()
+        self._sampler.advance(self._clock.now_ns())
+        was = self.power_state
+        self.power_state = state
+        self._flags &= ~_TARGET_REACHED
+        if state is State.OPERATION_ENABLED:
+            self._machine.power(True)
+            self._demand = float(self._sampler.peek(self._clock.now_ns()).motor_counts)
+        elif state not in POWERED:
+            self._machine.power(False)
+        elif state is State.QUICK_STOP_ACTIVE and was is not state:
+            self._quick_stop(QuickStop(self.objects.integer(0x605A)))
+        self._show_status()
+
+    def _quick_stop(self, option: QuickStop) -> None:
+        match option:
+            case QuickStop.DISABLE:
+                self._enter(State.SWITCH_ON_DISABLED)
+            case QuickStop.SLOW_DOWN | QuickStop.SLOW_DOWN_AND_STAY:
+                self._brake(self.objects.integer(0x6084))
+            case QuickStop.RAMP | QuickStop.RAMP_AND_STAY:
+                self._brake(self.objects.integer(0x6085))
+
+    def _brake(self, deceleration: int) -> None:
+        now = self._clock.now_ns()
+        speed = abs(self._sampler.peek(now).motor_velocity_rad_s) * self._counts_per_rad
+        self._machine.brake(deceleration / self._counts_per_rad / self._motor.gear_ratio)
+        self._ramp.start(now + round(speed / deceleration * 1e9) + _RAMP_SETTLE_NS)
+
+    def _ramp_done(self) -> None:
+        if self.power_state is State.FAULT_REACTION:
+            self._enter(State.FAULT)
+        elif self.objects.integer(0x605A) < QuickStop.SLOW_DOWN_AND_STAY:
+            self._enter(State.SWITCH_ON_DISABLED)
+        else:
+            self._flags |= _TARGET_REACHED
+            self._show_status()
+        self.announce()
+
+    def _fault(self, code: int, register: int, announce: bool = True) -> None:
+        self._values[_ERROR_CODE] = code
+        if announce:
+            self.emergency(code, register)
+        reaction = self.objects.integer(0x605E)
+        if self.power_state not in POWERED or reaction == 0:
+            self._enter(State.FAULT)
+            return
+        self._enter(State.FAULT_REACTION)
+        self._brake(self.objects.integer(0x6084 if reaction == 1 else 0x6085))
+
+    def _follow(self) -> None:
+        values = self._values
+        if values[_MODE] != CSP:
+            return
+        wanted = values[_TARGET]
+        target: float = min(max(wanted, values[_TARGET_MIN]), values[_TARGET_MAX])
+        reach = values[_MAX_SPEED] * self._period_ns * 1e-9
+        step = target - self._demand
+        if step > reach or step < -reach:
+            target = self._demand + math.copysign(reach, step)
+        if target != wanted or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit:
+            self._flags |= _INTERNAL_LIMIT
+        else:
+            self._flags &= ~_INTERNAL_LIMIT
+        self._demand = target
+        self._machine.track(target, self._period_ns)
+
+    def _show_status(self) -> None:
+        word = self.power_state.value | self._flags | _VOLTAGE_ENABLED
+        if self.state is Nmt.OPERATIONAL:
+            word |= _REMOTE
+        if self.power_state is State.OPERATION_ENABLED and self._values[_MODE] == CSP:
+            word |= _FOLLOWS
+        self._values[_STATUSWORD] = word
+
+    def _greatest_current(self) -> int:
+        return int(min(0xFFFF, self._machine.constants.loops.current_limit_A * self._per_mille_A))
+
+    def _limit_current(self) -> None:
+        # Rated torque is that of the rated current, so one per mille of either is the same current.
+        self._current_limit = min(self._values[_MAX_TORQUE], self._values[_MAX_CURRENT])
+        self._machine.limit_current(self._current_limit / self._per_mille_A)
+
+    def _read_period(self) -> None:
+        value, exponent = self.objects.integer(0x60C2, 1), self.objects.integer(0x60C2, 2)
+        self._period_ns = value * 10 ** (9 + exponent)
+
+    def _check_disabled(self, _subindex: int, _value: int) -> None:
+        if self.power_state in POWERED:
+            raise SdoAbortError(od.DEVICE_STATE)
+
+
+def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
+    """Return motor encoder increments and the motor turns they make (608Fh).
+
+    With an exact sensor the machine counts microradians of the joint; 100 turns keep that ratio to 1e-9 or so.
+    """
+    counts = machine.sensing.motor_counts_per_turn
+    if counts:
+        return counts, 1
+    return round(2e8 * math.pi / machine.motor.gear_ratio), 100
+
+
+def _clamp_i16(value: int) -> int:
+    return max(-32768, min(32767, value))
+
+
+def _check_mode(_subindex: int, value: int) -> None:
+    if value not in (0, CSP):
+        raise SdoAbortError(od.OUT_OF_RANGE)
+
+
+def _check_quick_stop(_subindex: int, value: int) -> None:
+    if value not in tuple(QuickStop):
+        raise SdoAbortError(od.OUT_OF_RANGE)

@@ -1,0 +1,66 @@
+"""The machine run straight, without a bus: exact channels for the literal bench, and fast figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mock.plant import constants
+from drivers.mock.plant.machine import SimulatedMachine
+
+
+def simulate(
+    machine: constants.Machine,
+    command: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    duration_s: float,
+    rate_Hz: float,
+    weight_kg: float = 0.0,
+    contact_force_N: float | None = None,
+    rng: np.random.Generator | None = None,
+) -> dict[str, NDArray[np.float64]]:
+    """Follow ``command`` (joint angle in rad of time in s) from rest and sample the exact state.
+
+    Args:
+        machine: The bench.
+        command: Vectorised joint angle command; should be 0 at time 0, where the machine starts.
+        duration_s: Length, s.
+        rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
+        weight_kg: Mass on the lever.
+        contact_force_N: F_P itself, instead of a weight.
+        rng: Only needed with current noise.
+
+    Returns:
+        ``time``, ``command``, ``angle``, ``velocity`` (joint), ``current`` (at the instant), ``mean_current`` (over the
+        period that ends there), ``voltage``; each of shape (n,), SI units.
+
+    Raises:
+        ValueError: The rates do not divide.
+    """
+    plant = SimulatedMachine(machine, rng or np.random.default_rng(0))
+    if contact_force_N is None:
+        plant.hang(weight_kg)
+    else:
+        plant.press(contact_force_N)
+    loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
+    if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
+        raise ValueError(f"the loop rate {machine.loops.rate_Hz:g} Hz is not a multiple of {rate_Hz:g} Hz")
+    n = round(duration_s * rate_Hz) + 1
+    time = np.arange(n) / rate_Hz
+    path = command(np.arange(1, (n - 1) * loops_per_sample + 1) / machine.loops.rate_Hz)
+    plant.power(True)
+    out = np.zeros((5, n))
+    for k in range(1, n):
+        plant.follow(path[(k - 1) * loops_per_sample : k * loops_per_sample])
+        state, reading = plant.truth(), plant.latch()
+        out[:, k] = state.angle_rad, state.velocity_rad_s, state.current_A, reading.current_A, reading.voltage_V
+    return {
+        "time": time,
+        "command": command(time),
+        "angle": out[0],
+        "velocity": out[1],
+        "current": out[2],
+        "mean_current": out[3],
+        "voltage": out[4],
+    }

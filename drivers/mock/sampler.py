@@ -1,0 +1,59 @@
+"""Shared access of the simulated devices to the one machine: integrate up to now, latch once per instant."""
+
+from __future__ import annotations
+
+from drivers.mock.plant.machine import Reading, SimulatedMachine
+
+
+class Sampler:
+    """Keeps the machine in step with simulated time.
+
+    The machine moves in whole loop periods, so what is latched belongs to :attr:`time_ns`, at most one period ago.
+
+    Attributes:
+        machine: The machine; commands to it take effect after :meth:`advance`.
+        time_ns: Simulated time up to which it is integrated.
+    """
+
+    def __init__(self, machine: SimulatedMachine, now_ns: int = 0) -> None:
+        self.machine = machine
+        self.time_ns = now_ns
+        self._loop_ns = machine.loop_ns
+        self._last: Reading | None = None
+        self._last_ns = now_ns
+        self._parts = 0
+        self._pending_ns = 0
+        self._pending_current = 0.0
+        self._pending_voltage = 0.0
+
+    def advance(self, now_ns: int) -> None:
+        """Integrate to the last loop period that ends by ``now_ns``."""
+        step = now_ns - self.time_ns
+        step -= step % self._loop_ns
+        if step > 0:
+            self.machine.advance(step)
+            self.time_ns += step
+
+    def peek(self, now_ns: int) -> Reading:
+        """Return the reading at ``now_ns`` without ending the averaging period."""
+        self.advance(now_ns)
+        if self._last is not None and self._last_ns == self.time_ns:
+            return self._last
+        span = self.time_ns - self._last_ns
+        reading = self.machine.latch()
+        self._parts += 1
+        self._pending_ns += span
+        self._pending_current += reading.current_A * span
+        self._pending_voltage += reading.voltage_V * span
+        self._last, self._last_ns = reading, self.time_ns
+        return reading
+
+    def latch(self, now_ns: int) -> Reading:
+        """Return the reading at ``now_ns``, current and voltage averaged since the last call, and start new means."""
+        reading = self.peek(now_ns)
+        span = self._pending_ns
+        if self._parts > 1 and span:
+            reading = reading._replace(current_A=self._pending_current / span, voltage_V=self._pending_voltage / span)
+        self._parts = self._pending_ns = 0
+        self._pending_current = self._pending_voltage = 0.0
+        return reading

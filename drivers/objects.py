@@ -1,0 +1,113 @@
+"""How a device profile reaches its device: objects by index, and process data once a cycle.
+
+A profile is written against these protocols, so that one profile runs over every transport.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from drivers.interfaces import Identity
+
+ObjectAddress = tuple[int, int]
+"""Index and subindex of an object."""
+
+
+class ObjectAccess(Protocol):
+    """Reads and writes single objects of one device, as integers in the device's own units."""
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """Read an integer object.
+
+        Raises:
+            ObjectAccessError: The device refuses.
+            LinkError: No answer.
+        """
+        ...
+
+    def read_text(self, index: int, subindex: int = 0) -> str:
+        """Read a visible-string object; raises as :meth:`read`."""
+        ...
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object; raises as :meth:`read`."""
+        ...
+
+
+@dataclass(frozen=True)
+class PdoLayout:
+    """Objects that travel together once a cycle.
+
+    Attributes:
+        number: PDO number, from 1.
+        objects: Addresses in order.
+        every: Exchanged once in this many cycles.
+    """
+
+    number: int
+    objects: tuple[ObjectAddress, ...]
+    every: int = 1
+
+
+class ProcessChannel(ObjectAccess, Protocol):
+    """One device on a link: its objects, and its share of the cyclic exchange."""
+
+    @property
+    def label(self) -> str:
+        """What to call the device in messages."""
+        ...
+
+    @property
+    def cycle(self) -> int:
+        """Number of exchanges so far."""
+        ...
+
+    @property
+    def fresh(self) -> bool:
+        """Whether everything that was due at the last exchange arrived whole."""
+        ...
+
+    def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
+        """Configure what is exchanged and how often, and start it. Energises nothing.
+
+        Raises:
+            ConfigurationError: The device lacks an object, or another device on the link has another cycle.
+            ObjectAccessError: The device refuses the mapping.
+            LinkError: No answer.
+        """
+        ...
+
+    def stage(self, number: int, *values: int) -> None:
+        """Set the values that output ``number`` carries from the next exchange on."""
+        ...
+
+    def latest(self, number: int) -> tuple[int, ...]:
+        """Return the last good values of input ``number``."""
+        ...
+
+    def watch(self, limit_s: float) -> None:
+        """Make the device watch the control loop: without an exchange for ``limit_s`` it stops by itself.
+
+        Raises:
+            ConfigurationError: The device did not take it.
+        """
+        ...
+
+    def unwatch(self) -> None:
+        """End the watch; for a device that is de-energised."""
+        ...
+
+
+def read_identity(objects: ObjectAccess) -> Identity:
+    """Read who the device is (1018h, 1008h, 1009h, 100Ah)."""
+    return Identity(
+        name=objects.read_text(0x1008),
+        vendor_id=objects.read(0x1018, 1),
+        product_code=objects.read(0x1018, 2),
+        revision=objects.read(0x1018, 3),
+        serial_number=objects.read(0x1018, 4),
+        hardware_version=objects.read_text(0x1009),
+        software_version=objects.read_text(0x100A),
+    )

@@ -1,0 +1,174 @@
+"""Device units to SI and back: counts, per mille and microseconds, with the bench's gear, sign and zero."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+from drivers.errors import ConfigurationError, ObjectAccessError
+from drivers.objects import ObjectAccess, ObjectAddress
+
+_NO_OBJECT: Final = 0x06020000
+_TOLERANCE: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class ServoScales:
+    """What the bench file says about one drive's units.
+
+    Attributes:
+        counts_per_turn: Counts of 6064h per motor turn.
+        gear_ratio: Motor turns per joint turn.
+        rated_current_A: What 6075h must say; 6078h is in per mille of it.
+        rated_torque_N_m: What 6076h must say; 6072h is in per mille of it.
+        sign: 1 where positive counts are a positive joint angle, else -1.
+        offset_rad: Joint angle at position 0.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None for one count per
+            second.
+        voltage_object: Where the drive keeps the mean motor voltage.
+        voltage_unit_V: Its unit.
+        temperature_object: Where the drive keeps its temperature.
+        temperature_unit_C: Its unit.
+    """
+
+    counts_per_turn: float
+    gear_ratio: float
+    rated_current_A: float
+    rated_torque_N_m: float
+    sign: int = 1
+    offset_rad: float = 0.0
+    velocity_unit_rad_s: float | None = None
+    voltage_object: ObjectAddress = (0x2100, 0)
+    voltage_unit_V: float = 0.01
+    temperature_object: ObjectAddress = (0x2101, 0)
+    temperature_unit_C: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse scales that cannot be.
+
+        Raises:
+            ConfigurationError: A scale is not positive, or the sign is not 1 or -1.
+        """
+        for name in ("counts_per_turn", "gear_ratio", "rated_current_A", "rated_torque_N_m"):
+            value = getattr(self, name)
+            if not (value > 0 and math.isfinite(value)):
+                raise ConfigurationError(f"{name} is {value}, must be positive: correct the bench file")
+        if self.sign not in (1, -1):
+            raise ConfigurationError(f"sign is {self.sign}, must be 1 or -1: correct the bench file")
+
+    @cached_property
+    def motor_rad_per_count(self) -> float:
+        """Motor angle of one count, with sign."""
+        return self.sign * 2.0 * math.pi / self.counts_per_turn
+
+    @cached_property
+    def joint_rad_per_count(self) -> float:
+        """Joint angle of one count, with sign."""
+        return self.motor_rad_per_count / self.gear_ratio
+
+    @cached_property
+    def joint_speed_unit_rad_s(self) -> float:
+        """Joint speed of one velocity unit, without sign."""
+        unit = self.velocity_unit_rad_s or 2.0 * math.pi / self.counts_per_turn
+        return unit / self.gear_ratio
+
+    @cached_property
+    def current_unit_A(self) -> float:
+        """Current of one unit of 6078h, without sign."""
+        return self.rated_current_A / 1000.0
+
+    @cached_property
+    def joint_torque_unit_N_m(self) -> float:
+        """Joint torque of one unit of 6072h, without sign."""
+        return self.rated_torque_N_m * self.gear_ratio / 1000.0
+
+    def joint_angle_rad(self, counts: int) -> float:
+        """Return the joint angle at a motor position."""
+        return counts * self.joint_rad_per_count + self.offset_rad
+
+    def counts(self, joint_angle_rad: float) -> int:
+        """Return the motor position of a joint angle, to the nearest count."""
+        return round((joint_angle_rad - self.offset_rad) / self.joint_rad_per_count)
+
+    def check(self, drive: ObjectAccess) -> None:
+        """Hold the scales against what the drive says of itself (6075h, 6076h and, where it has one, 608Fh).
+
+        Raises:
+            ConfigurationError: They differ by more than 0.1 %.
+        """
+        _compare("rated current, 6075h", drive.read(0x6075) * 1e-3, self.rated_current_A, "A")
+        _compare("rated torque, 6076h", drive.read(0x6076) * 1e-3, self.rated_torque_N_m, "N m", resolution=0.5e-3)
+        try:
+            counts = drive.read(0x608F, 1) / drive.read(0x608F, 2)
+        except ObjectAccessError as error:
+            if error.code != _NO_OBJECT:
+                raise
+            return
+        _compare("encoder resolution, 608Fh", counts, self.counts_per_turn, "counts per motor turn")
+
+
+def _compare(what: str, device: float, bench: float, unit: str, resolution: float = 0.0) -> None:
+    if abs(device - bench) > max(_TOLERANCE * abs(bench), resolution):
+        raise ConfigurationError(
+            f"{what}: the drive says {device:g} {unit}, the bench file {bench:g} {unit}; "
+            "correct the bench file, or check that this is the right drive"
+        )
+
+
+@dataclass(frozen=True)
+class EncoderScales:
+    """What the bench file says about one joint encoder.
+
+    Attributes:
+        counts_per_turn: What 6001h must say.
+        sign: 1 where rising counts are a rising joint angle, else -1.
+        offset_rad: Joint angle where 6004h is 0.
+    """
+
+    counts_per_turn: int
+    sign: int = 1
+    offset_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse scales that cannot be.
+
+        Raises:
+            ConfigurationError: The resolution is not positive, or the sign is not 1 or -1.
+        """
+        if self.counts_per_turn <= 0:
+            raise ConfigurationError(f"counts_per_turn is {self.counts_per_turn}, must be positive")
+        if self.sign not in (1, -1):
+            raise ConfigurationError(f"sign is {self.sign}, must be 1 or -1: correct the bench file")
+
+    @cached_property
+    def rad_per_count(self) -> float:
+        """Joint angle of one count, with sign."""
+        return self.sign * 2.0 * math.pi / self.counts_per_turn
+
+
+class Unwrapper:
+    """Follows a counter modulo ``modulus`` without bound.
+
+    Each new value is taken as the nearest to the last one, so the counter may move less than half its range between
+    calls. The first value is taken as it is, or, with ``signed``, as the nearest to zero.
+    """
+
+    def __init__(self, modulus: int, signed: bool = False) -> None:
+        self._modulus = modulus
+        self._half = modulus // 2
+        self._total: int | None = None
+        self._signed = signed
+
+    def update(self, raw: int) -> int:
+        """Return the unwrapped count for a new raw value."""
+        total = self._total
+        if total is None:
+            total = 0 if self._signed else raw
+        modulus = self._modulus
+        step = (raw - total) % modulus
+        if step > self._half:
+            step -= modulus
+        self._total = total + step
+        return self._total

@@ -1,0 +1,16 @@
+"""The one place that asks for compilation, so that options are the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, cast
+
+from numba import njit
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a numeric kernel with numba and keep the machine code on disk for the next process."""
+    return cast(Callable[P, R], njit(cache=True, error_model="numpy")(function))

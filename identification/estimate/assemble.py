@@ -1,0 +1,162 @@
+"""From values and their spread to the records a report shows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from identification.estimate.regression import (
+    HIGHEST_SHARE,
+    LOWEST_SHARE,
+    model_torque,
+)
+from identification.estimate.result import (
+    LOAD_PARAMETERS,
+    SYSTEM_PARAMETERS,
+    UNITS_LINEAR,
+    UNITS_ROTARY,
+    Fit,
+    Parameter,
+    Trace,
+)
+from identification.estimate.uncertainty import Spread
+from identification.prepare import Prepared, torque_unit
+from identification.recording import Model
+
+WIDEST = 0.5
+"""Half width of the 90 % interval over the value, above which a parameter counts as not identified."""
+
+
+def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
+    """Return name to unit; torques read A where no torque constant is known."""
+    recording = prepared[0].recording
+    units = dict(UNITS_LINEAR if recording.bench.motion == "linear" else UNITS_ROTARY)
+    if torque_unit(recording) == "A":
+        units.update({"Mc": "A", "Ms": "A", "offset": "A", "sigma_2": "A s/rad", "J": "A s^2/rad"})
+    return units
+
+
+def errors_of(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> tuple[float, float, int]:
+    """Return (sum of squared torque errors, sum of squared torques, samples) over the used samples."""
+    error = torque = 0.0
+    count = 0
+    for p in prepared:
+        used = p.used
+        residual = (p.torque - model_torque(p, values, alpha))[used]
+        error += float(residual @ residual)
+        torque += float(p.drive_torque[used] @ p.drive_torque[used])
+        count += int(np.sum(used))
+    return error, torque, count
+
+
+def fit_of(
+    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float, validate: Sequence[Prepared] = ()
+) -> Fit:
+    """Return the torque error over the used samples, and over those set aside."""
+
+    def both(group: Sequence[Prepared]) -> tuple[float, float]:
+        error, torque, count = errors_of(group, values, alpha)
+        return math.sqrt(error / max(count, 1)), math.sqrt(error / torque) if torque > 0.0 else 0.0
+
+    rms, relative = both(prepared)
+    held = both(validate) if validate else (None, None)
+    first = prepared[0]
+    return Fit(torque_unit(first.recording), first.bandwidth_Hz, rms, relative, held[0], held[1])
+
+
+def trace_of(p: Prepared, values: Mapping[str, float], alpha: float) -> Trace:
+    """Return the signals of one recording as the fit saw them."""
+    return Trace(
+        recording=p.recording.name,
+        role=p.recording.role,
+        stage=p.recording.stage,
+        time=p.time,
+        angle=p.angle,
+        velocity=p.velocity,
+        torque=p.torque,
+        torque_model=model_torque(p, values, alpha),
+        friction=np.asarray(p.torque - values.get("J", 0.0) * p.acceleration),
+        used=p.used,
+    )
+
+
+def parameter_table(
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    spread: Spread,
+    model: Model,
+) -> dict[str, Parameter]:
+    """Return every parameter with its interval, or the words why it has none."""
+    units = units_of(prepared)
+    fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
+    table: dict[str, Parameter] = {}
+    order = [n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset") if n in values]
+    for name in order:
+        value = values[name]
+        if name in model.fixed:
+            table[name] = Parameter(name, units[name], value, value, value, reason="fixed by the campaign, not fitted")
+        elif name not in spread.names:
+            table[name] = Parameter(name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name))
+        else:
+            table[name] = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
+    return table
+
+
+def _absent(name: str) -> str:
+    static, coulomb = ("Ms", "Mc") if name in ("Ms", "omega_sf") else ("mu_s", "mu_c")
+    return f"friction does not rise toward rest in these recordings: {static} would fall to {coulomb}, its bound"
+
+
+def _judge(
+    name: str,
+    unit: str,
+    value: float,
+    half: float,
+    fastest: float,
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+) -> Parameter:
+    """Return the parameter, flagged in words where the data do not pin it."""
+    speed = name in ("omega_sf", "omega_sL")
+    at_bound = value <= 0.0 if name != "offset" and not speed else False
+    if speed:
+        at_bound = value >= 0.999 * HIGHEST_SHARE * fastest or value <= 1.001 * LOWEST_SHARE * fastest
+    if name == "offset":
+        scale = math.sqrt(sum(float(np.mean(p.torque[p.used] ** 2)) for p in prepared if np.any(p.used)))
+        loose = half > 0.1 * scale
+    else:
+        loose = not half <= WIDEST * abs(value)
+    if loose or at_bound:
+        return Parameter(
+            name,
+            unit,
+            None,
+            identifiable=False,
+            at_bound=at_bound,
+            reason=_why(name, unit, value, half, at_bound, prepared, values),
+        )
+    return Parameter(name, unit, value, value - half, value + half)
+
+
+def _why(
+    name: str,
+    unit: str,
+    value: float,
+    half: float,
+    at_bound: bool,
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+) -> str:
+    """Say in words why a parameter is not pinned."""
+    if at_bound and name in ("omega_sf", "omega_sL"):
+        return f"the search ends at its bound of {value:.3g} {unit}: the falling part of friction is not seen"
+    if at_bound:
+        return "the data ask for a value below 0, its bound"
+    interval = f"its 90 % interval, {value - half:.3g} to {value + half:.3g} {unit}, is too wide to call it known"
+    if name == "J":
+        inertia = max(float(np.std((values["J"] * p.acceleration)[p.used])) for p in prepared if np.any(p.used))
+        torque = max(float(np.std(p.torque[p.used])) for p in prepared if np.any(p.used))
+        return f"J domega/dt is {100.0 * inertia / torque:.2g} % of the torque: {interval}"
+    return interval

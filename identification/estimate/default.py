@@ -1,0 +1,208 @@
+"""The default method: both stages by variable projection, then refined by prediction errors where those apply."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from time import perf_counter
+
+import numpy as np
+
+from identification.estimate import prediction_error, varpro
+from identification.estimate.assemble import fit_of, parameter_table, trace_of
+from identification.estimate.prediction_error import Refined
+from identification.estimate.regression import Stage, loaded_stage, unloaded_stage
+from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification
+from identification.estimate.stretches import motion
+from identification.estimate.uncertainty import Spread, block_sandwich
+from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.recording import Dataset, Model, Recording, RecordingError
+
+Progress = Callable[[str, float], None]
+WHITE = 0.15
+"""Greatest correlation of neighbouring innovations at which the refined values are taken."""
+NO_WORSE = 1.1
+"""Greatest growth of the equation error at which the refined values are taken."""
+
+
+def identify(
+    dataset: Dataset,
+    *,
+    bandwidth_Hz: float | None = None,
+    rng: np.random.Generator | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify the nine parameters in two stages (five where nothing is loaded).
+
+    Args:
+        dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once at the end.
+        bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what each bears.
+        rng: Unused; every method takes one.
+        progress: Called with a stage's name and the share done.
+
+    Raises:
+        RecordingError: The recordings cannot pin the model; the message says what is missing.
+    """
+    started = perf_counter()
+    tell = progress or (lambda _stage, _share: None)
+    fitted = dataset.part("fit")
+    if not fitted:
+        raise RecordingError("no recording has role 'fit'; at least one is needed")
+    if bandwidth_Hz is None:
+        bandwidth_Hz = min(default_bandwidth(r) for r in fitted)
+    tell("unloaded", 0.0)
+    prepared = {id(r): prepare(r, bandwidth_Hz) for r in dataset.recordings}
+    unloaded = [prepared[id(r)] for r in fitted if r.stage == "unloaded"]
+    loaded = [prepared[id(r)] for r in fitted if r.stage == "loaded"]
+    model = dataset.model
+    values, stages = solve_stages(unloaded, loaded, model, tell)
+    active = [prepared[id(r)] for r in fitted]
+    names = free_names(values, model)
+    spread = block_sandwich(active, values, names, model.alpha)
+    warnings: list[str] = []
+    tell("joint", 0.0)
+    refined = _refine(fitted, values, names, model, bandwidth_Hz)
+    if isinstance(refined, str):
+        warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {refined}")
+    else:
+        before, after = fit_of(active, values, model.alpha), fit_of(active, refined.values, model.alpha)
+        fault = _refusal(refined, before.train_rms, after.train_rms)
+        stages.append(_joint_convergence(refined))
+        if fault:
+            warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
+        else:
+            values = dict(refined.values)
+            spread = _with_freedom(refined)
+    tell("joint", 1.0)
+    every = list(prepared.values())
+    fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
+    validate = [p for p in every if p.recording.role == "validate"]
+    parameters = parameter_table(active, values, spread, model)
+    for p in active:
+        if not np.any(p.used):
+            warnings.append(f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz")
+    return Identification(
+        method="default",
+        motion=fitted[0].bench.motion,
+        alpha=model.alpha,
+        parameters=parameters,
+        fit=fit_of(active, values, model.alpha, validate),
+        stages=tuple(stages),
+        warnings=tuple(warnings),
+        traces=tuple(trace_of(p, values, model.alpha) for p in every),
+        fits_by_recording=fits,
+        evaluations=sum(s.evaluations for s in stages),
+        seconds=perf_counter() - started,
+    )
+
+
+def solve_stages(
+    unloaded: Sequence[Prepared], loaded: Sequence[Prepared], model: Model, tell: Progress
+) -> tuple[dict[str, float], list[Convergence]]:
+    """Solve both stages by variable projection; return all values by name and how each search went.
+
+    Raises:
+        RecordingError: Loaded recordings alone cannot tell system from load friction.
+    """
+    values: dict[str, float] = {}
+    stages: list[Convergence] = []
+    if unloaded:
+        values, record = _solve(unloaded_stage(unloaded, model))
+        stages.append(record)
+    else:
+        missing = [n for n in SYSTEM_PARAMETERS if n not in model.fixed]
+        if missing:
+            raise RecordingError(
+                "no unloaded recording to fit: system and load friction cannot be told apart at one load; record an "
+                f"unloaded stage, or fix {', '.join(missing)}"
+            )
+        values = {n: float(v) for n, v in model.fixed.items()}
+    tell("unloaded", 1.0)
+    if loaded:
+        found, record = _solve(loaded_stage(loaded, model, values))
+        values = {**values, **found}
+        stages.append(record)
+    tell("loaded", 1.0)
+    return values, stages
+
+
+def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
+    solution = varpro.solve(stage.design, *stage.speed_range(), stage.signed)
+    samples = max(sum(int(np.sum(p.used)) for p in stage.prepared), 1)
+    history = [
+        stage.named(float(w), c)
+        for w, c in zip(solution.omega_history, solution.coefficient_history, strict=True)
+    ]  # fmt: skip
+    return stage.named(solution.omega_s, solution.coefficients), Convergence(
+        stage=stage.name,
+        method="variable projection",
+        evaluations=solution.evaluations,
+        generations=solution.evaluations,
+        cost=math.sqrt(solution.cost / samples),
+        cost_unit=f"{torque_unit(stage.prepared[0].recording)} rms",
+        cost_history=np.sqrt(solution.cost_history / samples),
+        parameter_history={n: np.array([h[n] for h in history]) for n in stage.names},
+    )
+
+
+def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
+    """Return the names that the data are asked for: not fixed, and not a Stribeck term that is absent."""
+    absent: set[str] = set()
+    for coulomb, static, speed in (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL")):
+        if static in values and not values[static] > values[coulomb]:
+            absent |= {static, speed}
+    return tuple(n for n in values if n not in model.fixed and n not in absent)
+
+
+def _refine(
+    recordings: Sequence[Recording],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    model: Model,
+    bandwidth_Hz: float,
+) -> Refined | str:
+    """Return the refined estimate, or in words why the prediction error does not apply."""
+    if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
+        return "no rise of friction toward rest was found to refine"
+    motions = {id(r): motion(r) for r in recordings}
+    for r in recordings:
+        if motions[id(r)] is None:
+            return (
+                f"prediction errors need even sampling, a quantised encoder, measured torque and two breakaways from "
+                f"rest, and {r.name} lacks one of them"
+            )
+    found = [m for m in motions.values() if m is not None]
+    unloaded = [m for m in found if m.recording.stage == "unloaded"]
+    loaded = [m for m in found if m.recording.stage == "loaded"]
+    if not unloaded:
+        return "there is no unloaded recording to start from"
+    if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
+        return "no rise of load friction toward rest was found to refine"
+    return prediction_error.refine_stages(unloaded, loaded, values, model)
+
+
+def _refusal(refined: Refined, before: float, after: float) -> str:
+    """Say why the refined values are not taken; empty where they are."""
+    if abs(refined.whiteness) > WHITE:
+        return (
+            f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, limit {WHITE}), "
+            "so physics is missing that the refinement would hide in the parameters"
+        )
+    if after > NO_WORSE * before:
+        return f"the refined values raise the equation error from {before:.3g} to {after:.3g}"
+    return ""
+
+
+def _with_freedom(refined: Refined) -> Spread:
+    return Spread(refined.names, refined.covariance, float(max(refined.breakaways - len(refined.names), 3)))
+
+
+def _joint_convergence(refined: Refined) -> Convergence:
+    return Convergence(
+        stage="joint",
+        method="prediction error",
+        evaluations=refined.evaluations,
+        generations=refined.iterations,
+        cost=refined.innovation_rms,
+        cost_unit="innovation rms over its noise (1 where the noise model holds)",
+    )

@@ -1,0 +1,165 @@
+"""The two stages as equation-error problems: eq. 16 without load, eq. 15 with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.estimate.varpro import Design
+from identification.model.friction import stribeck_shape
+from identification.prepare import Prepared
+from identification.recording import Array, Model
+
+HIGHEST_SHARE = 1.0 / 3.0
+"""Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be told from a line."""
+LOWEST_SHARE = 1e-3
+"""Least Stribeck speed tried over the greatest speed seen."""
+
+
+def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
+    """Stack the used samples of one array per recording, shape (n,)."""
+    return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
+
+
+def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
+    """Return the falling Stribeck term through the recording's filter, shape (n,)."""
+    return p.filter(stribeck_shape(p.raw_velocity, omega_s, alpha))
+
+
+def filtered_sign(p: Prepared) -> Array:
+    """Return sgn(omega) through the recording's filter, shape (n,)."""
+    return p.filter(np.sign(p.raw_velocity))
+
+
+def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
+    """Return modelled friction plus offset, eq. 9 + 13, through the recording's filter, N m, shape (n,).
+
+    Parameters that are absent count as zero.
+    """
+    q = parameters
+    sign = filtered_sign(p)
+    total = q.get("Mc", 0.0) * sign + q.get("sigma_2", 0.0) * p.velocity + q.get("offset", 0.0)
+    if q.get("Ms", 0.0) > q.get("Mc", 0.0) and q.get("omega_sf", 0.0) > 0.0:
+        total = total + (q["Ms"] - q["Mc"]) * filtered_shape(p, q["omega_sf"], alpha)
+    if np.any(p.moment != 0.0):
+        load = q.get("mu_c", 0.0) * sign + q.get("mu_2", 0.0) * p.velocity
+        if q.get("mu_s", 0.0) > q.get("mu_c", 0.0) and q.get("omega_sL", 0.0) > 0.0:
+            load = load + (q["mu_s"] - q["mu_c"]) * filtered_shape(p, q["omega_sL"], alpha)
+        total = total + p.moment * load
+    return np.asarray(total)
+
+
+def model_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
+    """Return what eq. 15 says the torque should be, N m, shape (n,)."""
+    return friction_torque(p, parameters, alpha) + parameters.get("J", 0.0) * p.acceleration
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage: names of its coefficients, the name of its Stribeck speed, and how to build the linear problem.
+
+    The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be bounded by 0.
+
+    Attributes:
+        name: ``unloaded`` or ``loaded``.
+        coulomb: Mc or mu_c.
+        static: Ms or mu_s.
+        speed: omega_sf or omega_sL.
+        others: Names of the remaining coefficients.
+        prepared: Its recordings.
+        model: Declared terms, fixed values and alpha.
+        known: Parameters found before, held.
+    """
+
+    name: str
+    coulomb: str
+    static: str
+    speed: str
+    others: tuple[str, ...]
+    prepared: tuple[Prepared, ...]
+    model: Model
+    known: Mapping[str, float]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the fitted coefficients in column order; ``rise`` stands for static less Coulomb."""
+        fixed = self.model.fixed
+        names = [] if self.coulomb in fixed else [self.coulomb]
+        names += [] if self.static in fixed else ["rise"]
+        return tuple(names + [n for n in self.others if n not in fixed])
+
+    @property
+    def signed(self) -> tuple[int, ...]:
+        """Columns whose coefficient may be negative."""
+        return tuple(k for k, name in enumerate(self.free) if name == "offset")
+
+    def speed_range(self) -> tuple[float, float]:
+        """Return the least and greatest Stribeck speed to try, rad/s."""
+        if self.speed in self.model.fixed:
+            held = float(self.model.fixed[self.speed])
+            return held, held
+        top = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in self.prepared)
+        return LOWEST_SHARE * top, HIGHEST_SHARE * top
+
+    def design(self, omega_s: float) -> Design:
+        """Return the linear problem at one Stribeck speed."""
+        alpha, fixed = self.model.alpha, self.model.fixed
+        columns: list[list[Array]] = [[] for _ in self.free]
+        targets: list[Array] = []
+        for p in self.prepared:
+            scale = p.moment if self.name == "loaded" else np.ones(len(p.time))
+            sign = scale * filtered_sign(p)
+            shape = scale * filtered_shape(p, omega_s, alpha)
+            basis = {
+                "sigma_2": p.velocity,
+                "mu_2": scale * p.velocity,
+                "J": p.acceleration,
+                "offset": np.ones(len(p.time)),
+                "rise": shape,
+                # With the static limit fixed, raising the Coulomb level takes as much off the rise.
+                self.coulomb: sign - shape if self.static in fixed else sign,
+            }
+            target = p.torque - model_torque(p, self.known, alpha)
+            for name in self.others:
+                if name in fixed:
+                    target = target - fixed[name] * basis[name]
+            if self.coulomb in fixed:
+                base = sign - shape if self.static in fixed else sign
+                target = target - fixed[self.coulomb] * base
+            if self.static in fixed:
+                target = target - fixed[self.static] * shape
+            targets.append(target[p.used])
+            for k, name in enumerate(self.free):
+                columns[k].append(basis[name][p.used])
+        stack = [np.concatenate(c) for c in columns]
+        return Design(
+            np.column_stack(stack) if stack else np.zeros((sum(map(len, targets)), 0)), np.concatenate(targets)
+        )
+
+    def named(self, omega_s: float, coefficients: Array) -> dict[str, float]:
+        """Return the stage's parameters by name."""
+        found = dict(zip(self.free, (float(c) for c in coefficients), strict=True))
+        rise = found.pop("rise", None)
+        values = {**{n: float(v) for n, v in self.model.fixed.items() if n in self.names}, **found}
+        values[self.speed] = omega_s
+        if rise is not None:
+            values[self.static] = values[self.coulomb] + rise
+        return values
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the stage's parameters."""
+        return (self.coulomb, self.static, self.speed, *self.others)
+
+
+def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
+    """Eq. 16: Mc, Ms, omega_sf, sigma_2, J, and the offset where it is declared."""
+    offset = ("offset",) if "offset" in model.terms else ()
+    return Stage("unloaded", "Mc", "Ms", "omega_sf", ("sigma_2", "J", *offset), tuple(prepared), model, {})
+
+
+def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str, float]) -> Stage:
+    """Eq. 15 with the five system parameters held: mu_c, mu_s, omega_sL, mu_2."""
+    return Stage("loaded", "mu_c", "mu_s", "omega_sL", ("mu_2",), tuple(prepared), model, dict(known))

@@ -1,0 +1,173 @@
+"""Stretches of motion: where a recording moves, from one rest to the next."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.estimate import innovations as kernel
+from identification.prepare import drive_torque, joint_angle, resting
+from identification.recording import Array, Recording, RecordingError
+from identification.signals import BoolArray, quantum
+
+LEAD = 12
+"""Samples before the first visible motion at which a stretch that starts from rest begins."""
+TAIL = 20
+"""Samples before the next rest at which it ends: there the filter cannot know yet that the shaft will stop."""
+LEAST_COUNTS = 20.0
+"""A stretch moves at least this many encoder steps."""
+FINE_STEPS = 8.0
+"""Integration steps per sample near rest, where friction falls steeply; 1 elsewhere."""
+FINE_SAMPLES = 30
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A recording as the prediction-error filter sees it. Arrays have shape (n,), at the joint, SI.
+
+    Attributes:
+        recording: Where it came from.
+        time: s.
+        angle: rad, as the encoder counted.
+        torque: Mean torque over the period that ends at each sample, N m.
+        slope: Its slope within that period, N m/s.
+        moment: F_P L1, N m.
+        table: Stretches for the kernel, shape (m, 4).
+        seen: First sample of each stretch that has visibly moved, shape (m,).
+        steps: Integration steps per sample.
+        inside: Samples inside a stretch.
+        extra_inertia: Known inertia added to J, kg m^2.
+        angle_variance: Of the encoder's quantisation, rad^2.
+    """
+
+    recording: Recording
+    time: Array
+    angle: Array
+    torque: Array
+    slope: Array
+    moment: Array
+    table: Array
+    seen: Array
+    steps: Array
+    inside: BoolArray
+    extra_inertia: float
+    angle_variance: float
+
+    def torque_at(self, when: Array) -> Array:
+        """Return the torque at any time, linear between the centres of the periods it was averaged over, N m."""
+        return np.interp(when, self.time - 0.5 * self.recording.period, self.torque)
+
+    def static_crossing(self, static: float) -> Array:
+        """Return when each stretch's torque first reaches ``static``, at the latest when it has visibly moved, s."""
+        half = 0.5 * self.recording.period
+        out = np.empty(len(self.table))
+        for j, (first, _, side, _) in enumerate(self.table):
+            window = slice(int(first) - 1, int(self.seen[j]) + 2)
+            when = self.time[window] - half
+            excess = side * self.torque[window] - static
+            above = np.flatnonzero(excess >= 0.0)
+            if above.size == 0:
+                out[j] = when[1 + int(np.argmax(excess[1:]))]
+            elif above[0] == 0:
+                out[j] = when[0]
+            else:
+                k = int(above[0])
+                out[j] = when[k - 1] + (when[k] - when[k - 1]) * excess[k - 1] / (excess[k - 1] - excess[k])
+        return np.minimum(out, self.time[self.seen.astype(np.int64)])
+
+    def peak_torque(self) -> float:
+        """Return the median over stretches of the greatest torque before visible motion, N m."""
+        peaks = [
+            np.max(side * self.torque[int(first) : int(seen) + 1])
+            for (first, _, side, _), seen in zip(self.table, self.seen, strict=True)
+        ]
+        return float(np.median(peaks))
+
+
+def motion(recording: Recording) -> Motion | None:
+    """Return the stretches of a recording that start from rest, or None where the filter does not apply.
+
+    It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque or current and at
+    least two breakaways.
+    """
+    angle = joint_angle(recording)
+    channels = recording.channels
+    if angle is None or not ({"torque", "current"} & channels.keys()):
+        return None
+    step = quantum(angle)
+    intervals = np.diff(recording.time)
+    if step == 0.0 or float(np.ptp(intervals)) > 0.01 * recording.period:
+        return None
+    velocity = np.gradient(np.convolve(angle, np.ones(5) / 5.0, mode="same"), recording.time)
+    at = recording.time
+    measured = {"torque", "current"} & recording.averaged
+    torque = drive_torque(recording, at - 0.5 * recording.period if measured else at, velocity)
+    if not measured:
+        torque = 0.5 * (torque + np.concatenate((torque[:1], torque[:-1])))
+    extra = 0.0
+    if recording.pendulum is not None:
+        pendulum = recording.pendulum
+        extra = pendulum.mass * pendulum.length**2
+        weight = pendulum.mass * recording.bench.gravity * pendulum.length
+        torque = torque - weight * np.sin(angle - pendulum.zero)
+    table, seen = _table(angle, step)
+    if len(table) < 2:
+        return None
+    steps = np.ones(len(at))
+    inside = np.zeros(len(at), dtype=bool)
+    for first, last, _, _ in table.astype(np.int64):
+        inside[first:last] = True
+        steps[first : first + LEAD + FINE_SAMPLES] = FINE_STEPS
+        steps[max(first, last - FINE_SAMPLES) : last] = FINE_STEPS
+    slow = np.abs(velocity) < 0.3 * float(np.max(np.abs(velocity)))
+    steps[slow] = FINE_STEPS
+    arm = recording.bench.moment_arm
+    if arm is None and recording.contact_force != 0.0:
+        raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
+    return Motion(
+        recording=recording,
+        time=at,
+        angle=angle,
+        torque=np.ascontiguousarray(torque),
+        slope=np.gradient(torque, at),
+        moment=np.full(len(at), recording.contact_force * (arm or 0.0)),
+        table=table,
+        seen=seen,
+        steps=steps,
+        inside=inside,
+        extra_inertia=extra,
+        angle_variance=step * step / 12.0,
+    )
+
+
+def _table(angle: Array, step: float) -> tuple[Array, Array]:
+    """Return the kernel's table of stretches that start from rest, and where each has visibly moved."""
+    rest = resting(angle)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
+    rows: list[tuple[float, float, float, float]] = []
+    seen: list[int] = []
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        end = min(int(stop), len(angle) - 1)
+        travel = angle[end] - angle[max(start - 1, 0)]
+        last = int(stop) - TAIL if stop < len(angle) else int(stop)
+        begin = max(int(start) - LEAD, 1)
+        while begin < start and not rest[begin]:
+            begin += 1
+        if start == 0 or begin >= start or abs(travel) < LEAST_COUNTS * step or last - begin < LEAD:
+            continue
+        visible = int(start)
+        while abs(angle[visible] - angle[start - 1]) < 1.5 * step:
+            visible += 1
+        if last <= visible + 2 or _reverses(angle[visible:last], np.sign(travel), step):
+            continue
+        rows.append((begin + 1, last, float(np.sign(travel)), 1.0))
+        seen.append(visible)
+    columns = kernel.FROM_REST + 1
+    return np.array(rows, dtype=np.float64).reshape(-1, columns), np.array(seen, dtype=np.float64)
+
+
+def _reverses(angle: Array, side: float, step: float) -> bool:
+    """Whether a stretch turns back by more than its encoder's noise without coming to rest."""
+    forward = side * angle
+    return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)

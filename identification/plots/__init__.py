@@ -1,0 +1,1 @@
+"""Figures of recordings and fits. The only place that knows matplotlib; every function returns a ``Figure``."""

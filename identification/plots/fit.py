@@ -1,0 +1,162 @@
+"""Figures of a fit: friction against speed, convergence, intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from identification.estimate.result import Convergence, Identification, Trace
+from identification.model.friction import load_coefficient, system_friction
+from identification.plots.style import (
+    BLACK,
+    BLUE,
+    CYCLE,
+    GREY,
+    VERMILION,
+    broken,
+    figure,
+    legend_above,
+    moving,
+    thinned,
+)
+from identification.recording import Array
+
+_POINTS_PER_LOAD = 1500
+_LINEAR_PERCENT = 10.0  # deviations beyond this are drawn on a logarithmic scale where some are far off
+LABELS = {
+    "Mc": r"$M_c$",
+    "Ms": r"$M_s$",
+    "omega_sf": r"$\omega_{sf}$",
+    "sigma_2": r"$\sigma_2$",
+    "J": r"$J$",
+    "mu_c": r"$\mu_c$",
+    "mu_s": r"$\mu_s$",
+    "omega_sL": r"$\omega_{sL}$",
+    "mu_2": r"$\mu_2$",
+}
+_STAGE_TITLES = {"unloaded": "system load", "loaded": "working load"}
+
+
+def stribeck(result: Identification, moments: Mapping[str, float]) -> Figure:
+    """Friction torque against speed, measured and fitted, one colour per load (eq. 9 and 13).
+
+    Args:
+        result: The fit.
+        moments: Recording to its contact moment F_P L1, N m.
+    """
+    rotary = result.motion == "rotary"
+    unit = result.fit.unit
+    made, (axis,) = figure(1, height=5.0)
+    values = result.values()
+    by_load: dict[float, list[Trace]] = {}
+    for trace in result.traces:
+        by_load.setdefault(round(moments.get(trace.recording, 0.0), 6), []).append(trace)
+    for color, (moment, traces) in zip(CYCLE * len(by_load), sorted(by_load.items()), strict=False):
+        name = "unloaded" if moment == 0.0 else f"$F_P L_1$ = {moment:.4g} N m"
+        speeds = np.concatenate([t.velocity[moving(t)] for t in traces])
+        torques = np.concatenate([t.friction[moving(t)] for t in traces])
+        few = thinned(len(speeds), _POINTS_PER_LOAD)
+        axis.plot(speeds[few], torques[few], ".", color=color, markersize=5.0, alpha=0.3, label=f"measured, {name}")
+        top = float(np.max(np.abs(speeds), initial=0.0))
+        curve = _curve(np.linspace(top / 2000.0, top, 2000), moment, values, result.alpha) if top > 0.0 else None
+        if curve is not None:
+            axis.plot(*curve, color=BLACK, linewidth=1.1, label=None if moment else "fitted")
+    axis.set_xlabel("velocity (rad/s)" if rotary else "velocity (m/s)")
+    axis.set_ylabel(f"friction torque ({unit})" if rotary else f"friction force ({unit})")
+    axis.axhline(0.0, color=GREY, linewidth=0.8)
+    axis.axvline(0.0, color=GREY, linewidth=0.8)
+    for handle in legend_above(axis, 3).legend_handles:
+        if handle is not None:
+            handle.set_alpha(1.0)
+    made.suptitle(f"Friction against speed, {result.method} method", fontsize=11)
+    return made
+
+
+def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) -> Figure:
+    """Deviation of the best parameters, and fitness, after every generation (Fig. 12 and 13).
+
+    Args:
+        stage: A search with its history.
+        truth: Values to measure the deviation from; without it, from the final ones.
+    """
+    made, (upper, lower) = figure(2, height=6.0, sharex=True)
+    costs = stage.cost_history if stage.cost_history is not None else np.array([stage.cost])
+    for color, (name, history) in zip(CYCLE, stage.parameter_history.items(), strict=False):
+        reference = (truth or {}).get(name, float(history[-1]))
+        deviation = np.abs(history - reference) / abs(reference) * 100.0 if reference else np.full(len(history), np.nan)
+        upper.plot(_generations(history), broken(deviation, deviation > 0.0), color=color, label=LABELS.get(name, name))
+    upper.set_yscale("log")
+    upper.set_ylabel(f"deviation from the {'true' if truth else 'final'} value (%)")
+    legend_above(upper, 5)
+    lower.plot(_generations(costs), costs, color=BLUE, label="best fitness")
+    if stage.target is not None:
+        lower.axhline(stage.target, color=VERMILION, linestyle="--", label=f"target {stage.target:g} {stage.cost_unit}")
+    lower.set_yscale("log")
+    lower.set_ylabel(f"fitness ({stage.cost_unit})")
+    lower.set_xlabel("generation (1)")
+    legend_above(lower, 2)
+    made.suptitle(f"Convergence: {_STAGE_TITLES.get(stage.stage, stage.stage)}", fontsize=11)
+    return made
+
+
+def intervals(results: Sequence[Identification], truth: Mapping[str, float] | None = None) -> Figure:
+    """Every parameter with its 90 % interval, in percent of the first result (or of the truth, where it is known)."""
+    names = list(results[0].parameters)
+    made, (axis,) = figure(1, height=1.4 + 0.42 * len(names))
+    for k, (color, result) in enumerate(zip(CYCLE, results, strict=False)):
+        _interval_row(axis, result, names, results[0], truth, color, 0.22 * (k - 0.5 * (len(results) - 1)))
+    axis.axvline(0.0, color=GREY, linewidth=0.9, linestyle="--")
+    units = [results[0].parameters[name].unit.replace("^2", "$^2$") for name in names]
+    axis.set_yticks(range(len(names)), [f"{LABELS.get(n, n)} ({u})" for n, u in zip(names, units, strict=True)])
+    axis.set_ylim(len(names) - 0.4, -0.6)
+    axis.set_xlabel("deviation from the true value (%)" if truth else f"deviation from {results[0].method}'s value (%)")
+    if max(abs(edge) for edge in axis.get_xlim()) > 4.0 * _LINEAR_PERCENT:
+        axis.set_xscale("symlog", linthresh=_LINEAR_PERCENT)
+    axis.margins(x=0.08)
+    legend_above(axis, len(results))
+    made.suptitle("Parameters with 90 % intervals", fontsize=11)
+    return made
+
+
+def _interval_row(
+    axis: Axes,
+    result: Identification,
+    names: Sequence[str],
+    first: Identification,
+    truth: Mapping[str, float] | None,
+    color: str,
+    shift: float,
+) -> None:
+    label: str | None = result.method
+    for row, name in enumerate(names):
+        parameter = result.parameters.get(name)
+        reference = (truth or first.values()).get(name)
+        if parameter is None or parameter.value is None or not reference:
+            axis.text(0.0, row + shift, "  not identifiable", color=color, fontsize=8, va="center")
+            continue
+        scale = 100.0 / reference
+        center = (parameter.value - reference) * scale
+        low = center if parameter.low is None else (parameter.low - reference) * scale
+        high = center if parameter.high is None else (parameter.high - reference) * scale
+        axis.plot([low, high], [row + shift] * 2, color=color, linewidth=2.2, solid_capstyle="butt")
+        axis.plot([center], [row + shift], "o", color=color, markersize=5, label=label)
+        label = None
+
+
+def _curve(speed: Array, moment: float, values: Mapping[str, float], alpha: float) -> tuple[Array, Array] | None:
+    """Return fitted friction at both signs of ``speed``, or None where a parameter it needs is not identifiable."""
+    needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | ({"mu_c", "mu_s", "omega_sL", "mu_2"} if moment else set())
+    if not needed <= values.keys():
+        return None
+    both = np.concatenate([-speed[::-1], [np.nan], speed])
+    torque = system_friction(both, values, alpha) + values.get("offset", 0.0)
+    if moment:
+        torque = torque + moment * load_coefficient(both, values, alpha)
+    return both, torque
+
+
+def _generations(history: Array) -> Array:
+    return np.arange(1.0, len(history) + 1.0)

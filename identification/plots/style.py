@@ -1,0 +1,87 @@
+"""What all figures share: size, colours, thinning, saving."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.legend import Legend
+from numpy.typing import NDArray
+
+from identification.estimate.result import Trace
+from identification.recording import Array
+
+__all__ = ["Figure"]  # for callers that must not import matplotlib themselves
+
+BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY, YELLOW = (
+    "#0072B2",
+    "#E69F00",
+    "#009E73",
+    "#D55E00",
+    "#CC79A7",
+    "#56B4E9",
+    "#F0E442",
+)
+BLACK, GREY = "#222222", "#8A8A8A"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+"""Okabe and Ito's palette, told apart by colour-blind readers too."""
+MAX_POINTS = 5000
+
+
+def figure(
+    rows: int, columns: int = 1, *, width: float = 8.0, height: float = 5.0, sharex: bool = False
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with its axes, row by row; no global state is touched."""
+    made = _canvas(width, height)
+    grid = made.subplots(rows, columns, squeeze=False, sharex=sharex)
+    return made, _dress([axis for row in grid for axis in row])
+
+
+def mosaic(layout: str, *, width: float = 8.0, height: float = 5.0) -> tuple[Figure, list[Axes]]:
+    """Return a figure with axes laid out like ``"AA;BC"``, in the order of their letters' first occurrence."""
+    made = _canvas(width, height)
+    return made, _dress(list(made.subplot_mosaic(layout).values()))
+
+
+def _canvas(width: float, height: float) -> Figure:
+    made = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(made)
+    return made
+
+
+def _dress(axes: list[Axes]) -> list[Axes]:
+    for axis in axes:
+        axis.grid(True, color="#E2E2E2", linewidth=0.6)
+        axis.set_axisbelow(True)
+        axis.spines[["top", "right"]].set_visible(False)
+    return axes
+
+
+def thinned(samples: int, limit: int = MAX_POINTS) -> slice:
+    """Return the slice that takes every k-th of so many samples, at most ``limit``."""
+    return slice(None, None, max(1, -(-samples // limit)))
+
+
+def moving(trace: Trace) -> NDArray[np.bool_]:
+    """Return which samples of a trace the fit used, shape (n,)."""
+    return np.asarray(trace.used > 0.5)
+
+
+def broken(values: Array, keep: NDArray[np.bool_]) -> Array:
+    """Return the values with NaN where ``keep`` is false, so that a line breaks there."""
+    return np.where(keep, values, np.nan)
+
+
+def legend_above(axis: Axes, columns: int) -> Legend:
+    """Add a legend above the axes, where it hides no data."""
+    return axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=columns, fontsize=8, frameon=False)
+
+
+def png(made: Figure, dpi: int = 110) -> bytes:
+    """Return the figure as PNG, free of dates and versions so that equal figures are equal bytes."""
+    buffer = io.BytesIO()
+    made.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
+    return buffer.getvalue()

@@ -1,0 +1,263 @@
+"""From a recording to the equation-error view: torque, velocity and acceleration at one stated bandwidth.
+
+Torque and regressors must pass the same filter, or every parameter is biased. The filter is a symmetric FIR, so that it
+is known exactly which outputs a resting shaft (where friction balances the drive and obeys no equation) has touched.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.recording import Array, Recording, RecordingError
+from identification.signals import (
+    BoolArray,
+    Decimator,
+    central_difference,
+    decimator,
+    derivative,
+    quantum,
+    resample,
+    smooth,
+)
+
+POSITION_BANDWIDTH = 2.5
+"""Cut-off of the filter on position over the stated bandwidth (EMPS practice: 100 Hz and 40 Hz)."""
+DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
+"""Default bandwidth over the sample rate, where the encoder does not ask for less."""
+REST_SAMPLES = 6
+"""Samples without any change of angle that count as rest."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """The equation-error view of one recording. Arrays have shape (n,), all through the same filter, SI, at the joint.
+
+    Attributes:
+        recording: Where it came from.
+        time: s.
+        angle: rad.
+        velocity: rad/s.
+        acceleration: rad/s^2.
+        torque: Drive torque less the known loads (a declared pendulum), N m; A where no torque constant is known.
+        drive_torque: Drive torque alone, N m.
+        moment: F_P L1, what multiplies m_L in eq. 13, N m; zero when unloaded.
+        used: Samples in motion that no resting sample has touched.
+        bandwidth_Hz: Of all of the above.
+        filter: The filter, for regressors that are not linear in the velocity.
+        raw_velocity: Velocity before that filter, shape (m,), for those regressors.
+    """
+
+    recording: Recording
+    time: Array
+    angle: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    drive_torque: Array
+    moment: Array
+    used: BoolArray
+    bandwidth_Hz: float
+    filter: Decimator
+    raw_velocity: Array
+
+
+def uniform_grid(recording: Recording) -> Array:
+    """Return evenly spaced times that span the recording at its median period, shape (m,)."""
+    time, period = recording.time, recording.period
+    return np.asarray(time[0] + period * np.arange(int((time[-1] - time[0]) / period + 1e-6) + 1))
+
+
+def joint_angle(recording: Recording) -> Array | None:
+    """Return the joint angle by the finer of the two encoders, rad, or None where neither was recorded.
+
+    The motor encoder counts through the gear (assumption 5); the joint encoder's zero is kept.
+    """
+    channels = recording.channels
+    joint = channels.get("angle")
+    if "motor_angle" not in channels:
+        return joint
+    motor = channels["motor_angle"] / recording.bench.gear_ratio
+    if joint is None:
+        return motor
+    if 0.0 < quantum(joint) < quantum(motor):
+        return joint
+    return np.asarray(motor + np.median(joint - motor))
+
+
+def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
+    """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque constant).
+
+    From the torque channel, else the current, else the voltage: I = (U - Ke omega_motor)/R, zero while the power stage
+    is off. A channel that is a mean over the period ending at its time stands half a period earlier.
+
+    Raises:
+        RecordingError: No channel gives the torque.
+    """
+    channels, bench = recording.channels, recording.bench
+    for name in ("torque", "current", "voltage"):
+        if name not in channels:
+            continue
+        offset = -0.5 * recording.period if name in recording.averaged else 0.0
+        values = channels[name]
+        if name == "voltage":
+            if bench.resistance is None or bench.back_emf_constant is None:
+                raise RecordingError(
+                    f"{recording.name}: torque from voltage needs bench.resistance and bench.back_emf_constant"
+                )
+            off = ~np.isfinite(values)
+            if "enabled" in channels:
+                off |= channels["enabled"] < 0.5
+            powered = resample(recording.time, 1.0 - off, grid, offset) > 0.5
+            volts = resample(recording.time, np.where(off, 0.0, values), grid, offset)
+            emf = bench.back_emf_constant * bench.gear_ratio * velocity
+            return powered * (volts - emf) / bench.resistance * ampere_torque(recording)
+        series = resample(recording.time, values, grid, offset)
+        return series if name == "torque" else series * ampere_torque(recording)
+    raise RecordingError(f"{recording.name}: no torque, current or voltage channel")
+
+
+def ampere_torque(recording: Recording) -> float:
+    """Return the joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in amperes."""
+    bench = recording.bench
+    return 1.0 if bench.torque_constant is None else bench.torque_constant * bench.gear_ratio
+
+
+def torque_unit(recording: Recording) -> str:
+    """Return the unit of the fit: N m, N on a linear bench, A where no torque constant is known."""
+    if "torque" not in recording.channels and recording.bench.torque_constant is None:
+        return "A"
+    return "N" if recording.bench.motion == "linear" else "N m"
+
+
+def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
+    """Mark samples of stretches of at least ``samples`` in which the recorded angle does not change at all."""
+    tolerance = 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0
+    if len(angle) <= samples:
+        return np.zeros(len(angle), dtype=bool)
+    windows = np.lib.stride_tricks.sliding_window_view(angle, samples)
+    still = windows.max(axis=1) - windows.min(axis=1) <= tolerance
+    marks = np.zeros(len(angle) + 1)
+    np.add.at(marks, np.flatnonzero(still), 1.0)
+    np.add.at(marks, np.flatnonzero(still) + samples, -1.0)
+    return np.asarray(np.cumsum(marks)[:-1] > 0.5)
+
+
+def default_bandwidth(recording: Recording) -> float:
+    """Choose a bandwidth, Hz: 1/25 of the rate, or less where the encoder's steps would swamp the acceleration.
+
+    White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12) sqrt(2 b / (5 rate));
+    the bandwidth keeps that below a tenth of the acceleration's own rms, estimated at the lowest bandwidth tried.
+    """
+    rate = 1.0 / recording.period
+    top = DEFAULT_SHARE_OF_RATE * rate
+    angle = joint_angle(recording)
+    if angle is None:
+        return top
+    noise = quantum(angle) / math.sqrt(12.0)
+    if noise == 0.0:
+        return top
+    grid = uniform_grid(recording)
+    series = resample(recording.time, angle, grid)
+    for bandwidth in np.geomspace(top, 0.1 * top, 11):
+        cutoff = POSITION_BANDWIDTH * bandwidth
+        acceleration = derivative(derivative(smooth(series, rate, cutoff), 1.0 / rate), 1.0 / rate)
+        error = (2.0 * math.pi * bandwidth) ** 2 * noise * math.sqrt(2.0 * bandwidth / (5.0 * rate))
+        if error < 0.1 * float(np.std(acceleration)):
+            return float(bandwidth)
+    return float(0.1 * top)
+
+
+def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared:
+    """Bring a recording to torque, velocity and acceleration on an even grid at one bandwidth.
+
+    Args:
+        recording: Any recording with an angle or a velocity, and a torque, current or voltage.
+        bandwidth_Hz: Bandwidth; None chooses one. At 0.45 of the rate or more nothing is filtered, and samples whose
+            acceleration the rate cannot resolve are left out.
+
+    Raises:
+        RecordingError: A needed channel is missing, or the recording is shorter than the filter.
+    """
+    if bandwidth_Hz is None:
+        bandwidth_Hz = default_bandwidth(recording)
+    grid = uniform_grid(recording)
+    rate = 1.0 / recording.period
+    low_pass = decimator(rate, bandwidth_Hz)
+    if len(grid) < 2 * low_pass.half + 8:
+        raise RecordingError(
+            f"{recording.name}: {len(grid)} samples are fewer than the {2 * low_pass.half + 8} that a bandwidth of "
+            f"{bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer recording"
+        )
+    angle, velocity, still = _motion(recording, grid, rate, POSITION_BANDWIDTH * bandwidth_Hz)
+    exact = low_pass.half == 0
+    acceleration = derivative(velocity, 1.0 / rate) if exact else central_difference(velocity, 1.0 / rate)
+    drive = drive_torque(recording, grid, velocity)
+    if not exact:
+        drive = smooth(drive, rate, POSITION_BANDWIDTH * bandwidth_Hz)
+    known = np.zeros(len(grid))
+    if recording.pendulum is not None:
+        pendulum = recording.pendulum
+        weight = pendulum.mass * recording.bench.gravity * pendulum.length
+        known = -weight * np.sin(angle - pendulum.zero) - pendulum.mass * pendulum.length**2 * acceleration
+    bad = still | (_unresolved(velocity, rate) if exact else False)
+    lead = slice(low_pass.half, len(grid) - low_pass.half, low_pass.factor)
+    return Prepared(
+        recording=recording,
+        time=grid[lead],
+        angle=low_pass(angle),
+        velocity=low_pass(velocity),
+        acceleration=low_pass(acceleration),
+        torque=low_pass(drive + known),
+        drive_torque=low_pass(drive),
+        moment=low_pass(_moment(recording, grid)),
+        used=low_pass.untouched(bad),
+        bandwidth_Hz=min(bandwidth_Hz, 0.5 * rate),
+        filter=low_pass,
+        raw_velocity=velocity,
+    )
+
+
+def _motion(recording: Recording, grid: Array, rate: float, cutoff: float) -> tuple[Array, Array, BoolArray]:
+    """Return angle, velocity (both smoothed) and the resting samples on ``grid``."""
+    position = joint_angle(recording)
+    if position is not None:
+        series = resample(recording.time, position, grid)
+        still = resting(series)
+        if "velocity" not in recording.channels or quantum(position) > 0.0:
+            series = smooth(series, rate, cutoff)
+            return series, central_difference(series, 1.0 / rate), still
+    elif "velocity" not in recording.channels:
+        raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
+    velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
+    if position is None:
+        series = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
+        still = np.asarray(velocity == 0.0)
+    return series, velocity, still
+
+
+def _unresolved(velocity: Array, rate: float) -> BoolArray:
+    """Mark samples where differences of third and seventh point disagree: faster than the rate can follow.
+
+    Used where nothing is filtered, on exact channels: around breakaway and stop the speed changes within microseconds.
+    """
+    fine = derivative(velocity, 1.0 / rate)
+    steps = np.abs(np.diff(velocity, n=7, prepend=velocity[:4], append=velocity[-3:]))
+    worst = np.maximum.reduce([np.roll(steps, k) for k in range(-4, 5)])
+    scale = float(np.percentile(np.abs(fine), 50.0)) / rate
+    return np.asarray(worst > 1e-3 * scale)
+
+
+def _moment(recording: Recording, grid: Array) -> Array:
+    """Return F_P L1 on ``grid``, N m."""
+    if "load_force" in recording.channels:
+        force = resample(recording.time, recording.channels["load_force"], grid)
+    else:
+        force = np.full(len(grid), recording.contact_force)
+    if recording.bench.moment_arm is None:
+        if np.any(force != 0.0):
+            raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
+        return np.zeros(len(grid))
+    return np.asarray(force * recording.bench.moment_arm)

@@ -1,0 +1,103 @@
+"""Signal conditioning shared by every estimator: pure functions of arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from identification.recording import Array
+
+BoolArray = NDArray[np.bool_]
+
+
+def quantum(values: Array) -> float:
+    """Return the resolution of a quantised channel: its smallest step, or 0.0 where values look continuous.
+
+    A channel counts as quantised when all its steps are whole multiples of the smallest one within 2 %, as an encoder's
+    are after any scale and offset.
+    """
+    steps = np.abs(np.diff(values[np.isfinite(values)]))
+    scale = float(np.max(steps, initial=0.0))
+    steps = steps[steps > 1e-9 * scale]
+    if steps.size < 8:
+        return 0.0
+    unit = float(np.median(steps[steps < 1.5 * np.min(steps)]))
+    small = steps[steps < 20.0 * unit]
+    off_grid = np.abs(small / unit - np.round(small / unit))
+    return unit if float(np.mean(off_grid < 0.02)) > 0.98 else 0.0
+
+
+def resample(time: Array, values: Array, grid: Array, offset: float = 0.0) -> Array:
+    """Interpolate ``values``, valid at ``time + offset``, linearly onto ``grid``."""
+    return np.interp(grid, time + offset, values)
+
+
+def derivative(values: Array, step: float) -> Array:
+    """Differentiate by the seven-point central difference (error of order step^6); lower orders at the ends."""
+    out = np.gradient(values, step)
+    if len(values) >= 7:
+        out[3:-3] = (
+            45.0 * (values[4:-2] - values[2:-4]) - 9.0 * (values[5:-1] - values[1:-5]) + (values[6:] - values[:-6])
+        ) / (60.0 * step)
+    return out
+
+
+def central_difference(values: Array, step: float) -> Array:
+    """Differentiate by the three-point central difference; one-sided at the ends."""
+    return np.gradient(values, step)
+
+
+def smooth(values: Array, rate: float, cutoff: float) -> Array:
+    """Low-pass without phase: fourth-order Butterworth run forwards and backwards."""
+    if cutoff >= 0.45 * rate:
+        return values
+    sections = signal.butter(4, cutoff / (0.5 * rate), output="sos")
+    return np.asarray(signal.sosfiltfilt(sections, values, padlen=min(len(values) - 1, int(3 * rate / cutoff))))
+
+
+@dataclass(frozen=True)
+class Decimator:
+    """One symmetric FIR low-pass with decimation, applied alike to torque and to every regressor.
+
+    Attributes:
+        taps: Filter, shape (2 half + 1,), sum 1; a single tap means no filtering.
+        factor: One sample in ``factor`` is kept.
+    """
+
+    taps: Array
+    factor: int
+
+    @property
+    def half(self) -> int:
+        """Samples on either side that an output depends on."""
+        return len(self.taps) // 2
+
+    def __call__(self, values: Array) -> Array:
+        """Filter and decimate along the last axis; the ends, where the filter hangs over, are dropped."""
+        if self.half == 0:
+            return values[..., :: self.factor]
+        kept = (values.shape[-1] - 2 * self.half - 1) // self.factor + 1
+        skip = 2 * self.half // self.factor  # exact: half is a multiple of factor
+        out = signal.upfirdn(self.taps, values, down=self.factor, axis=-1)
+        return np.ascontiguousarray(out[..., skip : skip + kept])
+
+    def untouched(self, bad: BoolArray) -> BoolArray:
+        """Return, at the decimated rate, which outputs depend on no sample marked ``bad``."""
+        spread = np.convolve(bad.astype(np.float64), np.ones(len(self.taps)), mode="valid")
+        return np.asarray(spread[:: self.factor] < 0.5)
+
+
+def decimator(rate: float, bandwidth: float) -> Decimator:
+    """Design the low-pass for a bandwidth in Hz: -6 dB there, decimated to 2.5 times the bandwidth.
+
+    Where the bandwidth leaves nothing to remove (0.45 of the rate or more) the identity is returned.
+    """
+    if bandwidth >= 0.45 * rate:
+        return Decimator(np.ones(1), 1)
+    factor = max(1, round(rate / (2.5 * bandwidth)))
+    half = factor * max(2, round(1.6 * rate / bandwidth / factor))
+    taps = signal.firwin(2 * half + 1, bandwidth, fs=rate, window=("kaiser", 5.0))
+    return Decimator(np.asarray(taps / taps.sum()), factor)

@@ -1,0 +1,248 @@
+"""The campaign file: recordings made elsewhere, and how to read them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
+
+from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.recording import CHANNELS, Bench, Model, Pendulum
+from rig.catalogue import EFFECTS
+from rig.configuration import Document, Loc, Schema, load_located, nearest
+from rig.yaml_tree import Node
+
+FITTED_TERMS = ("offset",)
+"""Terms that the estimators of this version can fit."""
+PARAMETERS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset")
+
+
+def _known_term(name: str) -> str:
+    if name in FITTED_TERMS:
+        return name
+    if name in EFFECTS:
+        remedy = "; a known weight is declared by `gravity:` of a recording" if name == "gravity_imbalance" else ""
+        raise ValueError(f"this version cannot fit the effect {name!r}, only {', '.join(FITTED_TERMS)}{remedy}")
+    raise ValueError(f"unknown effect; {nearest(name, [*FITTED_TERMS, *EFFECTS])}")
+
+
+def _known_parameter(name: str) -> str:
+    if name not in PARAMETERS:
+        raise ValueError(f"unknown parameter; {nearest(name, list(PARAMETERS))}")
+    return name
+
+
+def _known_channel(name: str) -> str:
+    if name not in CHANNELS:
+        raise ValueError(f"unknown channel; {nearest(name, list(CHANNELS))}")
+    return name
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise ValueError("a scale of zero erases the channel")
+    return value
+
+
+class BenchSection(Schema):
+    """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`."""
+
+    motion: Literal["rotary", "linear"] = "rotary"
+    torque_constant: PositiveFloat | None = None
+    back_emf_constant: PositiveFloat | None = None
+    resistance: PositiveFloat | None = None
+    inductance: PositiveFloat | None = None
+    gear_ratio: PositiveFloat = 1.0
+    moment_arm: PositiveFloat | None = None
+    lever_ratio: PositiveFloat = 10.0
+    gravity: PositiveFloat = 9.80665
+
+    def bench(self) -> Bench:
+        """Return the record the numerics use."""
+        return Bench(**self.model_dump())
+
+
+class ModelSection(Schema):
+    """Declared physics beyond the nominal nine, and values that are not fitted."""
+
+    terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
+    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(default_factory=dict)
+
+    @field_validator("terms")
+    @classmethod
+    def _once(cls, terms: tuple[str, ...]) -> tuple[str, ...]:
+        repeated = sorted({name for name in terms if terms.count(name) > 1})
+        if repeated:
+            raise ValueError(f"{', '.join(repeated)} listed more than once")
+        return terms
+
+    @field_validator("fixed")
+    @classmethod
+    def _physical(cls, fixed: dict[str, float]) -> dict[str, float]:
+        negative = [f"{name} = {value:g}" for name, value in fixed.items() if value < 0 and name != "offset"]
+        if negative:
+            raise ValueError(f"must not be negative: {', '.join(negative)}")
+        return fixed
+
+    def model(self) -> Model:
+        """Return the record the numerics use."""
+        return Model(terms=self.terms, fixed=dict(self.fixed))
+
+
+class GravitySection(Schema):
+    """A known weight that turns with the joint: torque -m g l sin(angle - zero)."""
+
+    mass: PositiveFloat
+    length: PositiveFloat
+    zero: float = 0.0
+
+    def pendulum(self) -> Pendulum:
+        """Return the record the numerics use."""
+        return Pendulum(self.mass, self.length, self.zero)
+
+
+class ReadSection(Schema):
+    """How to read a delimited text file; other formats need nothing.
+
+    Attributes:
+        delimiter: One character; found from the first line where not given.
+        skip_rows: Lines before the header, or before the first row of numbers where there is no header.
+    """
+
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
+    skip_rows: int = Field(default=0, ge=0)
+
+
+class ChannelSection(Schema):
+    """Where a channel comes from: SI value = scale * column + offset.
+
+    Attributes:
+        column: Name, or index from 0.
+        scale: To SI, sign included.
+        offset: SI.
+        average: Whether each sample is the mean over the period that ends at its time.
+    """
+
+    column: str | Annotated[int, Field(ge=0)]
+    scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
+    offset: float = 0.0
+    average: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: object) -> object:
+        return {"column": data} if isinstance(data, str | int) and not isinstance(data, bool) else data
+
+
+class RecordingSection(Schema):
+    """One entry of ``recordings``; may stand for several files."""
+
+    file: str | Annotated[tuple[str, ...], Field(min_length=1)]
+    stage: Literal["unloaded", "loaded"] = "unloaded"
+    weight_mass: NonNegativeFloat = 0.0
+    gravity: GravitySection | None = None
+    role: Literal["fit", "validate"] = "fit"
+    rate: PositiveFloat | None = None
+    read: ReadSection = ReadSection()
+    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """File names and globs as written."""
+        return (self.file,) if isinstance(self.file, str) else self.file
+
+
+class Campaign(Schema):
+    """A campaign file, ``defaults`` already merged into every recording."""
+
+    campaign: Literal[1]
+    bench: BenchSection
+    model: ModelSection = ModelSection()
+    defaults: dict[str, object] = Field(default_factory=dict)
+    recordings: Annotated[tuple[RecordingSection, ...], Field(min_length=1)]
+
+
+def load_campaign(path: Path) -> Document[Campaign]:
+    """Read and check a campaign file; opens none of the recordings.
+
+    Raises:
+        InputError: Lists every error with its place in the file.
+    """
+    document = load_located(path, Campaign, _merge_defaults)
+    document.require(_cross_check(document.value))
+    return document
+
+
+def _merge_defaults(root: Node) -> Node:
+    """Merge the top-level ``defaults`` under every recording; the recording's own keys win."""
+    top = root.value
+    if not isinstance(top, dict) or "defaults" not in top or "recordings" not in top:
+        return root
+    recordings = top["recordings"]
+    if not isinstance(recordings.value, list):
+        return root
+    merged = [_overlay(top["defaults"], item) for item in recordings.value]
+    return Node({**top, "recordings": Node(merged, recordings.mark, {})}, root.mark, root.keys)
+
+
+def _overlay(under: Node, over: Node) -> Node:
+    if not isinstance(under.value, dict) or not isinstance(over.value, dict):
+        return over
+    both = {key: _overlay(under.value[key], child) for key, child in over.value.items() if key in under.value}
+    return Node({**under.value, **over.value, **both}, over.mark, {**under.keys, **over.keys})
+
+
+def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
+    """Yield what the schema alone cannot see, as (location, message)."""
+    fixed = campaign.model.fixed
+    if "Mc" in fixed and "Ms" in fixed and fixed["Ms"] < fixed["Mc"]:
+        yield ("model", "fixed", "Ms"), f"static friction below Coulomb friction Mc = {fixed['Mc']:g}; Ms >= Mc"
+    for index, recording in enumerate(campaign.recordings):
+        for loc, message in _check_recording(recording, campaign.bench):
+            yield ("recordings", index, *loc), message
+    if all(recording.role == "validate" for recording in campaign.recordings):
+        yield ("recordings",), "every recording has role validate; at least one must have role fit"
+    units = {_torque_unit(recording, campaign.bench) for recording in campaign.recordings}
+    if len(units) > 1:
+        yield (
+            ("bench",),
+            "some recordings give torque and others only amperes; add torque_constant, or a torque channel to all",
+        )
+
+
+def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
+    return "torque" if "torque" in recording.channels or bench.torque_constant is not None else "amperes"
+
+
+def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
+    channels: Mapping[str, ChannelSection] = recording.channels
+    if "time" not in channels and recording.rate is None:
+        yield ("channels",), "no `time` channel and no `rate`; give one of them"
+    if "time" in channels and recording.rate is not None:
+        yield ("rate",), "`rate` is only for files without time; remove it, or the `time` channel"
+    if not channels.keys() & {"angle", "velocity", "motor_angle"}:
+        yield ("channels",), "no `angle`, `velocity` or `motor_angle`; map at least one"
+    if not channels.keys() & {"torque", "current", "voltage"}:
+        yield ("channels",), "no `torque`, `current` or `voltage`; map at least one"
+    elif not channels.keys() & {"torque", "current"}:
+        missing = [name for name in ("resistance", "back_emf_constant") if getattr(bench, name) is None]
+        if missing:
+            yield (
+                ("channels", "voltage"),
+                f"current from voltage, I = (U - Ke omega_motor)/R, needs bench {' and '.join(missing)}",
+            )
+    if bench.motion == "linear" and recording.gravity is not None:
+        yield ("gravity",), "a turning weight on a linear bench; remove `gravity`, or set bench.motion: rotary"
+    yield from _check_load(recording, bench)
+
+
+def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
+    loaded = recording.stage == "loaded"
+    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels:
+        yield ("stage",), "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them"
+    if loaded and bench.moment_arm is None:
+        yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"
+    if not loaded and recording.weight_mass > 0:
+        yield ("weight_mass",), "a weight in an unloaded stage; set stage: loaded, or weight_mass: 0"

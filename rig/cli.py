@@ -1,0 +1,85 @@
+"""The ``rig`` command: finds its subcommands when they are asked for, and turns errors into exit statuses."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Mapping
+
+import click
+
+from drivers.errors import DeviceError
+from rig.errors import InputError
+
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "run": ("rig.commands.run:command", "Run a sequence on a bench."),
+    "check": ("rig.commands.check:command", "Connect to a bench and read it back; nothing moves."),
+    "identify": ("rig.commands.identify:command", "Identify friction and inertia from a run or a campaign."),
+    "paper": ("rig.commands.paper:command", "Reproduce the paper's tables and figures."),
+    "export": ("rig.commands.export:command", "Convert recordings for other tools."),
+    "recover": ("rig.commands.recover:command", "Mend a run whose writer died."),
+}
+"""Name to module and attribute, and the line shown by ``rig --help`` without importing them."""
+
+DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED = 0, 1, 2, 3, 4
+
+
+class LazyGroup(click.Group):
+    """A group that imports a subcommand only when it is called, so that ``rig --help`` stays quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one subcommand."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        command = getattr(importlib.import_module(module), attribute)
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the subcommands from the table, importing none."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="loadrig", prog_name="rig")
+def cli() -> None:
+    """Run, identify and diagnose a hardware-in-the-loop load rig.
+
+    \b
+    Example:
+      rig run figure10 --yes --out runs/demo
+      rig identify runs/demo
+    """
+
+
+def main() -> None:
+    """Entry point: run the command line and exit with its status."""
+    sys.exit(status(sys.argv[1:]))
+
+
+def status(arguments: list[str]) -> int:
+    """Run the command line and return its exit status; errors the user can act on become words on stderr."""
+    try:
+        result = cli.main(arguments, prog_name="rig", standalone_mode=False)
+    except click.exceptions.Exit as error:
+        return error.exit_code
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except InputError as error:
+        for problem in error.problems:
+            click.echo(problem, err=True)
+        return BAD_INPUT
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("stopped by the operator", err=True)
+        return STOPPED
+    except DeviceError as error:
+        click.echo(f"device error: {error}", err=True)
+        return DEVICE_FAILED
+    return result if isinstance(result, int) else DONE

@@ -1,0 +1,121 @@
+"""``rig check``: connect to a bench and read it back."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.bench import Bench, load_bench
+from rig.cli import BAD_VERDICT, DONE
+from rig.configuration import Document
+from rig.connect import connect
+from rig.cycle import Devices
+from rig.plan import bench_limits, servo_limits
+from rig.provenance import sha256_file, utc_now, versions
+from rig.run import write_json
+from rig.session import describe_devices
+from rig.tables import table
+
+SCHEMA = "loadrig.check/1"
+
+
+@click.command("check")
+@click.argument("bench")
+@click.option("--seed", default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the findings to this file.")
+def command(bench: str, seed: int, json_file: Path | None) -> int:
+    """Connect to BENCH, read identities, state and limits back. Nothing moves and nothing is energised.
+
+    Exits with 1 when the drive is energised or in fault: then something else controls it, or a cause must be removed.
+
+    \b
+    Example:
+      rig check practical
+    """
+    document = load_bench(bench)
+    with connect(document, seed, realtime=False) as devices:
+        findings = examine(document, devices, seed)
+    click.echo(describe(findings))
+    if json_file is not None:
+        write_json(json_file, findings)
+    return DONE if findings["good"] else BAD_VERDICT
+
+
+def examine(document: Document[Bench], devices: Devices, seed: int) -> dict[str, Any]:
+    """Read everything that can be read without moving or changing anything.
+
+    Raises:
+        DeviceError: A device does not answer.
+    """
+    state = devices.servo.state()
+    return {
+        "schema": SCHEMA,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "versions": versions(),
+        "seed": seed,
+        "inputs": [{"file": str(document.path), "sha256": sha256_file(document.path)}],
+        "bench": document.value.name,
+        "state": state.value,
+        "good": not state.energised and "fault" not in state.value,
+        **describe_devices(devices),
+        "bench_limits": dataclasses.asdict(servo_limits(bench_limits(document.value), document.value)),
+    }
+
+
+def describe(findings: dict[str, Any]) -> str:
+    """Return the findings as tables."""
+    devices = table(
+        ["device", "name", "vendor", "product", "revision", "serial", "hardware", "software"],
+        [
+            [
+                role,
+                who["name"],
+                f"{who['vendor_id']:08X}h",
+                f"{who['product_code']:08X}h",
+                f"{who['revision']:08X}h",
+                str(who["serial_number"]),
+                who["hardware_version"],
+                who["software_version"],
+            ]
+            for role, who in (("servo", findings["servo"]), ("encoder", findings["encoder"]))
+        ],
+    )
+    held = findings["limits"]
+    limits = table(
+        ["limit", "drive holds now", "bench file", "unit"],
+        [
+            [_title(name), _show(name, held[name]), _show(name, allowed), _unit(name)]
+            for name, allowed in findings["bench_limits"].items()
+            if name != "quick_stop_option"
+        ],
+        right=[1, 2],
+    )
+    verdict = "good" if findings["good"] else "NOT good: remove the cause before a run"
+    state = f"state: {findings['state']} ({verdict}); a run writes the bench's limits into the drive"
+    return f"{devices}\n\n{limits}\n\n{state}"
+
+
+def _angular(name: str) -> bool:
+    return name.endswith(("_rad", "_rad_s", "_rad_s2"))
+
+
+def _title(name: str) -> str:
+    for ending in ("_rad_s2", "_rad_s", "_rad", "_N_m", "_A"):
+        name = name.removesuffix(ending)
+    return name.replace("_", " ")
+
+
+def _unit(name: str) -> str:
+    if _angular(name):
+        return "deg" + ("/s^2" if name.endswith("_s2") else "/s" if name.endswith("_s") else "")
+    return "N m" if name.endswith("_N_m") else "A"
+
+
+def _show(name: str, value: float | None) -> str:
+    if value is None:
+        return "off"
+    return f"{math.degrees(value) if _angular(name) else value:.4g}"

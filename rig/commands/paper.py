@@ -1,0 +1,48 @@
+"""``rig paper``: the paper's tables and figures beside the printed values."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+
+@click.command("paper")
+@click.option("--seeds", type=click.IntRange(min=1), default=20, show_default=True, help="Searches per method.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("paper"),
+    show_default=True,
+    help="Folder for page and figures.",
+)
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
+    """Reproduce the paper's tables and figures: simulate the literal bench, identify it by both methods.
+
+    \b
+    Example:
+      rig paper --out paper --json paper.json
+      rig paper --seeds 3
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.bar import ShareBar
+    from rig.paper import reproduce
+    from rig.paper_output import remarks, tables, write
+    from rig.results import Provenance
+    from rig.tables import table
+
+    started = time.perf_counter()
+    with ShareBar() as bar:
+        found = reproduce(range(seed, seed + seeds), bar)
+        provenance = Provenance.of(seed, found.dataset.recordings, time.perf_counter() - started)
+        report = write(out, found, provenance, json_file)
+    for title, cells in tables(found).items():
+        click.echo(f"{title}\n{table(cells.header, cells.rows, cells.right)}\n")
+    for line in remarks(found):
+        click.echo(line)
+    click.echo(f"report: {report}")

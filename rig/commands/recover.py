@@ -1,0 +1,41 @@
+"""``rig recover``: mend a run whose writer died."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import click
+
+from rig.cli import DONE
+from rig.errors import InputError
+from rig.recover import DAMAGED_FILE, recover
+from rig.run import write_json
+from rig.tables import table
+
+
+@click.command("recover")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the completed run.json here.")
+def command(run: Path, json_file: Path | None) -> int:
+    """Rewrite RUN's recording from everything that is readable in it, and complete its run.json.
+
+    The damaged file is kept beside it. A whole run is left as it is.
+
+    \b
+    Example:
+      rig recover runs/20261120T101500Z-figure10
+    """
+    try:
+        recovery = recover(run)
+    except OSError as error:
+        raise InputError(f"{run}: cannot be written: {error.strerror}") from error
+    if recovery.damage is None:
+        click.echo(f"recording whole: {recovery.samples} samples")
+    else:
+        click.echo(f"{recovery.damage}; the damaged file is kept as {DAMAGED_FILE}")
+    rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in recovery.record.stages]
+    click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
+    if json_file is not None:
+        write_json(json_file, dataclasses.asdict(recovery.record))
+    return DONE

@@ -1,0 +1,18 @@
+"""Errors of the bench side that the user can put right."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class InputError(Exception):
+    """A file the user wrote, or pointed at, cannot be used; the command line exits with status 2.
+
+    Attributes:
+        problems: One line each, all that were found: ``file:line:column: path: message (got VALUE)`` for
+            configuration, ``file: row N: message`` for recordings.
+    """
+
+    def __init__(self, problems: str | Iterable[str]) -> None:
+        self.problems: tuple[str, ...] = (problems,) if isinstance(problems, str) else tuple(problems)
+        super().__init__("\n".join(self.problems))

@@ -1,0 +1,83 @@
+"""Recordings for other tools: CSV, MATLAB, Parquet. Channels keep their canonical names and SI units."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from identification.recording import CHANNELS, Array, Dataset, Recording
+from rig.errors import InputError
+
+
+def export(dataset: Dataset, path: Path, kind: str) -> None:
+    """Write every recording of a dataset into one file.
+
+    Raises:
+        InputError: Parquet is asked for and not installed.
+        OSError: The file cannot be written.
+    """
+    WRITERS[kind](dataset, path)
+
+
+def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
+    """Stack all recordings: the recording's name for every row, and the channels, NaN where one has none."""
+    present = {name for recording in dataset.recordings for name in recording.channels}
+    names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]
+    stacked = {
+        name: np.concatenate([_channel(recording, name) for recording in dataset.recordings])
+        for name in CHANNELS
+        if name in present
+    }
+    return names, stacked
+
+
+def _channel(recording: Recording, name: str) -> Array:
+    return recording.channels.get(name, np.full(len(recording.time), np.nan))
+
+
+def _write_csv(dataset: Dataset, path: Path) -> None:
+    """Write one table; the first column names the recording. A missing value is an empty cell."""
+    names, columns = _columns(dataset)
+    with open(path, "w", newline="", encoding="utf-8") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(["recording", *columns])
+        for name, *values in zip(names, *(column.tolist() for column in columns.values()), strict=True):
+            writer.writerow([name, *("" if value != value else value for value in values)])
+
+
+def _write_mat(dataset: Dataset, path: Path) -> None:
+    """Write a struct array ``recordings`` (name, stage, weight_mass, role, one field a channel) and ``units``."""
+    from scipy.io import savemat
+
+    present = [name for name in CHANNELS if any(name in r.channels for r in dataset.recordings)]
+    fields = ("name", "stage", "weight_mass", "role", *present)
+    recordings = np.empty(len(dataset.recordings), dtype=[(field, object) for field in fields])
+    for index, r in enumerate(dataset.recordings):
+        recordings[index] = (r.name, r.stage, r.weight_mass, r.role, *(_channel(r, name) for name in present))
+    units = {name: CHANNELS[name] for name in present}
+    content = {"recordings": recordings, "units": units}
+    savemat(str(path), content, appendmat=False, oned_as="column", do_compression=True)
+
+
+def _write_parquet(dataset: Dataset, path: Path) -> None:
+    """Write one table; each column carries its unit as metadata."""
+    try:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+    except ImportError as error:
+        raise InputError("parquet needs pyarrow, which is not installed; pip install 'loadrig[parquet]'") from error
+    names, columns = _columns(dataset)
+    fields = [pa.field("recording", pa.dictionary(pa.int32(), pa.string()))]
+    fields += [pa.field(name, pa.float64(), metadata={"unit": CHANNELS[name]}) for name in columns]
+    arrays = [pa.array(names).dictionary_encode(), *(pa.array(column) for column in columns.values())]
+    pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), path)
+
+
+WRITERS: Mapping[str, Callable[[Dataset, Path], None]] = {
+    "csv": _write_csv,
+    "mat": _write_mat,
+    "parquet": _write_parquet,
+}

@@ -1,0 +1,93 @@
+"""From a source to its identification: every method asked for, timed, with its provenance."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from identification.estimate.default import identify
+from identification.estimate.paper import identify_paper
+from identification.estimate.result import Identification
+from identification.recording import Dataset, RecordingError
+from rig.errors import InputError
+from rig.results import Provenance
+from rig.sources import load_source
+
+
+class Method(Protocol):
+    """An estimator, as the command line calls it."""
+
+    def __call__(
+        self,
+        dataset: Dataset,
+        *,
+        bandwidth_Hz: float | None,
+        rng: np.random.Generator,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> Identification:
+        """Identify a dataset."""
+        ...
+
+
+METHODS: Mapping[str, Method] = {"default": identify, "paper": identify_paper}
+"""Name on the command line to estimator."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What ``rig identify`` found.
+
+    Attributes:
+        dataset: What was identified.
+        results: One per method, in the order asked for.
+        provenance: Seed, inputs, time.
+    """
+
+    dataset: Dataset
+    results: tuple[Identification, ...]
+    provenance: Provenance
+
+
+def identify_source(
+    source: Path,
+    methods: Sequence[str],
+    bandwidth_Hz: float | None,
+    seed: int,
+    progress: Callable[[str, float], None],
+) -> Outcome:
+    """Identify a run folder or campaign file.
+
+    Args:
+        source: Run folder or campaign file.
+        methods: Names out of :data:`METHODS`; each starts from the same seed.
+        bandwidth_Hz: Bandwidth of the fit; None leaves it to the recordings.
+        seed: Of the random generator.
+        progress: Called with what is being done and the share that is done.
+
+    Raises:
+        InputError: The source cannot be read, or its recordings cannot be identified.
+    """
+    started = time.perf_counter()
+    progress("reading", 0.0)
+    dataset = load_source(source)
+    results = []
+    for method in methods:
+        begun = time.perf_counter()
+        rng = np.random.default_rng(seed)
+
+        def told(stage: str, share: float, method: str = method) -> None:
+            progress(f"{method}: {stage}", share)
+
+        try:
+            result = METHODS[method](dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
+        except RecordingError as error:
+            raise InputError(f"{source}: {error}") from error
+        results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun))
+    provenance = Provenance.of(seed, dataset.recordings, time.perf_counter() - started)
+    return Outcome(dataset, tuple(results), provenance)

@@ -1,0 +1,60 @@
+"""What ``rig identify`` leaves behind: text for the terminal, result file, report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from identification.estimate.result import Identification
+from rig.errors import InputError
+from rig.identify import Outcome
+from rig.parameter_table import parameter_table
+from rig.report import write_report
+from rig.results import identification_record
+from rig.run import write_json
+from rig.tables import number, percent, table
+
+RESULT_FILE = "identify.json"
+
+
+def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
+    """Return the parameters, the fit and the warnings for the terminal."""
+    cells = parameter_table(outcome.results, truth)
+    lines = [table(cells.header, cells.rows, cells.right), ""]
+    lines += [line for result in outcome.results for line in _fit_lines(result)]
+    lines += [f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings]
+    return "\n".join(lines)
+
+
+def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] | None, json_file: Path | None) -> Path:
+    """Write result file, figures and report into ``folder``, and the result once more where asked; return the page.
+
+    Raises:
+        InputError: A place cannot be written.
+    """
+    record = identification_record(outcome.results[0], outcome.provenance)
+    if len(outcome.results) > 1:
+        others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
+        record["compared"] = list(others)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in filter(None, (folder / RESULT_FILE, json_file)):
+            write_json(path, record)
+        return write_report(
+            folder, f"Identification of {name}", outcome.dataset, outcome.results, outcome.provenance, truth
+        )
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or folder}: cannot be written: {error.strerror}; give --out another folder"
+        ) from error
+
+
+def _fit_lines(result: Identification) -> list[str]:
+    fit = result.fit
+    line = (
+        f"{result.method}: torque error {number(fit.train_rms, 3)} {fit.unit} rms "
+        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz"
+    )
+    if fit.validate_rms is not None and fit.validate_relative is not None:
+        line += f"; validate {number(fit.validate_rms, 3)} {fit.unit} rms ({percent(100.0 * fit.validate_relative)})"
+    return [f"{line}; {result.evaluations} evaluations, {result.seconds:.1f} s"]

@@ -1,0 +1,31 @@
+"""Example benches and sequences that ship with the program, reachable by bare name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from rig.configuration import nearest
+from rig.errors import InputError
+
+_HERE = Path(__file__).parent
+
+
+def names(kind: Literal["benches", "sequences"]) -> list[str]:
+    """List the packaged names of one kind."""
+    return sorted(path.stem for path in (_HERE / kind).glob("*.yaml"))
+
+
+def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
+    """Return the file a name stands for: the path itself if it exists, else the packaged file of that name.
+
+    Raises:
+        InputError: Neither is there; suggests the nearest packaged names.
+    """
+    path = Path(name)
+    if path.is_file():
+        return path
+    packaged = _HERE / kind / f"{name}.yaml"
+    if path.name == str(name) and packaged.is_file():
+        return packaged
+    raise InputError(f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}")

@@ -1,0 +1,74 @@
+"""Parameters side by side, for the terminal and the report alike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from identification.estimate.result import Identification, Parameter
+from rig.tables import interval, number, percent
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text.
+
+    Attributes:
+        header: Column titles.
+        rows: Cells, row by row.
+        right: Indices of the columns of numbers.
+    """
+
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    right: tuple[int, ...]
+
+
+def parameter_table(results: Sequence[Identification], truth: Mapping[str, float] | None = None) -> Table:
+    """Return one row per parameter, with value and 90 % interval by each method.
+
+    Args:
+        results: One per method; the first names the rows.
+        truth: True values, where a simulated bench lets them be known; adds the columns ``true`` and ``error``.
+    """
+    header = ["parameter"]
+    for result in results:
+        prefix = "" if len(results) == 1 else f"{result.method}: "
+        header += [f"{prefix}value", f"{prefix}90 % interval", *(["error"] if truth else [])]
+    header += ["unit", *(["true"] if truth else []), "note"]
+    names = dict.fromkeys(name for result in results for name in result.parameters)
+    rows = [_row(name, results, truth) for name in names]
+    numbers = [i for i, title in enumerate(header) if title not in ("parameter", "unit", "note")]
+    return Table(tuple(header), tuple(rows), tuple(numbers))
+
+
+def note(parameter: Parameter) -> str:
+    """Say in words what to know about an estimate beside its numbers."""
+    if not parameter.identifiable:
+        return f"not identifiable: {parameter.reason}" if parameter.reason else "not identifiable"
+    if parameter.at_bound:
+        return parameter.reason or "at the bound of the search"
+    return parameter.reason
+
+
+def _error(value: float | None, true: float | None) -> str:
+    return percent(None if value is None or not true else 100.0 * (value / true - 1.0))
+
+
+def _row(name: str, results: Sequence[Identification], truth: Mapping[str, float] | None) -> tuple[str, ...]:
+    cells = [name]
+    notes: list[str] = []
+    unit = ""
+    true = (truth or {}).get(name)
+    for result in results:
+        parameter = result.parameters.get(name)
+        if parameter is None:
+            cells += ["-"] * (3 if truth else 2)
+            continue
+        unit = parameter.unit
+        cells += [number(parameter.value), interval(parameter.low, parameter.high)]
+        if truth:
+            cells.append(_error(parameter.value, true))
+        if said := note(parameter):
+            notes.append(said if len(results) == 1 else f"{result.method}: {said}")
+    return (*cells, unit, *([number(true)] if truth else []), "; ".join(notes))

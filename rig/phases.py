@@ -1,0 +1,54 @@
+"""The phases of a run and the only ways from one to the next."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import Enum
+
+
+class Phase(Enum):
+    """Where a run is. The drive has power from ENABLE to RELEASE only."""
+
+    LOAD = "load"
+    PREPARE = "prepare"
+    ENABLE = "enable"
+    APPROACH = "approach"
+    SETTLE = "settle"
+    EXCITE = "excite"
+    HOLD = "hold"
+    RELEASE = "release"
+    FINISHED = "finished"
+
+
+class Event(Enum):
+    """How a phase ended."""
+
+    DONE = "done"
+    NEXT_REPEAT = "next repeat"
+    NEXT_STAGE = "next stage"
+
+
+TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
+    (Phase.LOAD, Event.DONE): Phase.PREPARE,
+    (Phase.PREPARE, Event.DONE): Phase.ENABLE,
+    (Phase.ENABLE, Event.DONE): Phase.APPROACH,
+    (Phase.APPROACH, Event.DONE): Phase.SETTLE,
+    (Phase.SETTLE, Event.DONE): Phase.EXCITE,
+    (Phase.EXCITE, Event.DONE): Phase.HOLD,
+    (Phase.HOLD, Event.NEXT_REPEAT): Phase.APPROACH,
+    (Phase.HOLD, Event.DONE): Phase.RELEASE,
+    (Phase.RELEASE, Event.NEXT_STAGE): Phase.LOAD,
+    (Phase.RELEASE, Event.DONE): Phase.FINISHED,
+}
+
+
+def next_phase(phase: Phase, event: Event) -> Phase:
+    """Look up the transition table.
+
+    Raises:
+        ValueError: No such transition; names phase and event.
+    """
+    try:
+        return TRANSITIONS[phase, event]
+    except KeyError:
+        raise ValueError(f"no transition from phase {phase.value!r} on event {event.value!r}") from None

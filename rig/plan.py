@@ -1,0 +1,219 @@
+"""From bench and sequence to what will be run: every target computed, every limit checked, before anything moves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from drivers.interfaces import ServoLimits
+from rig.bench import Bench
+from rig.configuration import Document
+from rig.errors import InputError
+from rig.safety import Limits
+from rig.sequence import Array, Sequence, StageSection, excitation
+
+SAMPLES_PER_PERIOD = 20
+"""Fewest control cycles in a period of a tone; fewer make a staircase rather than a sine."""
+APPROACH_SPEED_SHARE = 0.25
+"""Share of the speed limit used to move to the start of a stage."""
+HOLD_S = 0.1
+"""Rest at the last target before the power goes off."""
+_LIMIT_NAMES = (
+    "angle_min_deg",
+    "angle_max_deg",
+    "speed_deg_s",
+    "torque_N_m",
+    "current_A",
+    "following_error_deg",
+    "encoder_disagreement_deg",
+    "temperature_C",
+    "sample_age_ms",
+)
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,)."""
+
+    name: str
+    stage: Literal["unloaded", "loaded"]
+    weight_kg: float
+    contact_force_N: float
+    targets: Array
+    repeats: int
+    settle_s: float
+    duration_s: float
+    peak_speed_rad_s: float
+    peak_angle_rad: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole run, ready to start.
+
+    Attributes:
+        name: Of the sequence.
+        stages: In the order in which they run.
+        limits: The limits in force: the bench's, tightened by the sequence's.
+        servo_limits: The same, as the drive is to hold them.
+        approach_speed: Peak speed of moves to a start angle, rad/s.
+        cycle_ns: Control cycle, ns.
+    """
+
+    name: str
+    stages: tuple[PlannedStage, ...]
+    limits: Limits
+    servo_limits: ServoLimits
+    approach_speed: float
+    cycle_ns: int
+
+    @property
+    def cycle_s(self) -> float:
+        """Control cycle, s."""
+        return self.cycle_ns * 1e-9
+
+    @property
+    def duration_s(self) -> float:
+        """Time in motion and at rest, without moves to the start, s."""
+        return sum(s.repeats * (s.duration_s + s.settle_s) + HOLD_S for s in self.stages)
+
+
+def make_plan(sequence: Document[Sequence], bench: Document[Bench]) -> Plan:
+    """Compute all targets and check them against the bench.
+
+    Raises:
+        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all.
+    """
+    values, problems = _tighten(sequence, bench.value)
+    limits = _limits(values, bench.value)
+    stages = []
+    for index, section in enumerate(sequence.value.stages):
+        stage = _plan_stage(section, bench.value)
+        stages.append(stage)
+        problems.extend(
+            sequence.problem(("stages", index, *key), text, value)
+            for key, text, value in _objections(section, stage, limits, bench.value)
+        )
+    if problems:
+        raise InputError(problems)
+    return Plan(
+        name=sequence.value.name,
+        stages=tuple(stages),
+        limits=limits,
+        servo_limits=servo_limits(limits, bench.value),
+        approach_speed=APPROACH_SPEED_SHARE * limits.speed,
+        cycle_ns=bench.value.cycle_ns,
+    )
+
+
+def bench_limits(bench: Bench) -> Limits:
+    """Return the bench's own limits in SI units."""
+    return _limits({name: getattr(bench.limits, name) for name in _LIMIT_NAMES}, bench)
+
+
+def _plan_stage(section: StageSection, bench: Bench) -> PlannedStage:
+    targets = excitation(section, bench.cycle_s)
+    steps = np.diff(targets)
+    return PlannedStage(
+        name=section.name,
+        stage=section.stage,
+        weight_kg=section.weight_kg,
+        contact_force_N=bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2,
+        targets=targets,
+        repeats=section.repeats,
+        settle_s=section.settle_s,
+        duration_s=len(targets) * bench.cycle_s,
+        peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
+        peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
+    )
+
+
+_Objection = tuple[tuple[str | int, ...], str, object]
+
+
+def _objections(section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench) -> Iterator[_Objection]:
+    """Yield key, message and value of everything a stage asks for and may not have."""
+    if len(stage.targets) < 2:
+        yield ("duration_s",), f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms", section.duration_s
+        return
+    if section.weight_kg > bench.limits.weight_kg:
+        text = f"above the bench limit weight_kg {bench.limits.weight_kg:g} kg; use less weight"
+        yield ("weight_kg",), text, section.weight_kg
+    if stage.contact_force_N > bench.limits.contact_force_N:
+        yield (
+            ("weight_kg",),
+            f"contact force {stage.contact_force_N:.0f} N is above the bench limit contact_force_N "
+            f"{bench.limits.contact_force_N:g} N; use less weight",
+            section.weight_kg,
+        )
+    for extreme in (float(stage.targets.min()), float(stage.targets.max())):
+        if not limits.angle_min <= extreme <= limits.angle_max:
+            yield (
+                ("tones",),
+                f"the joint would go to {math.degrees(extreme):.4g} deg, outside {math.degrees(limits.angle_min):.4g} "
+                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitudes or move center_deg",
+                math.degrees(extreme),
+            )
+    if stage.peak_speed_rad_s > limits.speed:
+        yield (
+            ("tones",),
+            f"peak speed {math.degrees(stage.peak_speed_rad_s):.4g} deg/s is above the limit "
+            f"{math.degrees(limits.speed):.4g} deg/s; reduce amplitude or frequency, or lengthen the ramps",
+            math.degrees(stage.peak_speed_rad_s),
+        )
+    fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
+    for index, tone in enumerate(section.tones):
+        if tone.frequency_Hz > fastest:
+            text = f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it or raise cycle_Hz"
+            yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
+
+
+def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:
+    """Merge the sequence's limits into the bench's, collecting those that would loosen."""
+    values: dict[str, float] = {}
+    problems: list[str] = []
+    for name in _LIMIT_NAMES:
+        allowed: float = getattr(bench.limits, name)
+        asked: float | None = getattr(sequence.value.limits, name)
+        values[name] = allowed if asked is None else asked
+        if asked is not None and (asked < allowed if name == "angle_min_deg" else asked > allowed):
+            text = f"looser than the bench's {allowed:g}; a sequence may only tighten a limit"
+            problems.append(sequence.problem(("limits", name), text, asked))
+    if values["angle_min_deg"] >= values["angle_max_deg"]:
+        text = f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is empty; swap or widen it"
+        problems.append(sequence.problem(("limits",), text))
+    return values, problems
+
+
+def _limits(values: dict[str, float], bench: Bench) -> Limits:
+    return Limits(
+        angle_min=math.radians(values["angle_min_deg"]),
+        angle_max=math.radians(values["angle_max_deg"]),
+        speed=math.radians(values["speed_deg_s"]),
+        torque=values["torque_N_m"],
+        current=values["current_A"],
+        following_error=math.radians(values["following_error_deg"]),
+        encoder_disagreement=math.radians(values["encoder_disagreement_deg"]),
+        temperature=values["temperature_C"],
+        sample_age=values["sample_age_ms"] * 1e-3,
+        torque_per_ampere=bench.machine.torque_constant_N_m_A * bench.machine.gear_ratio,
+        gear_ratio=bench.machine.gear_ratio,
+    )
+
+
+def servo_limits(limits: Limits, bench: Bench) -> ServoLimits:
+    """Return the limits as the drive is to hold them."""
+    return ServoLimits(
+        angle_min_rad=limits.angle_min,
+        angle_max_rad=limits.angle_max,
+        speed_rad_s=limits.speed,
+        torque_N_m=limits.torque,
+        current_A=limits.current,
+        following_error_rad=limits.following_error,
+        quick_stop_option=bench.servo.quick_stop_option,
+        quick_stop_deceleration_rad_s2=math.radians(bench.servo.quick_stop_deceleration_deg_s2),
+    )

@@ -1,0 +1,141 @@
+"""The sequence file: stages as data, and the angles they command."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from rig.bench import NonNegative, Positive
+from rig.configuration import Document, Schema, load_located
+from rig.packaged import resolve
+
+Array = NDArray[np.float64]
+
+
+class Tone(Schema):
+    """One sine of an excitation: ``amplitude_deg`` sin(2 pi ``frequency_Hz`` t + ``phase_deg``)."""
+
+    amplitude_deg: Positive
+    frequency_Hz: Positive
+    phase_deg: float = 0.0
+
+
+class StageSection(Schema):
+    """One stage: a weight on the lever and an excitation of the joint.
+
+    The ramps lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before each repeat.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
+    stage: Literal["unloaded", "loaded"]
+    weight_kg: NonNegative = 0.0
+    tones: Annotated[tuple[Tone, ...], Field(min_length=1)]
+    duration_s: Annotated[float, Field(gt=0, le=3600)]
+    ramp_in_s: NonNegative = 1.0
+    ramp_out_s: NonNegative = 1.0
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    center_deg: float = 0.0
+    settle_s: Annotated[float, Field(ge=0, le=600)] = 0.2
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.ramp_in_s + self.ramp_out_s > self.duration_s:
+            raise ValueError(
+                f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than duration_s "
+                f"{self.duration_s:g} s; the ramps lie inside the duration"
+            )
+        if self.stage == "unloaded" and self.weight_kg != 0:
+            raise ValueError(f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use stage: loaded")
+        if self.stage == "loaded" and self.weight_kg == 0:
+            raise ValueError("a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever")
+        return self
+
+
+class SequenceLimits(Schema):
+    """Limits of this sequence; they may only be tighter than the bench's."""
+
+    angle_min_deg: float | None = None
+    angle_max_deg: float | None = None
+    speed_deg_s: Positive | None = None
+    torque_N_m: Positive | None = None
+    current_A: Positive | None = None
+    following_error_deg: Positive | None = None
+    encoder_disagreement_deg: Positive | None = None
+    temperature_C: float | None = None
+    sample_age_ms: Positive | None = None
+
+
+class Sequence(Schema):
+    """One sequence, as written in its file."""
+
+    sequence: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
+    stages: Annotated[tuple[StageSection, ...], Field(min_length=1)]
+    limits: SequenceLimits = SequenceLimits()
+
+    @field_validator("stages")
+    @classmethod
+    def _names_differ(cls, stages: tuple[StageSection, ...]) -> tuple[StageSection, ...]:
+        names = [stage.name for stage in stages]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"stage names must differ; {', '.join(repeated)} is used more than once")
+        return stages
+
+
+def load_sequence(name: str | Path) -> Document[Sequence]:
+    """Read a sequence by path, or by the bare name of a packaged one (``figure10``).
+
+    Raises:
+        InputError: It is not there, or not valid; every problem with its place in the file.
+    """
+    return load_located(resolve(name, "sequences"), Sequence)
+
+
+def excitation(stage: StageSection, cycle_s: float) -> Array:
+    """Compute the joint angle commanded in each cycle of one repeat.
+
+    Returns:
+        Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the time k ``cycle_s``.
+    """
+    t = np.arange(round(stage.duration_s / cycle_s)) * cycle_s
+    swing = np.zeros_like(t)
+    for tone in stage.tones:
+        phase = 2.0 * math.pi * tone.frequency_Hz * t + math.radians(tone.phase_deg)
+        swing += math.radians(tone.amplitude_deg) * np.sin(phase)
+    rise = raised_cosine(t, stage.ramp_in_s)
+    fall = raised_cosine(stage.duration_s - t, stage.ramp_out_s)
+    return math.radians(stage.center_deg) + rise * fall * swing
+
+
+def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Array:
+    """Compute a smooth move that starts and ends at rest.
+
+    Args:
+        start: Present joint angle, rad.
+        end: Angle to arrive at, rad.
+        peak_speed: Speed in the middle of the move, rad/s.
+        cycle_s: Control cycle, s.
+
+    Returns:
+        Angles in rad, shape (n,), the last one equal to ``end``; empty when there is nowhere to go.
+    """
+    distance = abs(end - start)
+    # A raised cosine over T peaks at pi/2 of its mean speed distance / T.
+    n = math.ceil(0.5 * math.pi * distance / peak_speed / cycle_s)
+    if n == 0:
+        return np.empty(0)
+    moved = raised_cosine(np.arange(1, n + 1) * cycle_s, n * cycle_s)
+    return start + (end - start) * moved
+
+
+def raised_cosine(t: NDArray[np.floating[Any]], duration: float) -> Array:
+    """Rise smoothly from 0 at t = 0 to 1 at t = ``duration`` and stay there; 1 throughout if there is no duration."""
+    if duration <= 0:
+        return np.ones_like(t)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(t / duration, 0.0, 1.0)))

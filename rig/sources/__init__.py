@@ -1,0 +1,7 @@
+"""Recordings made elsewhere: one reader per file format, and what turns columns into recordings."""
+
+from __future__ import annotations
+
+from rig.sources.load import load_source
+
+__all__ = ["load_source"]

@@ -1,0 +1,140 @@
+"""Named arrays: MATLAB .mat files (up to v7) and numpy .npz archives."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from abc import abstractmethod
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+import scipy.io
+
+from identification.recording import Array
+from rig.errors import InputError
+from rig.sources.table import Table, damaged, open_binary
+
+_DAMAGED = (
+    scipy.io.matlab.MatReadError,
+    zipfile.BadZipFile,
+    zlib.error,
+    struct.error,
+    ValueError,
+    TypeError,
+    LookupError,
+    EOFError,
+    OSError,
+    MemoryError,
+    NotImplementedError,
+)
+"""What scipy, numpy and zipfile raise on damaged bytes."""
+
+
+class _Column(NamedTuple):
+    variable: str
+    series: int | None
+
+
+class ArrayTable(Table):
+    """Arrays by name. A matrix counts as one column per series, named ``name[0]``, ``name[1]``, ...
+
+    The longer side of a matrix is taken as time. Single numbers and text are no columns.
+    """
+
+    def __init__(self, path: Path, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        self.path = path
+        columns = [column for name, shape in shapes.items() for column in _columns(name, shape)]
+        self._columns = columns
+        self.names = tuple(c.variable if c.series is None else f"{c.variable}[{c.series}]" for c in columns)
+
+    def read(self, columns: Sequence[int]) -> list[Array]:
+        """Read columns by index; see :meth:`Table.read`."""
+        wanted = [self._columns[k] for k in columns]
+        try:
+            arrays = self._load({column.variable for column in wanted})
+        except _DAMAGED as error:
+            raise damaged(self.path, error, "save it again") from error
+        return [self._series(column, arrays[column.variable]) for column in wanted]
+
+    @abstractmethod
+    def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
+        """Load whole variables by name."""
+
+    def _series(self, column: _Column, array: np.ndarray) -> Array:
+        if array.dtype.kind not in "biuf":
+            raise InputError(f"{self.path}: variable {column.variable!r} is not real numbers (type {array.dtype})")
+        values = np.squeeze(array)
+        if column.series is not None:
+            values = values[column.series] if values.shape[1] > values.shape[0] else values[:, column.series]
+        return np.ascontiguousarray(values, dtype=np.float64)
+
+
+class MatTable(ArrayTable):
+    """A MATLAB file of version 4 to 7.
+
+    Raises:
+        InputError: It is of version 7.3 (HDF5), or not a MATLAB file.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with open_binary(path) as stream:
+                contents = scipy.io.whosmat(cast(Any, stream))
+        except NotImplementedError as error:
+            raise InputError(
+                f"{path}: MATLAB v7.3 (HDF5) is not read; save it in MATLAB with save(..., '-v7')"
+            ) from error
+        except _DAMAGED as error:
+            raise damaged(path, error, "save it again with save(..., '-v7')") from error
+        numeric = {
+            "double",
+            "single",
+            "logical",
+            *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)),
+        }
+        super().__init__(path, {name: shape for name, shape, kind in contents if kind in numeric})
+
+    def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
+        with open_binary(self.path) as stream:
+            loaded: dict[str, np.ndarray] = scipy.io.loadmat(cast(Any, stream), variable_names=list(variables))
+        return loaded
+
+
+class NpzTable(ArrayTable):
+    """A numpy archive; never unpickles.
+
+    Raises:
+        InputError: It is damaged, or not an archive.
+    """
+
+    def __init__(self, path: Path) -> None:
+        try:
+            with open_binary(path) as stream, zipfile.ZipFile(stream) as archive:
+                shapes = dict(_npy_shape(archive, member) for member in archive.namelist() if member.endswith(".npy"))
+        except _DAMAGED as error:
+            raise damaged(path, error, "save it again with numpy.savez, without object arrays") from error
+        super().__init__(path, shapes)
+
+    def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
+        with open_binary(self.path) as stream, np.load(stream, allow_pickle=False) as archive:
+            return {name: archive[name] for name in variables}
+
+
+def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, ...]]:
+    """Read name and shape of one array without its data."""
+    with archive.open(member) as stream:
+        version = np.lib.format.read_magic(stream)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        return member.removesuffix(".npy"), read(stream)[0]
+
+
+def _columns(name: str, shape: tuple[int, ...]) -> list[_Column]:
+    sides = [side for side in shape if side != 1]
+    if len(sides) == 1:
+        return [_Column(name, None)]
+    if len(sides) == 2:
+        return [_Column(name, index) for index in range(min(sides))]
+    return []

@@ -1,0 +1,209 @@
+"""One file and its entry in the campaign to recordings in SI units."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from identification.recording import Array, Bench, Recording
+from rig.campaign import Campaign, ChannelSection, RecordingSection
+from rig.configuration import Document, Loc, nearest
+from rig.errors import InputError
+from rig.sources.formats import open_table
+from rig.sources.plausible import gear_finding, sign_errors
+from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing
+from rig.sources.table import Table, sha256
+
+SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
+"""Channels often logged less often than the rest: their missing samples are interpolated without a limit."""
+
+
+def build(
+    file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
+) -> list[Recording]:
+    """Read one file, bring it to SI, mend what may be mended.
+
+    Args:
+        file: The recording.
+        section: Its entry in the campaign.
+        bench: The machine.
+        document: The campaign, to point at the entry in errors.
+        index: Position of the entry in ``recordings``.
+
+    Returns:
+        One recording per stretch without gaps; every correction is in its notes.
+
+    Raises:
+        InputError: A column is missing, or the data cannot be used; names file and row.
+    """
+    try:
+        table = open_table(file, section.read)
+        channels = _read_channels(table, section, document, index)
+        digest = sha256(file)
+    except OSError as error:
+        raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
+    channels, timing, mended = _mend(table, channels)
+    notes = [*table.notes, *mended]
+    problems = list(sign_errors(channels, driven_by_weight=section.gravity is not None))
+    if "motor_angle" in channels and "angle" in channels:
+        finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
+        if finding is not None:
+            (problems if finding[1] else notes).append(finding[0])
+    if problems:
+        raise InputError(f"{file}: {problem}" for problem in problems)
+    constant = [name for name, values in channels.items() if name != "enabled" and _is_constant(values)]
+    notes.extend(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)
+    whole = Recording(
+        name=_stem(file),
+        channels=channels,
+        bench=bench,
+        stage=section.stage,
+        weight_mass=section.weight_mass,
+        pendulum=section.gravity.pendulum() if section.gravity else None,
+        role=section.role,
+        averaged=frozenset(name for name, channel in section.channels.items() if channel.average),
+        source=str(file),
+        sha256=digest,
+        notes=tuple(notes),
+    )
+    return _cut(whole, timing)
+
+
+def _read_channels(
+    table: Table, section: RecordingSection, document: Document[Campaign], index: int
+) -> dict[str, Array]:
+    """Return canonical channels in SI units, all of shape (n,), time among them."""
+    columns: dict[str, int] = {}
+    problems = []
+    for name, channel in section.channels.items():
+        found = _find(table, channel.column)
+        if isinstance(found, int):
+            columns[name] = found
+        else:
+            problems.append(document.problem(_column_loc(index, name), found, channel.column))
+    if problems:
+        raise InputError(problems)
+    # A column may feed several channels; it is read once.
+    wanted = sorted(set(columns.values()))
+    data = dict(zip(wanted, table.read(wanted), strict=True))
+    lengths = {name: len(data[column]) for name, column in columns.items()}
+    if len(set(lengths.values())) > 1:
+        listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise InputError(f"{table.path}: channels differ in length: {listed}; they must share their rows")
+    channels = {name: _to_si(data[column], section.channels[name]) for name, column in columns.items()}
+    if section.rate is not None:
+        channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
+    return channels
+
+
+def _find(table: Table, column: str | int) -> int | str:
+    """Return a column's index, or what is wrong in words."""
+    if isinstance(column, int):
+        count = len(table.names)
+        return column if column < count else f"{table.path} has {count} columns, index 0 to {count - 1}"
+    matches = [k for k, name in enumerate(table.names) if name == column]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        return f"{table.path} has {len(matches)} columns of this name; give the index, one of {matches}"
+    named = [name for name in table.names if name]
+    if not named:
+        return f"{table.path} has no header line below the skipped rows; give the index, 0 to {len(table.names) - 1}"
+    listed = f"columns are {', '.join(named[:20])}{', ...' if len(named) > 20 else ''}"
+    suggestion = nearest(column, named)
+    return f"no such column in {table.path}; " + (f"{suggestion} {listed}" if "did you" in suggestion else listed)
+
+
+def _column_loc(index: int, name: str) -> Loc:
+    return ("recordings", index, "channels", name)
+
+
+def _to_si(values: Array, channel: ChannelSection) -> Array:
+    if channel.scale == 1.0 and channel.offset == 0.0:
+        return np.ascontiguousarray(values)
+    scaled: Array = values * channel.scale
+    scaled += channel.offset
+    return scaled
+
+
+def _mend(table: Table, channels: dict[str, Array]) -> tuple[dict[str, Array], Timing, list[str]]:
+    """Check time, fill isolated missing samples, drop repeated time stamps."""
+    time = channels["time"]
+    try:
+        timing = examine_time(time)
+    except UnusableError as error:
+        raise InputError(_at(table, error, "")) from None
+    notes = list(timing.notes)
+    problems = []
+    off = _power_off(table, channels)
+    mended: dict[str, Array] = {}
+    for name, values in channels.items():
+        try:
+            mended[name], note = _fill(name, values, time, off)
+        except UnusableError as error:
+            problems.append(_at(table, error, f"`{name}`: "))
+            continue
+        notes.extend(note)
+    if problems:
+        raise InputError(problems)
+    if timing.keep is not None:
+        mended = {name: values[timing.keep] for name, values in mended.items()}
+    return mended, timing, notes
+
+
+def _power_off(table: Table, channels: dict[str, Array]) -> Mask | None:
+    """Return where the power stage is off, making ``enabled`` 0 or 1 on the way."""
+    if "enabled" not in channels:
+        return None
+    unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
+    if unknown.size:
+        raise InputError(
+            f"{table.place(int(unknown[0]))}: `enabled` is missing in {unknown.size} rows; it must be known"
+        )
+    on = channels["enabled"] > 0.5
+    channels["enabled"] = on.astype(np.float64)
+    return ~on
+
+
+def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Array, list[str]]:
+    if name in SLOW:
+        finite = np.isfinite(values)
+        count = int(len(values) - finite.sum())
+        if count in (0, len(values)):
+            return values, [f"`{name}` was never measured"] if count else []
+        return np.interp(time, time[finite], values[finite]), [f"`{name}`: {count} missing samples interpolated"]
+    filled, count = fill_missing(values, time, off if name == "voltage" else None)
+    return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
+
+
+def _at(table: Table, error: UnusableError, channel: str) -> str:
+    place = str(table.path) if error.row is None else table.place(error.row)
+    hint = ""
+    if channel == "`voltage`: ":
+        hint = "; where the power stage was off, say so with an `enabled` channel"
+    return f"{place}: {channel}{error}{hint}"
+
+
+def _cut(whole: Recording, timing: Timing) -> list[Recording]:
+    """Return one recording per stretch, numbered from 1 where there are several."""
+    n = len(whole.time)
+    if timing.pieces == ((0, n),):
+        return [whole]
+    return [
+        replace(
+            whole,
+            name=f"{whole.name}[{number}]",
+            channels={name: values[start:stop] for name, values in whole.channels.items()},
+        )
+        for number, (start, stop) in enumerate(timing.pieces, start=1)
+    ]
+
+
+def _is_constant(values: Array) -> bool:
+    return bool(np.all(values == values[0]))
+
+
+def _stem(file: Path) -> str:
+    return (file.with_suffix("") if file.suffix.lower() == ".gz" else file).stem

@@ -1,0 +1,33 @@
+"""Which reader opens which file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from rig.campaign import ReadSection
+from rig.sources.arrays import MatTable, NpzTable
+from rig.sources.delimited import DelimitedTable
+from rig.sources.logs import McapTable
+from rig.sources.parquet import ParquetTable
+from rig.sources.table import Table, format_of
+
+FORMATS: Mapping[str, Callable[[Path, ReadSection], Table]] = {
+    "csv": DelimitedTable,
+    "tsv": DelimitedTable,
+    "txt": DelimitedTable,
+    "mat": lambda path, _: MatTable(path),
+    "mcap": lambda path, _: McapTable(path),
+    "parquet": lambda path, _: ParquetTable(path),
+    "npz": lambda path, _: NpzTable(path),
+}
+"""File extension, without dot and without ``.gz``, to reader."""
+
+
+def open_table(path: Path, options: ReadSection) -> Table:
+    """Open a recording file by its extension.
+
+    Raises:
+        InputError: The file is empty or damaged.
+    """
+    return FORMATS[format_of(path)](path, options)

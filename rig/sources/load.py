@@ -1,0 +1,108 @@
+"""From a source the user names to the dataset the numerics work on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from glob import glob, has_magic
+from pathlib import Path
+
+from identification.recording import Dataset, Recording
+from rig.campaign import Campaign, RecordingSection, load_campaign
+from rig.configuration import Document, Loc
+from rig.errors import InputError
+from rig.sources.build import build
+from rig.sources.formats import FORMATS
+from rig.sources.table import format_of
+
+
+def load_source(path: Path) -> Dataset:
+    """Load a run folder or a campaign file.
+
+    Raises:
+        InputError: It is neither, or something in it or its recordings cannot be used; lists everything found.
+    """
+    if (path / "run.json").is_file():
+        # Imported here because the run folder's reader is not needed for recordings made elsewhere.
+        from rig.run import load_run
+
+        return load_run(path)
+    if path.is_dir():
+        raise InputError(f"{path}: a folder without run.json; name a run folder or a campaign file (.yaml)")
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        remedy = "; describe recordings made elsewhere in a campaign file (.yaml)" if path.is_file() else ""
+        missing = "" if path.exists() else "no such file; "
+        raise InputError(f"{path}: {missing}a source is a run folder or a campaign file{remedy}")
+    return _load_campaign(load_campaign(path))
+
+
+def _load_campaign(document: Document[Campaign]) -> Dataset:
+    campaign = document.value
+    bench = campaign.bench.bench()
+    problems: list[str] = []
+    recordings: list[Recording] = []
+    for file, index, section in _expand(document, problems):
+        try:
+            recordings.extend(build(file, section, bench, document, index))
+        except InputError as error:
+            problems.extend(error.problems)
+    if problems:
+        raise InputError(dict.fromkeys(problems))
+    return Dataset(tuple(_distinct_names(recordings)), campaign.model.model())
+
+
+def _expand(document: Document[Campaign], problems: list[str]) -> list[tuple[Path, int, RecordingSection]]:
+    """Turn file names and globs into files, noting what is missing, of unknown format, or in both roles."""
+    files: list[tuple[Path, int, RecordingSection]] = []
+    fitted: dict[tuple[Path, str], str] = {}
+    for index, section in enumerate(document.value.recordings):
+        seen: set[Path] = set()
+        for loc, file in _files(document, index, section, problems):
+            if file in seen:
+                continue
+            seen.add(file)
+            key = (file.resolve(), repr(sorted(section.channels.items())))
+            if fitted.setdefault(key, section.role) != section.role:
+                problems.append(document.problem(loc, f"{file} is used both to fit and to validate; keep one role"))
+            files.append((file, index, section))
+    return files
+
+
+def _files(
+    document: Document[Campaign], index: int, section: RecordingSection, problems: list[str]
+) -> Iterator[tuple[Loc, Path]]:
+    folder = document.path.parent
+    for position, pattern in enumerate(section.patterns):
+        loc: Loc = ("recordings", index, "file")
+        if not isinstance(section.file, str):
+            loc = (*loc, position)
+        exact = folder / pattern
+        # A name that exists is taken literally: file names may contain brackets.
+        matches = [exact] if exact.exists() else [Path(m) for m in sorted(glob(str(exact), recursive=True))]
+        if not matches:
+            what = "no file matches this pattern" if has_magic(pattern) else "no such file"
+            problems.append(document.problem(loc, f"{what} in {folder}"))
+        for file in matches:
+            if file.is_dir():
+                problems.append(document.problem(loc, f"{file} is a folder; name files, or add /* to the pattern"))
+            elif format_of(file) not in FORMATS:
+                problems.append(
+                    document.problem(loc, f"{file.name}: unknown format; readable are {', '.join(FORMATS)}")
+                )
+            else:
+                yield loc, file
+
+
+def _distinct_names(recordings: list[Recording]) -> Iterator[Recording]:
+    """Prefix names that occur more than once with their folder, then number what is still the same."""
+    count = Counter(recording.name for recording in recordings)
+    used: Counter[str] = Counter()
+    for recording in recordings:
+        name = recording.name
+        if count[name] > 1:
+            name = f"{Path(recording.source).parent.name}/{name}"
+        used[name] += 1
+        if used[name] > 1:
+            name = f"{name} ({used[name]})"
+        yield recording if name == recording.name else replace(recording, name=name)

@@ -1,0 +1,169 @@
+"""Time stamps and missing samples: what is mended with a note, and what is refused.
+
+Pure functions of arrays. Rows count from 0; whoever reports them turns them into a place in a file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.recording import Array
+
+REPEATED_SHARE = 0.01
+"""Repeated time stamps dropped with a note, as a share of the samples."""
+MISSING_SHARE = 0.05
+"""Missing samples of a channel interpolated with a note, as a share of the samples."""
+MISSING_RUN = 5
+"""Longest run of missing samples that is interpolated."""
+GAP_PERIODS = 5.0
+"""A step longer than this many median periods splits the recording."""
+MIN_SAMPLES = 50
+"""Shortest stretch worth keeping."""
+UNEVEN_SHARE = 0.05
+"""Spread of the sample period, 5 to 95 %, above which it is noted, as a share of the median."""
+
+Mask = NDArray[np.bool_]
+
+
+class UnusableError(Exception):
+    """The data cannot be used.
+
+    Attributes:
+        row: The first bad row, or None where it is the whole.
+    """
+
+    def __init__(self, message: str, row: int | None = None) -> None:
+        super().__init__(message)
+        self.row = row
+
+
+@dataclass(frozen=True)
+class Timing:
+    """What to keep of a time base.
+
+    Attributes:
+        keep: Mask of rows with a new time stamp, shape (n,); None where all are kept.
+        pieces: (start, stop) of each stretch without a gap, in kept rows.
+        notes: What was corrected, in words.
+    """
+
+    keep: Mask | None
+    pieces: tuple[tuple[int, int], ...]
+    notes: tuple[str, ...]
+
+
+def examine_time(time: Array) -> Timing:
+    """Check time stamps and find what to drop and where to split.
+
+    Args:
+        time: Time stamps, s, shape (n,).
+
+    Raises:
+        UnusableError: Too few samples, NaN, time running backwards, or too many repeated stamps.
+    """
+    if len(time) < MIN_SAMPLES:
+        raise UnusableError(f"only {len(time)} samples; at least {MIN_SAMPLES} are needed")
+    bad = np.flatnonzero(~np.isfinite(time))
+    if bad.size:
+        raise UnusableError(f"time is not a number in {bad.size} rows; remove them or give `rate`", int(bad[0]))
+    steps = np.diff(time)
+    back = np.flatnonzero(steps < 0)
+    if back.size:
+        row = int(back[0]) + 1
+        raise UnusableError(
+            f"time runs backwards, from {time[row - 1]:.9g} to {time[row]:.9g} s; sort or cut the file there", row
+        )
+    notes: list[str] = []
+    keep: Mask | None = None
+    repeated = np.flatnonzero(steps == 0) + 1
+    if repeated.size:
+        share = repeated.size / len(time)
+        if share > REPEATED_SHARE:
+            raise UnusableError(
+                f"{repeated.size} repeated time stamps ({100 * share:.1f} % of the rows, at most"
+                f" {100 * REPEATED_SHARE:g} %); log time with more digits, or give `rate` instead",
+                int(repeated[0]),
+            )
+        keep = np.ones(len(time), dtype=np.bool_)
+        keep[repeated] = False
+        notes.append(f"{repeated.size} samples with a repeated time stamp dropped")
+        steps = np.diff(time[keep])
+    pieces, split_notes = _split(steps)
+    return Timing(keep, pieces, (*notes, *_describe(steps), *split_notes))
+
+
+def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
+    median = float(np.median(steps))
+    gaps = np.flatnonzero(steps > GAP_PERIODS * median)
+    if not gaps.size:
+        return ((0, len(steps) + 1),), []
+    edges = [0, *(int(gap) + 1 for gap in gaps), len(steps) + 1]
+    pieces = list(pairwise(edges))
+    long = tuple(piece for piece in pieces if piece[1] - piece[0] >= MIN_SAMPLES)
+    notes = [f"{gaps.size} gaps, the longest {steps[gaps].max():.4g} s: split into {len(pieces)} stretches"]
+    dropped = sum(stop - start for start, stop in pieces if stop - start < MIN_SAMPLES)
+    if dropped:
+        notes.append(
+            f"{len(pieces) - len(long)} stretches shorter than {MIN_SAMPLES} samples dropped ({dropped} samples)"
+        )
+    if not long:
+        raise UnusableError(
+            f"{gaps.size} gaps leave no stretch of {MIN_SAMPLES} samples (median period {median:.4g} s,"
+            f" a gap is longer than {GAP_PERIODS:g} of them)",
+            int(gaps[0]) + 1,
+        )
+    return long, notes
+
+
+def _describe(steps: Array) -> list[str]:
+    low, median, high = (float(q) for q in np.percentile(steps, [5, 50, 95]))
+    notes = []
+    if high - low > UNEVEN_SHARE * median:
+        notes.append(
+            f"uneven sampling kept as recorded: median period {median:.4g} s, 5 to 95 % {low:.4g} to {high:.4g} s"
+        )
+    if median > 1.0:
+        notes.append(f"median period {median:.4g} s: if `time` is in milliseconds, set its scale to 0.001")
+    return notes
+
+
+def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> tuple[Array, int]:
+    """Interpolate isolated missing samples linearly in time.
+
+    Args:
+        values: Samples, NaN or infinite where missing, shape (n,).
+        time: Time stamps, s, shape (n,), not decreasing.
+        legitimate: Rows where a missing sample is right and stays NaN (power stage off), shape (n,).
+
+    Returns:
+        The samples (the same array where nothing was missing) and how many were interpolated.
+
+    Raises:
+        UnusableError: More than 5 % are missing, or more than 5 in a row.
+    """
+    finite = np.isfinite(values)
+    missing = ~finite if legitimate is None else ~finite & ~legitimate
+    count = int(missing.sum())
+    if count == 0:
+        return values, 0
+    considered = len(values) if legitimate is None else int((~legitimate).sum())
+    first = int(np.argmax(missing))
+    longest = _longest_run(missing)
+    if count > MISSING_SHARE * considered or longest > MISSING_RUN:
+        raise UnusableError(
+            f"{count} of {considered} samples are missing, the longest run {longest} (at most"
+            f" {100 * MISSING_SHARE:g} %, and {MISSING_RUN} in a row, are interpolated)",
+            first,
+        )
+    filled = np.where(finite, values, np.nan)
+    filled[missing] = np.interp(time[missing], time[finite], values[finite])
+    return filled, count
+
+
+def _longest_run(mask: Mask) -> int:
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], mask, [False]))))
+    return int(np.max(edges[1::2] - edges[::2], initial=0))

@@ -1,0 +1,61 @@
+"""What every reader offers: named columns of numbers, and where a row sits in the file."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from pathlib import Path
+from typing import IO, cast
+
+from identification.recording import Array
+from rig.errors import InputError
+
+
+class Table(ABC):
+    """An opened recording file. Opening reads the names only.
+
+    Attributes:
+        path: The file.
+        names: Column names in file order; an empty string for a column without a name.
+        notes: What the user should know about how it was read.
+    """
+
+    path: Path
+    names: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+    @abstractmethod
+    def read(self, columns: Sequence[int]) -> list[Array]:
+        """Read columns by index, each of shape (n,); what is empty in the file is NaN.
+
+        Raises:
+            InputError: A value is not a number, or the file is damaged; names file, row and column.
+        """
+
+    def place(self, row: int) -> str:
+        """Say where row ``row`` (from 0) of what :meth:`read` returned sits in the file."""
+        return f"{self.path}: row {row + 1}"
+
+
+def open_binary(path: Path) -> IO[bytes]:
+    """Open a file for reading, through gzip where its name ends in ``.gz``."""
+    return cast("IO[bytes]", gzip.open(path, "rb")) if path.suffix == ".gz" else path.open("rb")
+
+
+def format_of(path: Path) -> str:
+    """Return the extension that names the format, without a dot and without ``.gz``."""
+    return (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower().lstrip(".")
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file, read in pieces."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def damaged(path: Path, error: Exception, remedy: str) -> InputError:
+    """Word what a library said about a file it could not read."""
+    said = str(error).strip().splitlines()
+    return InputError(f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}")

@@ -1,0 +1,47 @@
+"""Aligned text tables for the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+_GAP = "  "
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[int] = ()) -> str:
+    """Return a table with aligned columns, a rule under the header and no trailing blanks.
+
+    Args:
+        header: Column titles.
+        rows: Cells, as many per row as there are titles.
+        right: Indices of the columns aligned to the right (numbers).
+
+    Raises:
+        ValueError: A row of another length.
+    """
+    for number, row in enumerate(rows):
+        if len(row) != len(header):
+            raise ValueError(f"row {number} has {len(row)} cells; the header has {len(header)}")
+    widths = [max(len(line[i]) for line in (header, *rows)) for i in range(len(header))]
+
+    def aligned(cells: Sequence[str]) -> str:
+        padded = (c.rjust(w) if i in right else c.ljust(w) for i, (c, w) in enumerate(zip(cells, widths, strict=True)))
+        return _GAP.join(padded).rstrip()
+
+    return "\n".join([aligned(header), _GAP.join("-" * w for w in widths), *map(aligned, rows)])
+
+
+def number(value: float | None, digits: int = 5) -> str:
+    """Return a number with so many significant digits, or a dash for None."""
+    return "-" if value is None else f"{value:.{digits}g}"
+
+
+def interval(low: float | None, high: float | None) -> str:
+    """Return an interval in brackets, or a dash where there is none."""
+    return "-" if low is None or high is None else f"[{low:.4g}, {high:.4g}]"
+
+
+def percent(value: float | None) -> str:
+    """Return a share in percent with three significant digits (all of them from 1000 up), or a dash for None."""
+    if value is None:
+        return "-"
+    return f"{value:.0f} %" if abs(value) >= 1000.0 else f"{value:.3g} %"

@@ -1,0 +1,90 @@
+"""Making the drive safe, whatever happened before, and saying honestly whether that was verified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.errors import DeviceError
+from drivers.interfaces import Link, Servo, ServoState
+
+BRAKING_TIMEOUT_S = 1.0
+STATE_CYCLES = 20
+
+
+@dataclass(frozen=True)
+class SafeState:
+    """How the drive was left.
+
+    Attributes:
+        verified: Whether 6041h was read and shows a de-energised state.
+        state: That state in words, or ``unknown``.
+        problems: What went wrong on the way.
+    """
+
+    verified: bool
+    state: str
+    problems: tuple[str, ...] = ()
+
+    @property
+    def message(self) -> str:
+        """One sentence for the operator."""
+        if self.verified:
+            return f"the drive is de-energised (read back: {self.state})"
+        return (
+            "it could NOT be verified that the drive is de-energised "
+            f"(state {self.state}; {'; '.join(self.problems)}); "
+            "its own heartbeat watch takes the power off; switch the main supply off before approaching the bench"
+        )
+
+
+def make_safe(link: Link, servo: Servo, cycle_ns: int, *, brake: bool) -> SafeState:
+    """Brake if asked to, take the power off and read the state back. Never raises a device error.
+
+    Args:
+        link: The bus; exchanged while the drive brakes, so that its heartbeat watch does not cut the ramp short.
+        servo: The drive.
+        cycle_ns: Control cycle, ns.
+        brake: Start with a quick stop: after anything but an orderly end.
+    """
+    problems: list[str] = []
+    if brake:
+        _attempt(servo.quick_stop, problems)
+        _attempt(lambda: _wait_for_standstill(link, servo, cycle_ns), problems)
+    if brake or _state(servo, []) is not ServoState.SWITCH_ON_DISABLED:
+        _attempt(servo.disable, problems)
+    state = _state(servo, problems)
+    if state is None:
+        return SafeState(False, "unknown", tuple(problems))
+    return SafeState(not state.energised, state.value, tuple(problems))
+
+
+def _wait_for_standstill(link: Link, servo: Servo, cycle_ns: int) -> None:
+    """Keep the bus alive until the drive has braked, or for the time-out."""
+    deadline = link.clock.now_ns()
+    for cycle in range(round(BRAKING_TIMEOUT_S * 1e9 / cycle_ns)):
+        if cycle % STATE_CYCLES == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
+            return
+        deadline += cycle_ns
+        link.clock.sleep_until_ns(deadline)
+        link.exchange()
+
+
+def _attempt(action: Callable[[], None], problems: list[str]) -> None:
+    """Do one step of the teardown; whatever it meets, the next step must still be tried."""
+    try:
+        action()
+    except DeviceError as error:
+        problems.append(str(error))
+    except KeyboardInterrupt:
+        problems.append("interrupted again while stopping")
+
+
+def _state(servo: Servo, problems: list[str]) -> ServoState | None:
+    try:
+        return servo.state()
+    except DeviceError as error:
+        problems.append(str(error))
+    except KeyboardInterrupt:
+        problems.append("interrupted while reading the state")
+    return None

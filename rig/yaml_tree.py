@@ -1,0 +1,233 @@
+"""YAML text to a tree that remembers where each value was written.
+
+Only plain data: mappings with text keys, lists, and the scalars of the YAML 1.2 core schema, so that ``1e3`` is a
+number and ``on`` or ``2020-01-01`` stay text. Anchors may be used, within a limit on what they expand to.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+MAX_BYTES = 1 << 20
+MAX_DEPTH = 40
+MAX_NODES = 200_000
+
+Scalar = str | int | float | bool | None
+_CORE = "tag:yaml.org,2002:"
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A place in a file, counted from 1."""
+
+    line: int
+    column: int
+
+
+@dataclass(frozen=True)
+class Node:
+    """One value and where it starts.
+
+    Attributes:
+        value: A scalar, a list of nodes, or a mapping of key to node.
+        mark: Where the value starts.
+        keys: For a mapping: where each key starts.
+    """
+
+    value: Scalar | list[Node] | dict[str, Node]
+    mark: Mark
+    keys: Mapping[str, Mark]
+
+    def plain(self) -> Any:
+        """Return dicts, lists and scalars without marks."""
+        if isinstance(self.value, dict):
+            return {key: child.plain() for key, child in self.value.items()}
+        if isinstance(self.value, list):
+            return [child.plain() for child in self.value]
+        return self.value
+
+
+class DocumentError(Exception):
+    """The text is not usable YAML from ``mark`` on."""
+
+    def __init__(self, message: str, mark: Mark | None = None) -> None:
+        super().__init__(message)
+        self.message = message
+        self.mark = mark or Mark(1, 1)
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes with the scalars of the YAML 1.2 core schema and bounded depth."""
+
+    yaml_implicit_resolvers: dict[str, Any] = {}  # noqa: RUF012 - the base class owns this attribute
+    depth = 0
+
+    def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
+        """Compose one node, refusing nesting that would exhaust the stack."""
+        if self.depth > MAX_DEPTH:
+            mark = _mark(parent.start_mark if parent else None)
+            raise DocumentError(f"nested deeper than {MAX_DEPTH} levels; flatten it", mark)
+        self.depth += 1
+        try:
+            return super().compose_node(parent, index)
+        finally:
+            self.depth -= 1
+
+
+_SCALARS = (
+    ("bool", r"true|True|TRUE|false|False|FALSE", "tTfF"),
+    ("null", r"~|null|Null|NULL|", ["~", "n", "N", ""]),
+    ("int", r"[-+]?[0-9]+|0o[0-7]+|0x[0-9a-fA-F]+", "-+0123456789"),
+    (
+        "float",
+        r"[-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?|[-+]?\.(?:inf|Inf|INF)|\.(?:nan|NaN|NAN)",
+        "-+.0123456789",
+    ),
+)
+for _name, _pattern, _first in _SCALARS:
+    # Order matters: the first pattern that matches names the type, so integers come before floats.
+    _Loader.add_implicit_resolver(_CORE + _name, re.compile(f"^(?:{_pattern})$"), list(_first))
+
+
+def read_text(path: Path) -> str:
+    """Return the text of a UTF-8 file.
+
+    Raises:
+        DocumentError: It is missing, not a file, unreadable, too large or not UTF-8.
+    """
+    try:
+        size = path.stat().st_size
+        if path.is_dir():
+            raise DocumentError("is a folder; name a YAML file")
+        if size > MAX_BYTES:
+            raise DocumentError(f"{size} bytes; configuration files hold at most {MAX_BYTES} bytes")
+        raw = path.read_bytes()
+    except FileNotFoundError:
+        raise DocumentError(f"no such file{_nearby(path)}") from None
+    except OSError as error:
+        raise DocumentError(f"cannot be read: {error.strerror or error}") from error
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        before = raw[: error.start]
+        mark = Mark(before.count(b"\n") + 1, error.start - before.rfind(b"\n"))
+        message = f"byte 0x{raw[error.start]:02X} is not UTF-8; save the file as UTF-8"
+        raise DocumentError(message, mark) from error
+
+
+def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
+    """Parse one YAML document whose top level is a mapping.
+
+    Returns:
+        The tree, and the duplicate keys as (mark, key, message); the first of the duplicates is the one in the tree.
+
+    Raises:
+        DocumentError: Bad syntax, an empty document, or another top level.
+    """
+    try:
+        loader = _Loader(text)
+        root = loader.get_single_node()
+    except yaml.reader.ReaderError as error:
+        before = text[: error.position]
+        mark = Mark(before.count("\n") + 1, error.position - before.rfind("\n"))
+        raise DocumentError(f"character U+{ord(text[error.position]):04X} is not allowed in YAML", mark) from error
+    except yaml.MarkedYAMLError as error:
+        raise DocumentError(_explain(error), _mark(error.problem_mark or error.context_mark)) from error
+    if root is None:
+        raise DocumentError("the file is empty")
+    if not isinstance(root, yaml.MappingNode):
+        raise DocumentError("the top level must be a mapping of `key: value` lines", _mark(root.start_mark))
+    builder = _Builder()
+    return builder.build(root, ()), builder.duplicates
+
+
+class _Builder:
+    """Turns composed nodes into the tree, counting what anchors expand to."""
+
+    def __init__(self) -> None:
+        self.duplicates: list[tuple[Mark, str, str]] = []
+        self._count = 0
+
+    def build(self, node: yaml.Node, above: tuple[int, ...]) -> Node:
+        mark = _mark(node.start_mark)
+        self._count += 1
+        if self._count > MAX_NODES:
+            raise DocumentError(f"expands to more than {MAX_NODES} values; use fewer aliases", mark)
+        if id(node) in above:
+            raise DocumentError("an alias refers to a value that contains it", mark)
+        above = (*above, id(node))
+        if isinstance(node, yaml.MappingNode):
+            return self._mapping(node, above, mark)
+        if isinstance(node, yaml.SequenceNode):
+            return Node([self.build(child, above) for child in node.value], mark, {})
+        return Node(_scalar(node, mark), mark, {})
+
+    def _mapping(self, node: yaml.MappingNode, above: tuple[int, ...], mark: Mark) -> Node:
+        children: dict[str, Node] = {}
+        marks: dict[str, Mark] = {}
+        for key_node, value_node in node.value:
+            at = _mark(key_node.start_mark)
+            if not isinstance(key_node, yaml.ScalarNode):
+                raise DocumentError("a key must be plain text", at)
+            key = str(key_node.value)
+            if key in children:
+                first = marks[key]
+                self.duplicates.append(
+                    (at, key, f"duplicate key {key!r}, first given on line {first.line}; remove one")
+                )
+                continue
+            marks[key] = at
+            children[key] = self.build(value_node, above)
+        return Node(children, mark, marks)
+
+
+def _scalar(node: yaml.Node, mark: Mark) -> Scalar:
+    text = str(node.value)
+    kind = str(node.tag).removeprefix(_CORE)
+    try:
+        match kind:
+            case "str":
+                return text
+            case "null":
+                return None
+            case "bool":
+                return text.lower() == "true"
+            case "int":
+                return int(text, 0) if text[:2] in ("0o", "0x") else int(text)
+            case "float":
+                special = text.lower().lstrip("+-")
+                if special in (".inf", ".nan"):
+                    return math.copysign(float(special[1:]), -1.0 if text.startswith("-") else 1.0)
+                return float(text)
+    except ValueError as error:
+        raise DocumentError(f"{text[:40]!r} is not a usable {kind}", mark) from error
+    raise DocumentError(f"tag {node.tag} is not allowed; write plain values", mark)
+
+
+def _mark(mark: yaml.Mark | None) -> Mark:
+    return Mark(1, 1) if mark is None else Mark(mark.line + 1, mark.column + 1)
+
+
+def _explain(error: yaml.MarkedYAMLError) -> str:
+    problem = str(error.problem or error.context)
+    if "'\\t'" in problem:
+        return "a tab character; indent with spaces"
+    if "expected a single document" in str(error.context):
+        return "a second document starts here ('---'); keep one document per file"
+    context = f" {error.context}" if error.context and error.context != problem else ""
+    return f"not valid YAML: {problem}{context}"
+
+
+def _nearby(path: Path) -> str:
+    """Name files of the same type beside a missing one, at most three."""
+    if not path.parent.is_dir():
+        return f"; the folder {path.parent} does not exist either"
+    names = sorted(p.name for p in path.parent.glob("*.y*ml"))
+    return f"; beside it: {', '.join(names[:3])}" if names else ""

@@ -1,0 +1,41 @@
+"""Shared by all tests: whoever leaks a thread, a child process or a listening port fails."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+
+import psutil
+import pytest
+from hypothesis import settings
+
+_GRACE_S = 1.0
+
+# The same examples on every machine, however slow it is.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.load_profile("repeatable")
+
+
+@pytest.fixture(autouse=True)
+def no_leaks() -> Iterator[None]:
+    process = psutil.Process()
+    threads = set(threading.enumerate())
+    children = set(process.children())
+    ports = _listening(process)
+    yield
+    for thread in set(threading.enumerate()) - threads:
+        thread.join(_GRACE_S)
+    leaked = [f"thread {thread.name}" for thread in set(threading.enumerate()) - threads if thread.is_alive()]
+    _, alive = psutil.wait_procs(set(process.children()) - children, _GRACE_S)
+    leaked += [f"process {child.pid}" for child in alive if not _is_resource_tracker(child)]
+    leaked += [f"port {port}" for port in _listening(process) - ports]
+    assert not leaked, f"left behind: {', '.join(leaked)}"
+
+
+def _listening(process: psutil.Process) -> set[int]:
+    return {c.laddr.port for c in process.net_connections("inet") if c.status == psutil.CONN_LISTEN}
+
+
+def _is_resource_tracker(child: psutil.Process) -> bool:
+    # multiprocessing keeps one of these for the life of the interpreter.
+    return any("resource_tracker" in word for word in child.cmdline())

@@ -1,0 +1,117 @@
+"""What every servo on every transport must do; a transport joins by subclassing and giving the fixture ``rig``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pytest
+
+from drivers.errors import StateError
+from drivers.interfaces import Encoder, Link, Servo, ServoState
+
+
+@dataclass
+class Rig:
+    link: Link
+    servo: Servo
+    encoder: Encoder
+    cycle_s: float
+    cycles: Callable[..., None]
+    """``cycles(count, target=None)`` exchanges at the cycle's pace, with a target angle as a function of time."""
+
+
+class ServoContract:
+    @pytest.fixture
+    def rig(self) -> Rig:
+        raise NotImplementedError
+
+    @pytest.fixture
+    def ready(self, rig: Rig) -> Rig:
+        rig.servo.prepare(rig.cycle_s)
+        rig.encoder.prepare(rig.cycle_s)
+        return rig
+
+    @pytest.fixture
+    def live(self, ready: Rig) -> Rig:
+        ready.servo.enable()
+        return ready
+
+    def test_identity_names_the_device(self, rig: Rig) -> None:
+        identity = rig.servo.identity()
+        assert identity.name
+        assert identity.vendor_id > 0
+
+    def test_preparing_gives_no_power(self, ready: Rig) -> None:
+        assert not ready.servo.state().energised
+        ready.cycles(20)
+        assert not ready.servo.state().energised
+
+    def test_enabling_needs_preparation(self, rig: Rig) -> None:
+        with pytest.raises(StateError, match="prepare"):
+            rig.servo.enable()
+        assert not rig.servo.state().energised
+
+    def test_enabling_holds_the_position(self, ready: Rig) -> None:
+        ready.cycles(2)
+        before = ready.encoder.sample().angle_rad
+        ready.servo.enable()
+        ready.cycles(50)
+        assert ready.servo.state() is ServoState.OPERATION_ENABLED
+        assert ready.encoder.sample().angle_rad == pytest.approx(before, abs=1e-3)
+
+    def test_follows_the_target(self, live: Rig) -> None:
+        live.cycles(round(0.4 / live.cycle_s), lambda t: 0.1 * math.sin(math.pi / 0.8 * t))
+        sample = live.servo.sample()
+        assert sample.fresh
+        assert sample.motor_angle_rad / 100.0 == pytest.approx(0.1, abs=5e-3)
+        assert live.encoder.sample().angle_rad == pytest.approx(0.1, abs=5e-3)
+
+    def test_device_time_advances_with_the_cycle(self, live: Rig) -> None:
+        live.cycles(1)
+        first = live.servo.sample().device_time_s
+        live.cycles(100)
+        assert live.servo.sample().device_time_s - first == pytest.approx(100 * live.cycle_s, abs=live.cycle_s)
+
+    def test_disable_is_verified_and_final(self, live: Rig) -> None:
+        live.servo.disable()
+        assert not live.servo.state().energised
+        live.cycles(50, lambda _: 0.2)
+        assert not live.servo.state().energised
+
+    def test_quick_stop_is_never_undone_by_the_exchange(self, live: Rig) -> None:
+        live.servo.quick_stop()
+        for _ in range(5):
+            live.cycles(20, lambda _: 0.2)
+            assert live.servo.state() in (ServoState.QUICK_STOP_ACTIVE, ServoState.SWITCH_ON_DISABLED)
+        live.servo.disable()
+        assert not live.servo.state().energised
+
+    def test_can_be_enabled_again(self, live: Rig) -> None:
+        live.servo.disable()
+        live.servo.enable()
+        assert live.servo.state() is ServoState.OPERATION_ENABLED
+
+    def test_no_fault_no_reset(self, live: Rig) -> None:
+        with pytest.raises(StateError, match="operation enabled"):
+            live.servo.reset_fault()
+
+    def test_a_stopped_loop_ends_without_power(self, live: Rig) -> None:
+        live.cycles(50)
+        clock = live.link.clock
+        clock.sleep_until_ns(clock.now_ns() + 300_000_000)
+        assert not live.servo.state().energised
+
+    def test_frames_are_kept_in_order_until_taken(self, live: Rig) -> None:
+        live.link.take_frames()
+        live.cycles(3)
+        frames = live.link.take_frames()
+        assert frames
+        assert [f.time_ns for f in frames] == sorted(f.time_ns for f in frames)
+        assert {f.sent for f in frames} == {True, False}
+        assert live.link.take_frames() == []
+
+    def test_closing_twice_is_safe(self, rig: Rig) -> None:
+        rig.link.close()
+        rig.link.close()

@@ -1,0 +1,90 @@
+"""A simulated bench with the host's drivers on it, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import can
+
+from drivers.canopen_link import CanopenLink
+from drivers.canopen_node import CanopenNode
+from drivers.cia402_servo import Cia402Servo
+from drivers.cia406 import Cia406Encoder
+from drivers.clock import NS
+from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
+from drivers.mock.plant.constants import Machine
+from drivers.units import EncoderScales, ServoScales
+
+CYCLE_S = 0.001
+SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
+
+
+@dataclass
+class Host:
+    bench: SimulatedBench
+    link: CanopenLink
+    drive: CanopenNode
+    servo: Cia402Servo
+    encoder: Cia406Encoder
+    cycle_s: float = CYCLE_S
+    powered: list[bool] = field(default_factory=list)
+
+    @property
+    def clock(self):
+        return self.bench.clock
+
+    def cycles(self, count: int, target: Callable[[float], float] | None = None) -> None:
+        start = due = self.clock.now_ns()
+        for _ in range(count):
+            due += round(self.cycle_s * NS)
+            self.clock.sleep_until_ns(due)
+            if target is not None:
+                self.servo.set_target(target((due - start) / NS))
+            self.link.exchange()
+
+    def wait(self, seconds: float) -> None:
+        self.clock.sleep_until_ns(self.clock.now_ns() + round(seconds * NS))
+
+
+def make_host(
+    seed: int = 1,
+    machine: Machine | None = None,
+    scales: ServoScales = SCALES,
+    bitrate: int = 1_000_000,
+    cycle_s: float = CYCLE_S,
+) -> Host:
+    """Return an open link to a booted bench; nothing is prepared."""
+    bench = simulated_bench(machine or Machine(), seed, bitrate)
+    link = CanopenLink(bench.clock, lambda: bench.bus, "simulated bus")
+    drive = link.add_node(DRIVE_NODE, DRIVE_EDS)
+    servo = Cia402Servo(drive, link, scales)
+    resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
+    encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))
+    link.open()
+    host = Host(bench, link, drive, servo, encoder, cycle_s)
+    switch = bench.machine.power
+
+    def power(on: bool) -> None:
+        host.powered.append(on)
+        switch(on)
+
+    bench.machine.power = power  # type: ignore[method-assign]
+    return host
+
+
+def prepared(host: Host) -> Host:
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    return host
+
+
+def enabled(host: Host) -> Host:
+    prepared(host).servo.enable()
+    return host
+
+
+def frame(identifier: int, data: bytes = b"") -> can.Message:
+    return can.Message(arbitration_id=identifier, is_extended_id=False, data=data)

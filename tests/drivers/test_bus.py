@@ -1,0 +1,107 @@
+from __future__ import annotations
+
+import can
+import pytest
+
+from drivers.clock import SimulatedClock
+from drivers.mock.bus import SimulatedBus, frame_bits
+
+from .host import frame
+
+
+@pytest.fixture
+def bus():
+    made = SimulatedBus(SimulatedClock())
+    yield made
+    made.shutdown()
+
+
+def test_longest_frames_are_those_of_the_textbook() -> None:
+    assert frame_bits(0) == 55
+    assert frame_bits(8) == 135
+
+
+@pytest.mark.parametrize("bitrate", [125_000, 500_000, 1_000_000])
+def test_a_frame_takes_its_time_on_the_wire(bitrate: int) -> None:
+    clock = SimulatedClock()
+    bus = SimulatedBus(clock, bitrate)
+    heard: list[int] = []
+    bus.attach().listen(0x123, lambda _data: heard.append(clock.now_ns()))
+    bus.send(frame(0x123, bytes(8)))
+    assert bus.recv(1.0) is None
+    assert heard == [135 * 1_000_000_000 // bitrate]
+    bus.shutdown()
+
+
+def test_lowest_identifier_wins_but_a_controller_keeps_its_order(bus: SimulatedBus) -> None:
+    first, second = bus.attach(), bus.attach()
+    first.send(0x300, b"")
+    first.send(0x100, b"")
+    second.send(0x200, b"")
+    received = [bus.recv(1.0).arbitration_id for _ in range(3)]
+    assert received == [0x300, 0x100, 0x200]
+
+
+def test_answers_to_one_frame_compete_in_one_arbitration(bus: SimulatedBus) -> None:
+    for identifier in (0x182, 0x181):
+        port = bus.attach()
+        port.listen(0x80, lambda _data, port=port, identifier=identifier: port.send(identifier, b""))
+    bus.send(frame(0x80))
+    assert [bus.recv(1.0).arbitration_id for _ in range(2)] == [0x181, 0x182]
+
+
+def test_recv_waits_in_simulated_time_only() -> None:
+    clock = SimulatedClock()
+    bus = SimulatedBus(clock)
+    assert bus.recv(2.5) is None
+    assert clock.now_ns() == 2_500_000_000
+    assert bus.recv(None) is None
+    assert clock.now_ns() == 2_500_000_000
+    bus.shutdown()
+
+
+def test_nobody_hears_his_own_frame(bus: SimulatedBus) -> None:
+    port = bus.attach()
+    port.listen(0x10, lambda _data: pytest.fail("heard itself"))
+    port.send(0x10, b"")
+    bus.send(frame(0x11))
+    assert bus.recv(1.0).arbitration_id == 0x10
+    assert bus.recv(1.0) is None
+
+
+def test_filters_lose_and_change_frames(bus: SimulatedBus) -> None:
+    port = bus.attach()
+    bus.frame_filters.append(lambda _t, identifier, data, host: None if identifier == 1 else (identifier, data))
+    bus.frame_filters.append(lambda _t, identifier, data, host: (identifier, bytes(b ^ 0xFF for b in data)))
+    port.send(1, b"\x01")
+    port.send(2, b"\x02")
+    message = bus.recv(1.0)
+    assert (message.arbitration_id, bytes(message.data)) == (2, b"\xfd")
+    assert bus.recv(1.0) is None
+
+
+def test_python_can_filters_apply(bus: SimulatedBus) -> None:
+    bus.set_filters([{"can_id": 2, "can_mask": 0x7FF}])
+    port = bus.attach()
+    port.send(1, b"")
+    port.send(2, b"")
+    assert bus.recv(1.0).arbitration_id == 2
+    assert bus.recv(1.0) is None
+
+
+def test_a_dead_bus_refuses() -> None:
+    bus = SimulatedBus(SimulatedClock())
+    bus.down = True
+    with pytest.raises(can.CanOperationError, match="bus-off"):
+        bus.send(frame(1))
+    bus.down = False
+    bus.shutdown()
+    with pytest.raises(can.CanOperationError, match="shut"):
+        bus.send(frame(1))
+    with pytest.raises(can.CanOperationError, match="shut"):
+        bus.recv(0.0)
+
+
+def test_no_threads_for_periodic_frames(bus: SimulatedBus) -> None:
+    with pytest.raises(NotImplementedError, match="control loop"):
+        bus.send_periodic(frame(1), 0.1)

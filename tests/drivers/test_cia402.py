@@ -1,0 +1,96 @@
+"""The host's state table, alone and against the transitions of the simulated drive."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers import cia402
+from drivers.cia402 import Command, controlword, decode_state
+from drivers.errors import StateError
+from drivers.interfaces import ServoState
+from drivers.mock.power_state import TRANSITIONS, State, command
+
+TOWARD_POWER = [
+    ServoState.NOT_READY,
+    ServoState.SWITCH_ON_DISABLED,
+    ServoState.READY,
+    ServoState.SWITCHED_ON,
+    ServoState.OPERATION_ENABLED,
+]
+RANK = {state: rank for rank, state in enumerate(TOWARD_POWER)} | {
+    ServoState.FAULT: 0,
+    ServoState.FAULT_REACTION: 4,
+    ServoState.QUICK_STOP_ACTIVE: 4,
+}
+
+
+@pytest.mark.parametrize("state", list(State))
+@given(other=st.integers(0, 0xFFFF))
+def test_every_state_is_decoded_whatever_the_other_bits(state: State, other: int) -> None:
+    mask = 0x6F if state.value & 0x20 or state is State.QUICK_STOP_ACTIVE else 0x4F
+    word = (other & ~mask) | state.value
+    assert decode_state(word).name == state.name
+
+
+@given(st.integers(0, 0xFFFF))
+def test_a_statusword_has_one_state_or_is_refused(word: int) -> None:
+    matches = [state for mask, value, state in cia402.STATUS if word & mask == value]
+    if matches:
+        assert [decode_state(word)] == matches
+    else:
+        with pytest.raises(StateError, match=f"{word:04X}h"):
+            decode_state(word)
+
+
+@pytest.mark.parametrize("state", list(State))
+@pytest.mark.parametrize("order", [c for c in Command if c is not Command.ENABLE])
+def test_only_enable_leads_toward_power(state: State, order: Command) -> None:
+    word = cia402.CONTROLWORDS.get((ServoState[state.name], order))
+    if word is None:
+        return
+    after = TRANSITIONS.get((state, command(word)), state)
+    if state is State.FAULT and word & cia402.FAULT_RESET:
+        after = State.SWITCH_ON_DISABLED
+    assert not ServoState[after.name].energised or ServoState[state.name].energised
+    if state is not State.FAULT:
+        assert RANK[ServoState[after.name]] <= RANK[ServoState[state.name]]
+
+
+@pytest.mark.parametrize("word", [w for (_, order), w in cia402.CONTROLWORDS.items() if order is not Command.ENABLE])
+@pytest.mark.parametrize("state", list(State))
+def test_no_word_but_those_of_enable_energises_from_any_state(word: int, state: State) -> None:
+    after = TRANSITIONS.get((state, command(word)), state)
+    assert after is not State.OPERATION_ENABLED or state is State.OPERATION_ENABLED
+
+
+def test_enable_takes_one_transition_at_a_time() -> None:
+    state = State.SWITCH_ON_DISABLED
+    path = [state]
+    while state is not State.OPERATION_ENABLED:
+        state = TRANSITIONS[state, command(controlword(ServoState[state.name], Command.ENABLE))]
+        path.append(state)
+    assert path == [State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.OPERATION_ENABLED]
+
+
+@pytest.mark.parametrize("order", [Command.DISABLE, Command.QUICK_STOP])
+@pytest.mark.parametrize("state", list(ServoState))
+def test_stopping_is_allowed_in_every_state(state: ServoState, order: Command) -> None:
+    assert controlword(state, order) & 0x09 == 0
+
+
+@pytest.mark.parametrize(
+    ("state", "order"),
+    [
+        (ServoState.FAULT, Command.ENABLE),
+        (ServoState.FAULT_REACTION, Command.ENABLE),
+        (ServoState.QUICK_STOP_ACTIVE, Command.ENABLE),
+        (ServoState.NOT_READY, Command.ENABLE),
+        (ServoState.OPERATION_ENABLED, Command.RESET_FAULT),
+        (ServoState.FAULT_REACTION, Command.RESET_FAULT),
+    ],
+)
+def test_an_illegal_move_names_state_and_command(state: ServoState, order: Command) -> None:
+    with pytest.raises(StateError, match=f"'{order.value}'.*'{state.value}'"):
+        controlword(state, order)

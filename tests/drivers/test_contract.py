@@ -1,0 +1,17 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from .contract import Rig, ServoContract
+from .host import make_host
+
+
+class TestSimulatedCanopen(ServoContract):
+    @pytest.fixture(params=[(1_000_000, 0.001), (500_000, 0.002)], ids=["1 Mbit/s", "500 kbit/s"])
+    def rig(self, request: pytest.FixtureRequest) -> Iterator[Rig]:
+        bitrate, cycle_s = request.param
+        host = make_host(bitrate=bitrate, cycle_s=cycle_s)
+        yield Rig(host.link, host.servo, host.encoder, cycle_s, host.cycles)
+        host.link.close()

@@ -1,0 +1,343 @@
+"""Behaviour of the simulated drive that the safety of a bench leans on."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.errors import DeviceError, DriveFault, ObjectAccessError
+from drivers.interfaces import ServoState
+from drivers.mock.drive import encoder_resolution
+from drivers.mock.plant.constants import Machine, Motor, Sensing
+from drivers.mock.plant.machine import Reading
+from drivers.mock.power_state import POWERED, State
+from drivers.mock.sampler import Sampler
+
+from .host import SCALES, Host, enabled, make_host, prepared
+
+MOVING_S = 0.2
+
+
+def moving(host: Host, speed_rad_s: float = 0.3, **objects: int) -> Host:
+    """Leave the joint moving at constant speed, after writing objects (``x605A=2``)."""
+    prepared(host)
+    for name, value in objects.items():
+        host.drive.write(int(name[1:], 16), 0, value)
+    host.servo.enable()
+    host.cycles(round(MOVING_S * 1e3), lambda t: speed_rad_s * t)
+    return host
+
+
+def bring(host: Host, state: State) -> None:
+    """Bring the drive into a state by SDO, as a careless master could."""
+    prepared(host)
+    write = host.drive.write
+    write(0x6060, 0, 8)
+    write(0x605A, 0, 6)
+    write(0x6085, 0, 1)
+    words = {
+        State.SWITCH_ON_DISABLED: [],
+        State.READY: [0x06],
+        State.SWITCHED_ON: [0x06, 0x07],
+        State.OPERATION_ENABLED: [0x06, 0x07, 0x0F],
+        State.QUICK_STOP_ACTIVE: [0x06, 0x07, 0x0F, 0x02],
+        State.FAULT_REACTION: [0x06, 0x07, 0x0F],
+        State.FAULT: [0x06],
+    }
+    for word in words[state]:
+        write(0x6040, 0, word)
+    if state in (State.FAULT_REACTION, State.FAULT):
+        host.bench.drive.connection_lost(0x8130)
+    assert host.bench.drive.power_state is state
+
+
+@pytest.mark.parametrize("verb", ["disable", "quick_stop", "reset_fault"])
+@pytest.mark.parametrize("state", [s for s in State if s is not State.NOT_READY])
+def test_no_verb_but_enable_leads_to_power(host: Host, state: State, verb: str) -> None:
+    bring(host, state)
+    host.powered.clear()
+    with suppress(DeviceError):
+        getattr(host.servo, verb)()
+    for _ in range(30):
+        with suppress(DeviceError):
+            host.cycles(1, lambda _: 0.1)
+    assert True not in host.powered
+    if state not in POWERED:
+        assert host.bench.drive.power_state not in POWERED
+    if verb == "disable":
+        assert host.bench.drive.power_state not in POWERED
+
+
+def test_the_power_stage_follows_the_state(host: Host) -> None:
+    moving(host)
+    assert host.powered[-1]
+    host.servo.quick_stop()
+    assert host.powered[-1]
+    host.wait(1.0)
+    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    assert not host.powered[-1]
+
+
+@pytest.mark.parametrize(
+    ("option", "first", "last"),
+    [
+        (0, State.SWITCH_ON_DISABLED, State.SWITCH_ON_DISABLED),
+        (1, State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED),
+        (2, State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED),
+        (5, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
+        (6, State.QUICK_STOP_ACTIVE, State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_quick_stop_options(host: Host, option: int, first: State, last: State) -> None:
+    moving(host, x605A=option, x6084=1_000_000)
+    host.drive.write(0x6040, 0, 0x02)
+    assert host.bench.drive.power_state is first
+    # Past the ramp, short of the 100 ms after which the silent master would be noticed.
+    host.wait(0.05)
+    host.link.heartbeat()
+    host.wait(0.045)
+    assert host.bench.drive.power_state is last
+    assert bool(host.drive.read(0x6041) & 0x0400) is (last is State.QUICK_STOP_ACTIVE)
+    assert abs(host.bench.machine.truth().velocity_rad_s) < 1e-3
+
+
+@pytest.mark.parametrize(("option", "deceleration"), [(1, "x6084"), (2, "x6085")])
+def test_a_ramp_takes_the_time_of_its_deceleration(host: Host, option: int, deceleration: str) -> None:
+    speed = 0.3
+    ramp = round(10 * speed * 4096 * 100 / math.tau)
+    moving(host, speed, x605A=option, **{deceleration: ramp})
+    at = host.bench.machine.truth().angle_rad
+    host.drive.write(0x6040, 0, 0x02)
+    host.wait(0.09)
+    assert host.bench.drive.power_state is State.QUICK_STOP_ACTIVE
+    host.link.heartbeat()
+    host.wait(0.05)
+    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    assert host.bench.machine.truth().angle_rad - at == pytest.approx(speed * 0.1 / 2, rel=0.2)
+
+
+def test_quick_stop_is_left_toward_power_only_where_the_option_allows(host: Host) -> None:
+    bring(host, State.QUICK_STOP_ACTIVE)
+    host.drive.write(0x605A, 0, 2)
+    host.drive.write(0x6040, 0, 0x0F)
+    assert host.bench.drive.power_state is State.QUICK_STOP_ACTIVE
+    host.drive.write(0x605A, 0, 6)
+    host.drive.write(0x6040, 0, 0x0F)
+    assert host.bench.drive.power_state is State.OPERATION_ENABLED
+
+
+def test_a_silent_master_ends_motion_and_power(host: Host) -> None:
+    moving(host)
+    off_after = None
+    for millisecond in range(200):
+        host.wait(0.001)
+        if host.bench.drive.power_state not in POWERED:
+            off_after = millisecond + 1
+            break
+    # 100 ms after the last heartbeat, which is up to 25 ms old, then the ramp and 20 ms to settle.
+    assert off_after is not None
+    assert 75 <= off_after <= 100 + 50
+    assert host.bench.drive.power_state is State.FAULT
+    assert host.drive.read(0x603F) == 0x8130
+    assert abs(host.bench.machine.truth().velocity_rad_s) < 1e-3
+    with pytest.raises(DriveFault, match="8130h"):
+        host.link.exchange()
+
+
+@pytest.mark.parametrize(
+    ("option", "state"),
+    [
+        (0, State.OPERATION_ENABLED),
+        (1, State.FAULT_REACTION),
+        (2, State.SWITCH_ON_DISABLED),
+        (3, State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_abort_connection_options(host: Host, option: int, state: State) -> None:
+    enabled(host)
+    host.drive.write(0x6007, 0, option)
+    host.bench.drive.connection_lost(0x8130)
+    assert host.bench.drive.power_state is state
+
+
+def test_an_nmt_stop_ends_power(host: Host) -> None:
+    enabled(host)
+    host.link.send(0x000, bytes([2, 1]))
+    host.wait(0.1)
+    assert host.bench.drive.power_state is State.FAULT
+    assert not host.powered[-1]
+
+
+@pytest.mark.parametrize("command", [129, 130])
+def test_an_nmt_reset_ends_power(host: Host, command: int) -> None:
+    enabled(host)
+    host.link.send(0x000, bytes([command, 1]))
+    host.wait(0.001)
+    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    assert not host.powered[-1]
+
+
+@pytest.mark.parametrize(
+    ("reaction", "first"), [(0, State.FAULT), (1, State.FAULT_REACTION), (2, State.FAULT_REACTION)]
+)
+def test_fault_reaction_options(host: Host, reaction: int, first: State) -> None:
+    enabled(host)
+    host.drive.write(0x605E, 0, reaction)
+    host.bench.drive.connection_lost(0x8130)
+    assert host.bench.drive.power_state is first
+    host.wait(0.1)
+    assert host.bench.drive.power_state is State.FAULT
+    assert not host.powered[-1]
+
+
+def test_following_error_beyond_its_window_is_a_fault_and_within_is_none(host: Host) -> None:
+    prepared(host)
+    host.servo.write_limits(replace(host.servo.read_limits(), following_error_rad=0.02))
+    host.servo.enable()
+    host.cycles(50, lambda _: 0.015)
+    assert host.servo.state() is ServoState.OPERATION_ENABLED
+    with pytest.raises(DriveFault, match="following error") as caught:
+        host.cycles(50, lambda _: 0.5)
+    assert caught.value.code == 0x8611
+    assert host.servo.sample().statusword & 0x2000
+    host.wait(0.1)
+    assert host.servo.state() is ServoState.FAULT
+    assert not host.powered[-1]
+    with pytest.raises(DriveFault, match="8611h"):
+        host.servo.enable()
+    host.servo.reset_fault()
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+    host.servo.enable()
+    assert not host.servo.sample().statusword & 0x2000
+
+
+def test_software_limits_clamp_the_target(host: Host) -> None:
+    prepared(host)
+    host.servo.write_limits(replace(host.servo.read_limits(), angle_min_rad=-0.05, angle_max_rad=0.05))
+    host.servo.enable()
+    host.cycles(50, lambda _: 0.02)
+    assert not host.servo.sample().statusword & 0x0800
+    host.cycles(300, lambda t: 0.02 + 0.3 * t)
+    assert host.encoder.sample().angle_rad == pytest.approx(0.05, abs=1e-3)
+    assert host.servo.sample().statusword & 0x0800
+    host.cycles(500, lambda t: 0.11 - 0.3 * t)
+    assert not host.bench.machine.truth().angle_rad < -0.051
+
+
+def test_max_speed_holds_the_target_back(host: Host) -> None:
+    prepared(host)
+    host.servo.write_limits(replace(host.servo.read_limits(), speed_rad_s=0.1))
+    host.servo.enable()
+    host.cycles(200, lambda _: 0.5)
+    assert host.encoder.sample().angle_rad == pytest.approx(0.02, abs=2e-3)
+    assert host.servo.sample().statusword & 0x0800
+
+
+@pytest.mark.parametrize("limit", [{"current_A": 3.0}, {"torque_N_m": 9.0}])
+def test_max_current_and_torque_hold_the_motor_back(host: Host, limit: dict[str, float]) -> None:
+    prepared(host)
+    host.servo.write_limits(replace(host.servo.read_limits(), **limit))
+    host.servo.enable()
+    # 3 A make 9 N m at the joint; 12.025 N m are needed to break away.
+    host.cycles(200, lambda t: 0.1 * t)
+    sample = host.servo.sample()
+    assert sample.current_A == pytest.approx(3.0, abs=0.1)
+    assert sample.statusword & 0x0800
+    assert abs(host.bench.machine.truth().angle_rad) < 1e-4
+    host.servo.write_limits(replace(host.servo.read_limits(), current_A=20.0, torque_N_m=60.0))
+    host.cycles(200, lambda _: 0.02)
+    assert host.bench.machine.truth().angle_rad == pytest.approx(0.02, abs=1e-3)
+
+
+def test_settings_that_must_not_change_under_power(host: Host) -> None:
+    enabled(host)
+    with pytest.raises(ObjectAccessError, match="08000022"):
+        host.drive.write(0x60C2, 1, 2)
+
+
+@pytest.mark.parametrize(("index", "value"), [(0x6060, 1), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)])
+def test_settings_the_drive_does_not_have(host: Host, index: int, value: int) -> None:
+    with pytest.raises(ObjectAccessError, match="06090030"):
+        host.drive.write(index, 0, value)
+
+
+def test_without_a_mode_the_drive_holds(host: Host) -> None:
+    bring(host, State.OPERATION_ENABLED)
+    host.drive.write(0x6060, 0, 0)
+    host.drive.write(0x607A, 0, 40000)
+    host.drive.write(0x6040, 0, 0x1F)
+    host.wait(0.05)
+    assert abs(host.bench.machine.truth().angle_rad) < 1e-3
+
+
+def stream(seed: int) -> str:
+    host = make_host(seed)
+    enabled(host)
+    host.cycles(200, lambda t: 0.1 * math.sin(t))
+    digest = hashlib.sha256(repr(host.link.take_frames()).encode()).hexdigest()
+    host.link.close()
+    return digest
+
+
+def test_the_same_seed_gives_the_same_bytes() -> None:
+    assert stream(7) == stream(7)
+    assert stream(7) != stream(8)
+
+
+def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
+    exact = Machine(sensing=Sensing(motor_counts_per_turn=0))
+    increments, turns = encoder_resolution(exact)
+    assert increments / turns * 100.0 / math.tau == pytest.approx(1e6, rel=1e-7)
+    literal = replace(exact, motor=Motor(gear_ratio=1.0))
+    increments, turns = encoder_resolution(literal)
+    assert increments / turns / math.tau == pytest.approx(1e6, rel=1e-8)
+    assert increments < 1 << 32
+    assert encoder_resolution(Machine()) == (4096, 1)
+
+
+def test_a_bench_with_exact_sensors_runs_over_the_bus_too() -> None:
+    exact = Machine(sensing=Sensing(motor_counts_per_turn=0, joint_counts_per_turn=0, current_noise_A=0.0))
+    increments, turns = encoder_resolution(exact)
+    host = make_host(machine=exact, scales=replace(SCALES, counts_per_turn=increments / turns))
+    enabled(host)
+    host.cycles(400, lambda t: 0.1 * math.sin(math.pi / 0.8 * t))
+    assert host.servo.sample().fresh
+    truth = host.bench.machine.truth().angle_rad
+    assert host.servo.sample().motor_angle_rad / 100.0 == pytest.approx(truth, abs=1e-4)
+    assert host.encoder.sample().angle_rad == pytest.approx(truth, abs=1e-4)
+    host.link.close()
+
+
+class RampMachine:
+    """Current in A equals time in units of 1 ms, averaged since the last latch."""
+
+    loop_ns = 50_000
+
+    def __init__(self) -> None:
+        self.now = self.since = 0
+
+    def advance(self, duration_ns: int) -> None:
+        assert duration_ns % self.loop_ns == 0
+        self.now += duration_ns
+
+    def latch(self) -> Reading:
+        mean = (self.now + self.since) / 2e6
+        self.since = self.now
+        return Reading(0, 0, 0.0, mean, 2 * mean, 60.0, 25.0, 0.0)
+
+
+def test_looking_in_between_does_not_disturb_the_mean() -> None:
+    sampler = Sampler(RampMachine())  # type: ignore[arg-type]
+    times = np.cumsum([130_000, 390_000, 20_000, 460_000])
+    for time in times[:-1]:
+        sampler.peek(int(time))
+    reading = sampler.latch(int(times[-1]))
+    assert sampler.time_ns == 1_000_000
+    assert reading.current_A == pytest.approx(0.5)
+    assert reading.voltage_V == pytest.approx(1.0)
+    assert sampler.latch(2_000_000).current_A == pytest.approx(1.5)

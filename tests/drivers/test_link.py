@@ -1,0 +1,216 @@
+from __future__ import annotations
+
+import struct
+
+import can
+import pytest
+
+from drivers.canopen_link import CanopenLink
+from drivers.canopen_node import CanopenNode
+from drivers.clock import SimulatedClock
+from drivers.errors import ConfigurationError, DriveFault, LinkError
+from drivers.mock.bus import SimulatedBus
+from drivers.mock.drive import DRIVE_EDS
+from drivers.objects import PdoLayout
+
+from .host import Host, enabled, frame, prepared
+
+
+class TickingClock:
+    """Moves a little whenever it is read, as time does."""
+
+    def __init__(self) -> None:
+        self._now = 0
+
+    def now_ns(self) -> int:
+        self._now += 1_000_000
+        return self._now
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        self._now = max(self._now, deadline_ns)
+
+
+def test_a_missing_answer_leaves_the_old_sample_not_fresh(host: Host) -> None:
+    enabled(host)
+    host.cycles(20)
+    good = host.servo.sample()
+    assert good.fresh
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x281 else (i, d))
+    host.cycles(1, lambda _: 0.001)
+    stale = host.servo.sample()
+    assert not stale.fresh
+    assert stale.device_time_s == good.device_time_s
+    assert host.encoder.sample().fresh
+    host.bench.bus.frame_filters.clear()
+    host.cycles(1)
+    assert host.servo.sample().fresh
+
+
+def test_a_frame_of_the_wrong_length_updates_nothing(host: Host) -> None:
+    prepared(host)
+    host.cycles(2)
+    before = host.encoder.sample()
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: (i, d[:7] if i == 0x182 else d))
+    host.cycles(1)
+    assert host.encoder.sample() == before._replace(fresh=False)
+    assert host.servo.sample().fresh
+
+
+def test_slow_process_data_may_be_two_periods_old(host: Host) -> None:
+    prepared(host)
+    host.cycles(20)
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x381 else (i, d))
+    host.cycles(10)
+    assert host.servo.sample().fresh
+    host.cycles(20)
+    assert not host.servo.sample().fresh
+
+
+def test_an_exchange_waits_no_longer_than_its_share_of_the_cycle(host: Host) -> None:
+    prepared(host)
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x181 else (i, d))
+    before = host.clock.now_ns()
+    host.link.exchange()
+    assert host.clock.now_ns() - before == 800_000
+
+
+def test_an_emergency_is_a_fault_in_words(host: Host) -> None:
+    prepared(host)
+    host.bench.drive.emergency(0x4310, 0x08)
+    host.wait(0.001)
+    with pytest.raises(DriveFault, match=r"4310h: node 1 .*over-temperature.*cool") as caught:
+        host.link.exchange()
+    assert caught.value.code == 0x4310
+    host.link.exchange()
+
+
+def test_an_error_reset_takes_the_emergency_back(host: Host) -> None:
+    prepared(host)
+    host.bench.drive.emergency(0x4310, 0x08)
+    host.bench.drive.clear_errors()
+    host.wait(0.001)
+    host.link.exchange()
+
+
+def test_an_unknown_emergency_names_its_class(host: Host) -> None:
+    prepared(host)
+    host.bench.encoder.emergency(0x5123, 0)
+    host.wait(0.001)
+    with pytest.raises(DriveFault, match=r"node 2 .*device hardware"):
+        host.link.exchange()
+
+
+def test_an_error_frame_fails_the_link(host: Host) -> None:
+    prepared(host)
+    host.bench.bus.disturb()
+    with pytest.raises(LinkError, match="120 ohm"):
+        host.link.exchange()
+
+
+def test_bus_off_fails_the_link(host: Host) -> None:
+    prepared(host)
+    host.bench.bus.down = True
+    with pytest.raises(LinkError, match="simulated bus cannot send: bus-off"):
+        host.link.exchange()
+
+
+def test_a_bus_shut_under_the_link_fails_it(host: Host) -> None:
+    prepared(host)
+    host.bench.bus.shutdown()
+    with pytest.raises(LinkError, match="cannot receive"):
+        host.link.exchange()
+
+
+def test_a_silent_device_is_lost(host: Host) -> None:
+    prepared(host)
+    host.cycles(300)
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x702 else (i, d))
+    host.cycles(140)
+    with pytest.raises(LinkError, match=r"node 2 sent no heartbeat for 0\.2\d\d s \(limit 0\.2 s\)"):
+        host.cycles(100)
+
+
+@pytest.mark.parametrize(("command", "match"), [(128, "PRE-OPERATIONAL"), (2, "STOPPED"), (129, "restarted")])
+def test_a_device_that_leaves_operational_is_noticed(host: Host, command: int, match: str) -> None:
+    prepared(host)
+    host.cycles(5)
+    host.bench.bus.send(frame(0, bytes([command, 2])))
+    with pytest.raises(LinkError, match=f"node 2 .*{match}"):
+        host.cycles(60)
+
+
+def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
+    prepared(host)
+    host.link.take_frames()
+    host.cycles(100)
+    beats = [f for f in host.link.take_frames() if f.identifier == 0x77F]
+    assert len(beats) == 4
+    assert all(f.sent and f.data == b"\x05" for f in beats)
+    host.wait(0.5)
+    # An SDO request that waits for nothing must not feed the watch either.
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x581 else (i, d))
+    with pytest.raises(LinkError, match="no SDO response"):
+        host.servo.state()
+    assert not [f for f in host.link.take_frames() if f.identifier == 0x77F]
+
+
+def test_all_devices_share_one_cycle(host: Host) -> None:
+    host.servo.prepare(0.001)
+    with pytest.raises(ConfigurationError, match=r"node 2 asks for a cycle of 0\.002 s, the link runs at 0\.001 s"):
+        host.encoder.prepare(0.002)
+
+
+def test_process_data_must_fit_the_device(host: Host) -> None:
+    def mapped(*objects: tuple[int, int], number: int = 1) -> None:
+        host.drive.map_process_data([], [PdoLayout(number, objects)], 0.001)
+
+    with pytest.raises(ConfigurationError, match="12 bytes, limit 8"):
+        mapped((0x6064, 0), (0x606C, 0), (0x60F4, 0))
+    with pytest.raises(ConfigurationError, match="not in the device's EDS"):
+        mapped((0x5000, 0))
+    with pytest.raises(ConfigurationError, match="no PDO 9"):
+        mapped((0x6064, 0), number=9)
+    with pytest.raises(ConfigurationError, match=r"1008h:00h .*no integer"):
+        mapped((0x1008, 0))
+
+
+def test_node_identifiers_are_checked(host: Host) -> None:
+    for taken in (0, 1, 127, 128):
+        with pytest.raises(ConfigurationError, match=f"{taken} is out of"):
+            host.link.add_node(taken, DRIVE_EDS)
+
+
+def test_an_eds_that_cannot_be_read_is_named(host: Host, tmp_path) -> None:
+    with pytest.raises(ConfigurationError, match=r"none\.eds of node 5 cannot be read"):
+        host.link.add_node(5, tmp_path / "none.eds")
+
+
+def test_a_closed_link_says_so() -> None:
+    clock = SimulatedClock()
+    link = CanopenLink(clock, lambda: SimulatedBus(clock))
+    with pytest.raises(LinkError, match=r"call open\(\) first"):
+        link.exchange()
+
+
+def test_an_interface_that_does_not_exist_is_a_link_error() -> None:
+    link = CanopenLink.on_interface(TickingClock(), "no_such_interface", "can0", 500_000)
+    with pytest.raises(LinkError, match="no_such_interface can0 at 500000 bit/s cannot be opened"):
+        link.open()
+    link.close()
+
+
+def test_any_python_can_interface_can_be_opened_by_name() -> None:
+    """The same code on a real-time bus: nobody answers there, which must end as the clock says."""
+    link = CanopenLink.on_interface(TickingClock(), "virtual", "test_link", 1_000_000, sdo_timeout_s=0.02)
+    node: CanopenNode = link.add_node(1, DRIVE_EDS)
+    listener = can.Bus(channel="test_link", interface="virtual")
+    link.open()
+    try:
+        with pytest.raises(LinkError, match=r"no SDO response within 0\.02 s"):
+            node.read(0x6041)
+        request = listener.recv(0)
+        assert request is not None
+        assert (request.arbitration_id, bytes(request.data)) == (0x601, struct.pack("<BHB4x", 0x40, 0x6041, 0))
+    finally:
+        link.close()
+        listener.shutdown()

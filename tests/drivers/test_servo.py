@@ -1,0 +1,276 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from drivers import servo_limits
+from drivers.errors import ConfigurationError, DriveFault, LinkError, StateError
+from drivers.interfaces import ServoLimits, ServoState
+
+from .host import SCALES, Host, enabled, make_host, prepared
+
+LIMITS = ServoLimits(
+    angle_min_rad=-0.6,
+    angle_max_rad=0.7,
+    speed_rad_s=1.5,
+    torque_N_m=30.0,
+    current_A=12.0,
+    following_error_rad=0.05,
+    quick_stop_option=6,
+    quick_stop_deceleration_rad_s2=8.0,
+)
+
+
+def assert_within(found: ServoLimits, wanted: ServoLimits) -> None:
+    """Each limit as wanted to one unit of the drive, and never wider."""
+    for name in ("speed_rad_s", "torque_N_m", "current_A", "angle_max_rad"):
+        assert 0 <= getattr(wanted, name) - getattr(found, name) + 1e-9 < 0.046, name
+    assert 0 <= found.angle_min_rad - wanted.angle_min_rad + 1e-9 < 1e-4
+    assert found.following_error_rad == pytest.approx(wanted.following_error_rad, abs=1e-4)
+    assert found.quick_stop_option == wanted.quick_stop_option
+    assert found.quick_stop_deceleration_rad_s2 == pytest.approx(wanted.quick_stop_deceleration_rad_s2, abs=1e-4)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize("window", [0.05, None])
+def test_limits_survive_the_way_to_the_drive_and_back(sign: int, window: float | None) -> None:
+    host = make_host(scales=replace(SCALES, sign=sign, offset_rad=0.1))
+    limits = replace(LIMITS, following_error_rad=window)
+    host.servo.write_limits(limits)
+    held = host.servo.read_limits()
+    assert_within(held, limits)
+    host.servo.write_limits(held)
+    assert host.servo.read_limits() == held
+    host.link.close()
+
+
+def test_limits_are_in_the_units_of_the_drive(host: Host) -> None:
+    host.servo.write_limits(LIMITS)
+    assert host.drive.read(0x607D, 1) == math.ceil(-0.6 / math.tau * 409600)
+    assert host.drive.read(0x607F) == math.floor(1.5 / math.tau * 409600)
+    assert host.drive.read(0x6072) == math.floor(30.0 / 100 / 0.45 * 1000)
+    assert host.drive.read(0x6073) == 800
+
+
+class Deaf:
+    """A drive that says yes and keeps what it had."""
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        return 5
+
+    def read_text(self, index: int, subindex: int = 0) -> str:
+        return ""
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        pass
+
+
+def test_a_limit_that_does_not_read_back_is_named() -> None:
+    with pytest.raises(ConfigurationError, match=r"607Dh:01h reads 5 after writing -39113"):
+        servo_limits.write(Deaf(), SCALES, LIMITS)
+
+
+def test_a_limit_beyond_the_object_is_named(host: Host) -> None:
+    with pytest.raises(ConfigurationError, match="does not fit object 6072h"):
+        host.servo.write_limits(replace(LIMITS, torque_N_m=1e6))
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sign_and_zero_of_a_sample(sign: int) -> None:
+    host = make_host(scales=replace(SCALES, sign=sign, offset_rad=0.1))
+    enabled(host)
+    host.cycles(400, lambda t: 0.1 + 0.2 * t)
+    sample = host.servo.sample()
+    assert sample.motor_angle_rad / 100.0 == pytest.approx(0.18, abs=2e-3)
+    assert host.bench.machine.truth().angle_rad == pytest.approx(sign * 0.08, abs=2e-3)
+    assert sample.velocity_rad_s == pytest.approx(0.2, rel=0.1)
+    # Pushing against friction takes current and voltage in the direction of motion.
+    assert sample.current_A > 1.0
+    assert sample.voltage_V > 1.0
+    assert sample.supply_voltage_V == 60.0
+    assert sample.temperature_C == 25.0
+    host.link.close()
+
+
+def test_current_comes_in_steps_of_a_thousandth_of_the_rated_current(host: Host) -> None:
+    enabled(host)
+    host.cycles(100, lambda t: 0.2 * t)
+    steps = host.servo.sample().current_A / 0.015
+    assert steps == pytest.approx(round(steps))
+    assert steps > 10
+
+
+def test_following_error_is_that_of_the_drive(host: Host) -> None:
+    enabled(host)
+    for _ in range(50):
+        host.cycles(1, lambda _: 0.01)
+        drive = host.bench.drive.objects.integer(0x60F4) * SCALES.joint_rad_per_count
+        assert host.servo.sample().following_error_rad == pytest.approx(drive, abs=2 * SCALES.joint_rad_per_count)
+    # Nothing staged for some cycles: the last target stands.
+    host.cycles(5)
+    drive = host.bench.drive.objects.integer(0x60F4) * SCALES.joint_rad_per_count
+    assert host.servo.sample().following_error_rad == pytest.approx(drive, abs=2 * SCALES.joint_rad_per_count)
+
+
+def test_enabling_does_not_jump_to_an_old_target(host: Host) -> None:
+    enabled(host)
+    host.cycles(200, lambda t: 0.2 * t)
+    host.servo.disable()
+    host.servo.set_target(0.5)
+    rest = host.bench.machine.truth().angle_rad
+    host.servo.enable()
+    host.cycles(100)
+    assert host.bench.machine.truth().angle_rad == pytest.approx(rest, abs=2e-3)
+
+
+def test_the_watch_runs_before_power_comes(host: Host) -> None:
+    prepared(host)
+    host.link.take_frames()
+    host.servo.enable()
+    frames = host.link.take_frames()
+    beat = next(i for i, f in enumerate(frames) if f.sent and f.identifier == 0x77F)
+    power = next(i for i, f in enumerate(frames) if f.sent and f.identifier == 0x201 and f.data[:2] == b"\x0f\0")
+    assert beat < power
+    assert host.drive.read(0x1016, 1) == 0x7F << 16 | 100
+    host.servo.disable()
+    assert host.drive.read(0x1016, 1) == 0
+
+
+def test_a_pause_without_power_is_no_fault(host: Host) -> None:
+    enabled(host)
+    host.servo.disable()
+    host.wait(10.0)
+    host.cycles(10)
+    host.servo.enable()
+    assert host.servo.state() is ServoState.OPERATION_ENABLED
+
+
+def change_controlword(host: Host, word: int) -> None:
+    """Let every controlword written by SDO arrive as ``word``."""
+
+    def change(_time: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes]:
+        if identifier == 0x601 and data[:4] == b"\x2b\x40\x60\x00":
+            return identifier, data[:4] + bytes([word]) + data[5:]
+        return identifier, data
+
+    host.bench.bus.frame_filters.append(change)
+
+
+def test_disable_believes_only_the_statusword(host: Host) -> None:
+    enabled(host)
+    change_controlword(host, 0x0F)
+    # The drive would notice the silent master first; this one watches nothing.
+    host.drive.write(0x1016, 1, 0)
+    with pytest.raises(StateError, match=r"reports 'operation enabled' 1 s after .*by hand"):
+        host.servo.disable()
+
+
+def test_quick_stop_believes_only_the_statusword(host: Host) -> None:
+    enabled(host)
+    change_controlword(host, 0x0F)
+    host.drive.write(0x1016, 1, 0)
+    with pytest.raises(StateError, match="wanted quick stop active"):
+        host.servo.quick_stop()
+    # The cyclic word was changed all the same, so the next exchange stops it.
+    host.cycles(2)
+    assert host.servo.state() is ServoState.QUICK_STOP_ACTIVE
+
+
+def test_a_fault_is_a_stop(host: Host) -> None:
+    enabled(host)
+    host.bench.drive.connection_lost(0x8130)
+    host.servo.quick_stop()
+    assert host.servo.state() is ServoState.FAULT
+
+
+def test_enabling_that_fails_leaves_no_power(host: Host) -> None:
+    prepared(host)
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x181 else (i, d))
+    with pytest.raises(StateError, match="still in state"):
+        host.servo.enable()
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+    assert True not in host.powered
+
+
+def test_power_that_came_unseen_is_taken_back(host: Host) -> None:
+    prepared(host)
+    asked = False
+
+    def blind(_time: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+        nonlocal asked
+        asked = asked or (identifier == 0x201 and data[:2] == b"\x0f\0")
+        return None if asked and identifier == 0x181 else (identifier, data)
+
+    host.bench.bus.frame_filters.append(blind)
+    with pytest.raises(StateError, match="still in state 'switched on' after 1 s"):
+        host.servo.enable()
+    assert True in host.powered
+    assert not host.powered[-1]
+    assert host.servo.state() is ServoState.SWITCH_ON_DISABLED
+
+
+def test_a_bus_lost_just_after_enabling_ends_by_the_drives_own_watch(host: Host) -> None:
+    prepared(host)
+
+    def cut(_time: int, identifier: int, data: bytes, sent: bool) -> tuple[int, bytes] | None:
+        if identifier == 0x201 and data[:2] == b"\x0f\0":
+            host.bench.bus.down = True
+        return identifier, data
+
+    host.bench.bus.frame_filters.append(cut)
+    host.servo.enable()
+    assert host.powered[-1]
+    with pytest.raises(LinkError, match="bus-off"):
+        host.cycles(1)
+    host.wait(0.3)
+    assert not host.powered[-1]
+
+
+def test_a_drive_that_stays_in_another_mode_is_not_enabled(host: Host) -> None:
+    prepared(host)
+    host.bench.drive.objects.written.pop(0x6060)
+    with pytest.raises(StateError, match=r"mode of operation is 0 \(6061h\), wanted 8"):
+        host.servo.enable()
+    assert True not in host.powered
+
+
+def test_a_watch_that_does_not_read_back_stops_preparation(host: Host) -> None:
+    host.bench.drive.objects.written[0x1016] = lambda _sub, _v: host.bench.drive.objects.reset(0x1016, 0x1016)
+    with pytest.raises(ConfigurationError, match="would not notice a stopped control loop"):
+        prepared(host)
+
+
+def test_enabling_in_fault_names_the_fault(host: Host) -> None:
+    enabled(host)
+    host.bench.drive.connection_lost(0x8130)
+    host.wait(0.1)
+    with pytest.raises(DriveFault, match="heartbeat lost") as caught:
+        host.servo.enable()
+    assert caught.value.code == 0x8130
+
+
+def test_preparing_under_power_is_refused(host: Host) -> None:
+    enabled(host)
+    with pytest.raises(StateError, match="operation enabled"):
+        host.servo.prepare(host.cycle_s)
+
+
+@pytest.mark.parametrize("cycle_s", [0.0005, 0.0015])
+def test_the_cycle_is_in_whole_milliseconds(host: Host, cycle_s: float) -> None:
+    with pytest.raises(ConfigurationError, match="60C2h"):
+        host.servo.prepare(cycle_s)
+
+
+def test_another_drive_than_in_the_bench_file_is_refused() -> None:
+    host = make_host(scales=replace(SCALES, rated_current_A=10.0))
+    with pytest.raises(ConfigurationError, match="the drive says 15 A, the bench file 10 A"):
+        prepared(host)
+    host.link.close()
+
+
+def test_a_target_beyond_the_object_is_refused(host: Host) -> None:
+    prepared(host)
+    with pytest.raises(ConfigurationError, match="beyond 32 bits"):
+        host.servo.set_target(1e6)

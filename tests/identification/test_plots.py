@@ -1,0 +1,102 @@
+"""Figures: units on the axes, few points, equal figures are equal bytes."""
+
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from identification.estimate.result import Convergence, Fit, Identification, Parameter, Trace
+from identification.plots import fit as fit_plots
+from identification.plots import signals
+from identification.plots.spread import spread
+from identification.plots.style import MAX_POINTS, png
+from identification.recording import Bench, Recording
+
+UNIT = re.compile(r"\((deg|rad/s|N m|N|m/s|mm|s|%|1|kg|A)\)$")
+
+
+def trace(name: str = "run", samples: int = 20_001, motion: str = "rotary") -> tuple[Trace, Recording]:
+    time = np.linspace(0.0, 10.0, samples)
+    velocity = 0.4 * np.cos(time)
+    torque = np.sign(velocity) * 8.0 + np.random.default_rng(0).normal(0.0, 0.1, samples)
+    model = np.sign(velocity) * 8.0
+    used = np.abs(velocity) > 0.01
+    made = Trace(name, "fit", "unloaded", time, 0.4 * np.sin(time), velocity, torque, model, torque, used.astype(float))
+    channels = {"time": time, "command": 0.4 * np.sin(time), "angle": 0.4 * np.sin(time), "torque": torque}
+    return made, Recording(name, channels, Bench(motion=motion, moment_arm=0.095))  # type: ignore[arg-type]
+
+
+def result(method: str = "default", motion: str = "rotary") -> Identification:
+    values = {"Mc": 7.0, "Ms": 9.0, "omega_sf": 0.05, "sigma_2": 5.0}
+    parameters = {n: Parameter(n, "N m", v, 0.95 * v, 1.1 * v) for n, v in values.items()}
+    parameters["J"] = Parameter("J", "kg m^2", None, identifiable=False, reason="too slow")
+    stage = Convergence(
+        "unloaded",
+        "search",
+        40,
+        3,
+        1.0,
+        "N m",
+        target=0.01,
+        reached=False,
+        cost_history=np.array([3.0, 2.0, 1.0]),
+        parameter_history={"Mc": np.array([1.0, 5.0, 7.0]), "J": np.array([0.0, 0.0, 0.0])},
+    )
+    return Identification(method, motion, 2.0, parameters, Fit("N m", 40.0, 0.1, 0.01), (stage,), traces=(trace()[0],))
+
+
+def figures() -> dict[str, Figure]:
+    found, (one, recording) = result(), trace()
+    names = list(found.parameters)
+    return {
+        "response": signals.response(one, recording),
+        "response, linear": signals.response(one, trace(motion="linear")[1]),
+        "residual": signals.residual(one, "rotary"),
+        "stribeck": fit_plots.stribeck(found, {"run": 0.0}),
+        "convergence": fit_plots.convergence(found.stages[0]),
+        "convergence to the truth": fit_plots.convergence(found.stages[0], {"Mc": 7.1}),
+        "intervals": fit_plots.intervals([found, result("paper")], {"Mc": 6.9}),
+        "spread": spread({"paper": {"Mc": [1.0, 0.0, np.inf]}}, {"Mc": 1.1, "Ms": 0.0}, names),
+    }
+
+
+@pytest.mark.parametrize("name", list(figures()))
+def test_every_numeric_axis_has_a_unit(name: str) -> None:
+    for axis in figures()[name].axes:
+        for part, label in ((axis.xaxis, axis.get_xlabel()), (axis.yaxis, axis.get_ylabel())):
+            texts = [t.get_text() for t in part.get_ticklabels()]
+            named = any(any(letter.isalpha() for letter in t.replace("mathdefault", "")) for t in texts)
+            hidden = not any(t.get_visible() for t in part.get_ticklabels())
+            assert named or hidden or UNIT.search(label), f"{name}: {label!r}"
+
+
+@pytest.mark.parametrize("name", list(figures()))
+def test_no_line_has_more_points_than_the_eye_can_use(name: str) -> None:
+    assert max(len(line.get_xdata()) for axis in figures()[name].axes for line in axis.lines) <= MAX_POINTS
+
+
+def test_png_is_reproducible() -> None:
+    first, second = png(figures()["response"]), png(figures()["response"])
+    assert first.startswith(b"\x89PNG")
+    assert first == second
+
+
+def test_rest_breaks_the_fitted_line() -> None:
+    one, recording = trace(samples=1001)
+    bottom = signals.response(one, recording).axes[-1]
+    fitted = next(line for line in bottom.lines if str(line.get_label()).startswith("model"))
+    assert np.array_equal(np.isnan(np.asarray(fitted.get_ydata(), dtype=float)), one.used < 0.5)
+
+
+def test_the_fitted_curve_is_the_friction_law() -> None:
+    axis = fit_plots.stribeck(result(), {"run": 0.0}).axes[0]
+    (fitted,) = [line for line in axis.lines if line.get_label() == "fitted"]
+    speed, torque = (np.asarray(d, dtype=float) for d in fitted.get_data())
+    w = speed[speed > 0.0]
+    assert torque[speed > 0.0] == pytest.approx(7.0 + 2.0 * np.exp(-((w / 0.05) ** 2)) + 5.0 * w)
+
+
+def test_a_parameter_without_a_value_is_shown_in_words() -> None:
+    axis = fit_plots.intervals([result()]).axes[0]
+    assert [t.get_text().strip() for t in axis.texts] == ["not identifiable"]

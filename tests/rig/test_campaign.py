@@ -1,0 +1,183 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.campaign import load_campaign
+from rig.errors import InputError
+
+CONTRACT = """\
+campaign: 1
+bench:
+  motion: rotary
+  torque_constant: 0.03
+  back_emf_constant: 0.02588
+  resistance: 1.56
+  inductance: 0.00132
+  gear_ratio: 100
+  moment_arm: 0.095
+  lever_ratio: 10
+model:
+  terms: []
+  fixed: {J: 0.204}
+recordings:
+  - file: unloaded_a.csv
+    stage: unloaded
+    weight_mass: 0.0
+    gravity: null
+    role: fit
+    rate: 1000
+    read: {delimiter: ";", skip_rows: 14}
+    channels:
+      current: {column: i_meas, scale: 0.001, average: true}
+      angle: {column: pos, scale: 0.017453292519943295}
+"""
+
+SHORT = """\
+campaign: 1
+bench: {torque_constant: 0.03, moment_arm: 0.095}
+recordings:
+  - file: a.csv
+    channels: {time: 0, current: 1, angle: 2}
+"""
+
+
+def problems(folder: Path, text: str) -> list[str]:
+    path = folder / "c.yaml"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_campaign(path)
+    return [line.removeprefix(f"{path}:") for line in caught.value.problems]
+
+
+def test_the_example_of_the_contract(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(CONTRACT)
+    campaign = load_campaign(tmp_path / "c.yaml").value
+    bench = campaign.bench.bench()
+    assert (bench.gear_ratio, bench.moment_arm, bench.gravity) == (100.0, 0.095, 9.80665)
+    assert campaign.model.model().fixed == {"J": 0.204}
+    (recording,) = campaign.recordings
+    assert recording.read.skip_rows == 14
+    current = recording.channels["current"]
+    assert (current.column, current.scale, current.offset, current.average) == ("i_meas", 0.001, 0.0, True)
+
+
+def test_defaults_reach_every_recording_and_yield_to_it(tmp_path: Path) -> None:
+    (tmp_path / "c.yaml").write_text(
+        "campaign: 1\n"
+        "bench: {torque_constant: 1, moment_arm: 0.1}\n"
+        "defaults:\n"
+        "  gravity: {zero: 0.5}\n"
+        "  channels: {time: t, angle: {column: a, scale: 2}, torque: m}\n"
+        "recordings:\n"
+        "  - {file: a.csv, gravity: {mass: 1, length: 0.2}}\n"
+        "  - {file: b.csv, gravity: null, channels: {angle: {scale: 3}, torque: n}}\n"
+    )
+    first, second = load_campaign(tmp_path / "c.yaml").value.recordings
+    assert first.gravity is not None
+    assert (first.gravity.mass, first.gravity.zero) == (1.0, 0.5)
+    assert first.channels["angle"].scale == 2
+    assert second.gravity is None
+    assert (second.channels["angle"].column, second.channels["angle"].scale) == ("a", 3.0)
+    assert second.channels["torque"].column == "n"
+    assert second.channels["time"].column == "t"
+
+
+def test_an_error_in_the_defaults_is_reported_once_where_it_stands(tmp_path: Path) -> None:
+    lines = problems(
+        tmp_path,
+        "campaign: 1\n"
+        "bench: {torque_constant: 1}\n"
+        "defaults:\n"
+        "  channels: {time: t, anlge: a, torque: m}\n"
+        "recordings: [{file: a.csv}, {file: b.csv}]\n",
+    )
+    assert lines == ["4:23: recordings[0].channels.anlge: unknown channel; did you mean 'angle'?"]
+
+
+def test_negative_weight(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, SHORT.replace("file: a.csv", "file: a.csv\n    weight_mass: -1"))
+    assert line == "5:18: recordings[0].weight_mass: input should be greater than or equal to 0 (got -1)"
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        (
+            "terms: [cogging_torque]",
+            "17: model.terms[0]: unknown effect; did you mean 'cogging'? (got \"cogging_torque\")",
+        ),
+        ("terms: [offset, backlash]", "model.terms[1]: this version cannot fit the effect 'backlash', only offset"),
+        ("terms: [gravity_imbalance]", "a known weight is declared by `gravity:` of a recording"),
+        ("terms: [offset, offset]", "model.terms: offset listed more than once"),
+        ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
+        ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),
+        ("fixed: {J: -1}", "model.fixed: must not be negative: J = -1"),
+        ("fixed: {Mc: 2, Ms: 1}", "model.fixed.Ms: static friction below Coulomb friction Mc = 2; Ms >= Mc (got 1)"),
+    ],
+)
+def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
+    (line,) = problems(tmp_path, f"{SHORT}model: {{{model}}}\n")
+    assert line.startswith("6:")
+    assert expected in line
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ("{time: 0, current: 1, angle: 2}", "{current: 1, angle: 2}", "no `time` channel and no `rate`"),
+        ("file: a.csv", "file: a.csv\n    rate: 100", "`rate` is only for files without time"),
+        ("angle: 2", "command: 2", "no `angle`, `velocity` or `motor_angle`"),
+        ("current: 1", "command: 1", "no `torque`, `current` or `voltage`"),
+        ("current: 1", "voltage: 1", "needs bench resistance and back_emf_constant (got 1)"),
+        ("file: a.csv", "file: a.csv\n    stage: loaded", "weight_mass is 0 kg and there is no `load_force`"),
+        ("file: a.csv", "file: a.csv\n    weight_mass: 30.6", "a weight in an unloaded stage"),
+        ("bench: {", "bench: {motion: linear, ", None),
+        ("file: a.csv", "file: a.csv\n    role: validate", "at least one must have role fit"),
+        ("file: a.csv", "file: []", "file"),
+        ("campaign: 1", "campaign: 2", "campaign: input should be 1 (got 2)"),
+        ("angle: 2", "angle: -2", "angle"),
+        ("angle: 2", "angle: {column: 2, scale: 0}", "a scale of zero erases the channel"),
+        ("angle: 2", "angle: {column: 2, sclae: 1}", "unknown key; did you mean 'scale'?"),
+        ("angle: 2", "angle: true", "angle"),
+        ("0.095}", "0.095, gear_ratio: 0}", "bench.gear_ratio: input should be greater than 0"),
+    ],
+)
+def test_cross_checks(tmp_path: Path, old: str, new: str, expected: str | None) -> None:
+    text = SHORT.replace(old, new)
+    assert text != SHORT
+    if expected is None:
+        (tmp_path / "c.yaml").write_text(text)
+        assert load_campaign(tmp_path / "c.yaml").value.bench.motion == "linear"
+        return
+    assert any(expected in line for line in problems(tmp_path, text))
+
+
+def test_loaded_stage_needs_the_moment_arm(tmp_path: Path) -> None:
+    loaded = SHORT.replace("file: a.csv", "file: a.csv\n    stage: loaded\n    weight_mass: 30.6")
+    (tmp_path / "c.yaml").write_text(loaded)
+    assert load_campaign(tmp_path / "c.yaml").value.recordings[0].weight_mass == 30.6
+    (line,) = problems(tmp_path, loaded.replace(", moment_arm: 0.095", ""))
+    assert line.startswith("5:12: recordings[0].stage: the loaded stage needs bench.moment_arm")
+
+
+def test_torque_and_amperes_do_not_mix(tmp_path: Path) -> None:
+    text = (
+        "campaign: 1\nbench: {}\nrecordings:\n"
+        "  - {file: a.csv, channels: {time: 0, current: 1, angle: 2}}\n"
+        "  - {file: b.csv, channels: {time: 0, torque: 1, angle: 2}}\n"
+    )
+    (line,) = problems(tmp_path, text)
+    assert "some recordings give torque and others only amperes" in line
+    assert problems(tmp_path, text.replace("{}", "{gravty: 9.81}")) == [
+        "2:9: bench.gravty: unknown key; did you mean 'gravity'?"
+    ]
+
+
+def test_a_turning_weight_on_a_linear_bench(tmp_path: Path) -> None:
+    text = SHORT.replace("bench: {", "bench: {motion: linear, ").replace(
+        "file: a.csv", "file: a.csv\n    gravity: {mass: 1, length: 1}"
+    )
+    (line,) = problems(tmp_path, text)
+    assert line.startswith("5:14: recordings[0].gravity: a turning weight on a linear bench")

@@ -1,0 +1,243 @@
+"""The recording: exact round trip, readable by the MCAP library, and robust to being cut off anywhere."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import signal
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+
+from drivers.interfaces import RawFrame
+from rig.mcap_layout import (
+    SAMPLE_TOPIC,
+    decode_frames,
+    decode_samples,
+    encode_frames,
+    encode_sample,
+    sample_descriptor,
+)
+from rig.mcap_reader import NotARecordingError, read_run
+from rig.recorder import Recorder, open_recorder
+from rig.sample import UNITS, Sample
+
+numbers = st.floats(allow_nan=True)
+samples = st.builds(
+    Sample,
+    **dict.fromkeys(Sample._fields[:13], numbers),
+    statusword=st.integers(0, 0xFFFF),
+    segment=st.integers(0, 1000),
+    fresh=st.booleans(),
+)
+frames = st.lists(
+    st.builds(
+        RawFrame,
+        time_ns=st.integers(0, 1 << 62),
+        identifier=st.integers(0, 0x7FF),
+        data=st.binary(max_size=8),
+        sent=st.booleans(),
+    ),
+    max_size=12,
+)
+
+
+def row(k: int) -> Sample:
+    return Sample(*(k * 0.001 + n for n in range(13)), statusword=0x27, segment=1, fresh=True)  # type: ignore[misc]
+
+
+def write(path: Path, count: int) -> Path:
+    recorder = open_recorder(path)
+    recorder.metadata("run", {"seed": "0"})
+    recorder.attach("bench.yaml", "application/yaml", b"bench: 1")
+    for k in range(count):
+        recorder.sample(k * 1_000_000, row(k), [RawFrame(k, 0x80, b"", True), RawFrame(k, 0x181, b"1234", False)])
+    recorder.event(count * 1_000_000, "done", stage="x")
+    recorder.close()
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("whole") / "a.mcap", 700)
+
+
+@given(st.lists(samples, max_size=5))
+def test_samples_round_trip(rows: list[Sample]) -> None:
+    columns = decode_samples(b"".join(map(encode_sample, rows)))
+    for name, column in columns.items():
+        np.testing.assert_array_equal(column, [float(getattr(r, name)) for r in rows])
+
+
+@given(frames)
+def test_frames_round_trip(seen: list[RawFrame]) -> None:
+    assert decode_frames(encode_frames(seen)) == seen
+
+
+def protobuf(data: bytes) -> list[tuple[int, bytes | int]]:
+    """Decode one protobuf message by hand: field number and content."""
+    fields: list[tuple[int, bytes | int]] = []
+    offset = 0
+
+    def varint() -> int:
+        nonlocal offset
+        value = shift = 0
+        while True:
+            byte = data[offset]
+            offset += 1
+            value |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                return value
+
+    while offset < len(data):
+        key = varint()
+        if key & 7 == 0:
+            fields.append((key >> 3, varint()))
+            continue
+        length = 8 if key & 7 == 1 else varint()
+        fields.append((key >> 3, data[offset : offset + length]))
+        offset += length
+    return fields
+
+
+def test_the_schema_describes_the_message() -> None:
+    """Decode descriptor and message independently: names and numbers must meet."""
+    ((_, file),) = protobuf(sample_descriptor())
+    assert isinstance(file, bytes)
+    parts = dict(protobuf(file))
+    assert (parts[2], parts[12]) == (b"loadrig", b"proto3")
+    message = protobuf(parts[4])  # type: ignore[arg-type]
+    assert message[0] == (1, b"Sample")
+    described = [dict(protobuf(field)) for number, field in message if number == 2]  # type: ignore[arg-type]
+    assert all((d[4], d[5]) == (1, 1) for d in described)
+    values = dict(protobuf(encode_sample(row(3))))
+    for d in described:
+        name = d[1].decode()  # type: ignore[union-attr]
+        (value,) = struct.unpack("<d", values[d[3]])  # type: ignore[arg-type, index]
+        assert value == float(getattr(row(3), name))
+    assert {d[1].decode() for d in described} == set(UNITS) == set(Sample._fields)  # type: ignore[union-attr]
+
+
+def test_the_library_reads_it(tmp_path: Path) -> None:
+    with open(write(tmp_path / "a.mcap", 250), "rb") as stream:
+        reader = make_reader(stream)
+        seen = list(reader.iter_messages(topics=[SAMPLE_TOPIC]))
+        assert [message.log_time for _, _, message in seen] == [k * 1_000_000 for k in range(250)]
+        schema, channel, _ = seen[0]
+        assert schema is not None
+        assert (schema.encoding, channel.message_encoding) == ("protobuf", "protobuf")
+        assert [a.name for a in reader.iter_attachments()] == ["bench.yaml"]
+
+
+def test_reading_back(whole: Path) -> None:
+    log = read_run(whole)
+    assert log.damage is None
+    np.testing.assert_array_equal(log.samples["time"], [row(k).time for k in range(700)])
+    assert log.events == ({"time": 0.7, "event": "done", "stage": "x"},)
+    assert log.attachments == {"bench.yaml": b"bench: 1"}
+    assert log.metadata == {"run": {"seed": "0"}}
+    assert decode_frames(log.messages["/frames"][5].data)[1] == RawFrame(5, 0x181, b"1234", False)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 1))
+def test_cut_off_anywhere(whole: Path, tmp_path: Path, share: float) -> None:
+    path = tmp_path / "cut.mcap"
+    content = whole.read_bytes()
+    path.write_bytes(content[: 8 + int(share * (len(content) - 9))])
+    log = read_run(path)
+    n = len(log.samples["time"])
+    np.testing.assert_array_equal(log.samples["time"], [row(k).time for k in range(n)])
+    assert log.damage is not None
+    assert f"{n} samples recovered" in log.damage
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 1), value=st.integers(1, 255))
+def test_a_flipped_byte_never_gives_wrong_samples(whole: Path, tmp_path: Path, share: float, value: int) -> None:
+    damaged = bytearray(whole.read_bytes())
+    damaged[min(8 + int(share * len(damaged)), len(damaged) - 1)] ^= value
+    path = tmp_path / "flipped.mcap"
+    path.write_bytes(damaged)
+    log = read_run(path)
+    times = {row(k).time for k in range(700)}
+    assert set(log.samples["time"].tolist()) <= times
+
+
+def test_zeros_at_the_end_after_a_power_cut(whole: Path, tmp_path: Path) -> None:
+    path = tmp_path / "zeros.mcap"
+    content = whole.read_bytes()
+    path.write_bytes(content[: len(content) // 2] + bytes(4096))
+    log = read_run(path)
+    assert log.damage is not None
+    assert len(log.samples["time"]) > 100
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89HDF\r\n\x1a\n"])
+def test_not_a_recording(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    with pytest.raises(NotARecordingError, match="not an MCAP recording"):
+        read_run(path)
+
+
+CHILD = """
+import sys
+from pathlib import Path
+from rig.recorder import open_recorder
+from rig.sample import Sample
+recorder = open_recorder(Path(sys.argv[1]))
+k = 0
+while True:
+    recorder.sample(k * 1_000_000, Sample(*[k * 0.001] * 13, 0x27, 1, True), [])
+    k += 1
+    if k % 10 == 0:
+        print(k, flush=True)
+"""
+
+
+def test_a_killed_writer_loses_less_than_a_fifth_of_a_second(tmp_path: Path) -> None:
+    path = tmp_path / "killed.mcap"
+    with subprocess.Popen([sys.executable, "-c", CHILD, str(path)], stdout=subprocess.PIPE, text=True) as child:
+        assert child.stdout is not None
+        for _ in itertools.takewhile(lambda line: int(line) < 1550, child.stdout):
+            pass
+        os.kill(child.pid, signal.SIGKILL)
+        written = max([1550, *(int(line) for line in child.stdout if line.endswith("\n"))])
+        child.wait()
+    log = read_run(path)
+    assert log.damage is not None
+    assert len(log.samples["time"]) > written - 200
+    np.testing.assert_array_equal(log.samples["time"], np.arange(len(log.samples["time"])) * 0.001)
+
+
+def test_a_full_disk_is_raised_and_closing_still_works() -> None:
+    """/dev/full accepts an open and refuses every write, as a full disk does."""
+    with open("/dev/full", "wb") as stream:
+        recorder = Recorder(stream)
+        with pytest.raises(OSError, match="No space left"):
+            recorder.event(0, "x")
+        recorder.close()
+        recorder.close()
+        assert stream.closed
+
+
+def fill(recorder: Recorder) -> None:
+    for k in range(99):
+        recorder.sample(k * 1_000_000, row(k), [RawFrame(k, 0x80, b"", True)] * 9)
+
+
+def test_a_full_disk_met_by_a_full_chunk() -> None:
+    with open("/dev/full", "wb", buffering=4096) as stream:
+        recorder = Recorder(stream)
+        with pytest.raises(OSError, match="No space left"):
+            fill(recorder)
+        recorder.close()

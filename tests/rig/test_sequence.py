@@ -1,0 +1,208 @@
+"""Bench and sequence files: what they command, and every way of asking for too much."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers.mock.plant import constants
+from rig.bench import load_bench
+from rig.errors import InputError
+from rig.packaged import names, resolve
+from rig.plan import Plan, make_plan
+from rig.sequence import StageSection, Tone, approach, excitation, load_sequence
+
+HEAD = "sequence: 1\nname: s\nstages:\n"
+GOOD = "tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 2"
+
+
+def plan_of(path: Path, text: str, bench: str = "practical") -> Plan:
+    path.write_text(text)
+    return make_plan(load_sequence(path), load_bench(bench))
+
+
+def problems_of(path: Path, text: str) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        plan_of(path, text)
+    return [problem.removeprefix(f"{path}:") for problem in caught.value.problems]
+
+
+@pytest.mark.parametrize("name", names("benches"))
+def test_packaged_benches_load(name: str) -> None:
+    bench = load_bench(name).value
+    assert bench.name == name
+    assert bench.mock is not None
+
+
+def test_the_literal_bench_has_the_printed_values() -> None:
+    mock = load_bench("literal").value.mock
+    assert mock is not None
+    assert (mock.motor.gear_ratio, mock.joint.inertia_kg_m2, mock.joint.omega_sf_rad_s) == (1.0, 0.000204, 0.0557)
+    assert mock.sensing.motor_counts_per_turn == mock.sensing.joint_counts_per_turn == mock.sensing.current_noise_A == 0
+
+
+def test_figure10_is_the_papers_two_cases() -> None:
+    plan = make_plan(load_sequence("figure10"), load_bench("practical"))
+    first, second = plan.stages
+    assert (first.weight_kg, first.contact_force_N) == (0.0, 0.0)
+    assert second.contact_force_N == pytest.approx(3000, rel=1e-3)
+    assert first.duration_s == second.duration_s == 20.0
+    t = np.arange(1000, 19000) * 1e-3
+    np.testing.assert_allclose(first.targets[1000:19000], math.radians(20) * np.sin(0.4 * math.pi * t), atol=1e-12)
+    assert first.targets[0] == 0.0
+    assert abs(first.targets[-1]) < 1e-6
+
+
+def test_an_unknown_name_lists_the_near_ones() -> None:
+    with pytest.raises(InputError, match="figure10"):
+        resolve("figure1", "sequences")
+
+
+def test_a_file_wins_over_a_packaged_name(tmp_path: Path) -> None:
+    path = tmp_path / "figure10"
+    path.write_text("x")
+    assert resolve(path, "sequences") == path
+
+
+stages = st.builds(
+    StageSection,
+    name=st.just("s"),
+    stage=st.just("unloaded"),
+    tones=st.lists(
+        st.builds(
+            Tone,
+            amplitude_deg=st.floats(0.1, 20),
+            frequency_Hz=st.floats(0.05, 5),
+            phase_deg=st.floats(-180, 180),
+        ),
+        min_size=1,
+        max_size=3,
+    ).map(tuple),
+    duration_s=st.just(4.0),
+    ramp_in_s=st.floats(0.5, 2),
+    ramp_out_s=st.floats(0.5, 2),
+    center_deg=st.floats(-10, 10),
+)
+
+
+@settings(deadline=None)
+@given(stages)
+def test_an_excitation_starts_and_ends_at_rest_on_its_centre(stage: StageSection) -> None:
+    targets = excitation(stage, 0.001)
+    centre = math.radians(stage.center_deg)
+    assert targets.shape == (4000,)
+    assert targets[0] == pytest.approx(centre, abs=1e-12)
+    assert targets[-1] == pytest.approx(centre, abs=1e-4)
+    amplitude = sum(math.radians(tone.amplitude_deg) for tone in stage.tones)
+    assert np.abs(targets - centre).max() <= amplitude + 1e-12
+    assert abs(targets[1] - targets[0]) / 0.001 < 0.02
+
+
+@settings(deadline=None)
+@given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.05, 2.0))
+def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float, speed: float) -> None:
+    path = np.concatenate([[start], approach(start, end, speed, 0.001)])
+    assert path[-1] == pytest.approx(end, abs=1e-12) or len(path) == 1
+    assert np.abs(np.diff(path)).max(initial=0.0) <= speed * 0.001 * (1 + 1e-9)
+    assert len(path) > 1 or start == end
+
+
+@pytest.mark.parametrize(
+    ("stage", "expected"),
+    [
+        (
+            "{name: a, stage: loaded, weight_kg: 41, TONES}",
+            ["weight_kg: above the bench limit weight_kg 40 kg", "4021 N"],
+        ),
+        ("{name: a, stage: unloaded, tones: [{amplitude_deg: 31, frequency_Hz: 0.2}], duration_s: 20}", ["31 deg"]),
+        ("{name: a, stage: unloaded, center_deg: 29, TONES}", ["33.35 deg"]),
+        ("{name: a, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 2}], duration_s: 5}", ["251.3 deg/s"]),
+        (
+            "{name: a, stage: unloaded, tones: [{amplitude_deg: 0.01, frequency_Hz: 60}], duration_s: 5}",
+            ["above 50 Hz, 20 control cycles a period"],
+        ),
+        ("{name: a, stage: unloaded, TONES, ramp_in_s: 1.5}", ["2.5 s is longer than duration_s 2 s"]),
+        ("{name: a, stage: unloaded, weight_kg: 3, TONES}", ["an unloaded stage has no weight"]),
+        ("{name: a, stage: loaded, TONES}", ["a loaded stage needs weight_kg above 0"]),
+        ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
+    ],
+)
+def test_asking_for_too_much(tmp_path: Path, stage: str, expected: list[str]) -> None:
+    problems = problems_of(tmp_path / "s.yaml", f"{HEAD}  - {stage.replace('TONES', GOOD)}\n")
+    for words in expected:
+        assert any(words in problem for problem in problems), problems
+    assert all(problem.startswith("4:") for problem in problems)
+
+
+def test_all_problems_at_once(tmp_path: Path) -> None:
+    text = f"{HEAD}  - {{name: a, stage: loaded, weight_kg: 99, {GOOD}}}\n"
+    text += "  - {name: b, stage: unloaded, tones: [{amplitude_deg: 45, frequency_Hz: 3}], duration_s: 9}\n"
+    text += "limits: {speed_deg_s: 500}\n"
+    problems = problems_of(tmp_path / "s.yaml", text)
+    assert {problem.split(":")[0] for problem in problems} == {"4", "5", "6"}
+
+
+def test_repeated_names_are_refused(tmp_path: Path) -> None:
+    stage = f"  - {{name: a, stage: unloaded, {GOOD}}}\n"
+    assert "a is used more than once" in problems_of(tmp_path / "s.yaml", HEAD + stage + stage)[0]
+
+
+def test_a_sequence_tightens_a_limit(tmp_path: Path) -> None:
+    text = f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{speed_deg_s: 50, angle_min_deg: -10}}\n"
+    plan = plan_of(tmp_path / "s.yaml", text)
+    assert plan.limits.speed == pytest.approx(math.radians(50))
+    assert plan.servo_limits.speed_rad_s == plan.limits.speed
+    assert plan.limits.angle_min == pytest.approx(math.radians(-10))
+    assert plan.limits.angle_max == pytest.approx(math.radians(30))
+
+
+@pytest.mark.parametrize(
+    "limit", ["speed_deg_s: 121", "angle_min_deg: -31", "angle_max_deg: 31", "current_A: 26", "sample_age_ms: 6"]
+)
+def test_a_sequence_may_not_loosen_a_limit(tmp_path: Path, limit: str) -> None:
+    text = f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{{limit}}}\n"
+    (problem,) = problems_of(tmp_path / "s.yaml", text)
+    assert problem.startswith("5:")
+    assert "may only tighten" in problem
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("cycle_Hz: 1000", "cycle_Hz: 300", "whole number of milliseconds"),
+        ("angle_min_deg: -30", "angle_min_deg: 40", "must be below angle_max_deg"),
+        ("    inertia_kg_m2: 0.204", "    inertia_kg_m2: -1", "joint.inertia_kg_m2 is -1"),
+        ("    Mc_N_m: 6.825", "    Mc: 6.825", "Mc"),
+        ("name: practical", "name: practical\nspeed: 3", "unknown key"),
+        ("gear_ratio: 100\n  moment", "gear_ratio: 0\n  moment", "gear_ratio"),
+    ],
+)
+def test_bad_benches(tmp_path: Path, old: str, new: str, words: str) -> None:
+    path = tmp_path / "b.yaml"
+    text = resolve("practical", "benches").read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError) as caught:
+        load_bench(path)
+    assert any(words in problem for problem in caught.value.problems), caught.value.problems
+
+
+def test_mock_without_a_machine_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "b.yaml"
+    path.write_text(resolve("practical", "benches").read_text().split("mock:  ")[0])
+    with pytest.raises(InputError, match="no 'mock' section"):
+        load_bench(path)
+
+
+def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> None:
+    """A default that changes in the plant must not silently change a packaged bench."""
+    text = resolve("practical", "benches").read_text()
+    for record in (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine):
+        for item in dataclasses.fields(record):
+            assert f"{item.name}:" in text

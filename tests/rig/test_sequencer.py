@@ -1,0 +1,319 @@
+"""The sequencer against fakes: every way out leaves the drive verified off and a readable log."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.errors import DriveFault, LinkError, StateError
+from drivers.interfaces import ServoState
+from rig.mcap_reader import read_run
+from rig.mcap_writer import McapWriter
+from rig.operator import OperatorStopError, StopButton
+from rig.phases import TRANSITIONS, Event, Phase, next_phase
+from rig.run import load_run, read_record
+from rig.sequencer import Ending
+
+
+def throw(error: BaseException) -> Callable[[], None]:
+    def action() -> None:
+        raise error
+
+    return action
+
+
+def assert_safe_and_readable(runner: Any, bench: Any, folder: Any, outcome: Any) -> None:
+    """The drive is off and that was read back; log and record on disk say how the run ended."""
+    assert not bench.drive_state.energised
+    assert outcome.safe.verified
+    assert bench.order[-1] == "state"
+    log = read_run(folder.recording)
+    assert log.damage is None
+    assert log.events[-1]["event"] == outcome.ending.value
+    record = read_record(folder.path)
+    assert record.state == outcome.ending.value
+    assert record.message == outcome.message
+    assert record.de_energised is True
+    assert len(log.samples["time"]) == record.cycles
+
+
+def test_every_illegal_transition_names_phase_and_event() -> None:
+    for phase, event in itertools.product(Phase, Event):
+        if (phase, event) in TRANSITIONS:
+            assert next_phase(phase, event) is TRANSITIONS[phase, event]
+        else:
+            with pytest.raises(ValueError, match=f"{phase.value}.*{event.value}"):
+                next_phase(phase, event)
+
+
+def test_a_whole_run(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.DONE
+    assert_safe_and_readable(runner, bench, folder, outcome)
+    assert bench.hung == [0.0, 10.0]
+    assert bench.calls["enable"] == 2
+    assert bench.calls["quick_stop"] == 0
+    assert [s.state for s in folder.record.stages] == ["done", "done"]
+    assert [s.name for s in folder.record.segments] == ["empty[1]", "empty[2]", "heavy"]
+    log = read_run(folder.recording)
+    assert [e["event"] for e in log.events] == ["prompt", "answer", "stage start", "stage end"] * 2 + ["done"]
+    assert set(np.unique(log.samples["segment"])) == {0, 1, 2, 3}
+    assert set(log.attachments) == {"bench.yaml", "sequence.yaml", "devices.json", "run.json"}
+
+
+def test_commands_never_jump(runner: Any, fake_bench: Any) -> None:
+    """From an arbitrary start angle, through both stages, no step exceeds the speed limit."""
+    bench = fake_bench(joint=-0.3)
+    runner(bench)
+    steps = np.abs(np.diff([-0.3, *bench.targets])) / runner.plan.cycle_s
+    assert steps.max() < runner.plan.limits.speed
+    assert np.abs(np.diff(bench.targets, 2)).max() / runner.plan.cycle_s**2 < 100
+
+
+def test_a_run_becomes_recordings(runner: Any, fake_bench: Any) -> None:
+    folder, _ = runner(fake_bench())
+    dataset = load_run(folder.path)
+    assert [r.name for r in dataset.recordings] == ["empty[1]", "empty[2]", "heavy"]
+    heavy = dataset.recordings[2]
+    assert (heavy.stage, heavy.weight_mass) == ("loaded", 10.0)
+    assert len(heavy.time) == 500
+    assert heavy.period == pytest.approx(0.001)
+    assert heavy.averaged == {"current", "voltage"}
+    np.testing.assert_array_equal(heavy.channels["command"], runner.plan.stages[1].targets)
+    assert heavy.contact_force == pytest.approx(10 * 10 * 9.80665)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"current_A": 26.0}, "motor current 26 A is beyond its limit 25 A"),
+        ({"velocity_rad_s": -2.2}, "joint speed 2.2 rad/s"),
+        ({"following_error_rad": 0.1}, "following error 0.1 rad"),
+        ({"temperature_C": 81.0}, "motor temperature 81 deg C"),
+        ({"current_A": float("nan")}, "motor current nan A"),
+    ],
+)
+def test_a_limit_trips_mid_motion(runner: Any, fake_bench: Any, change: dict[str, float], words: str) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: bench.overrides.update(change)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.TRIPPED
+    assert words in outcome.message
+    assert bench.calls["quick_stop"] == 1
+    assert_safe_and_readable(runner, bench, folder, outcome)
+    value = abs(next(iter(change.values())))
+    assert read_record(folder.path).trip["value"] == (None if np.isnan(value) else value)
+    # The sample that tripped it is the last one recorded, and nothing was commanded after it.
+    assert folder.record.cycles == 700
+    assert len(bench.targets) == 700
+
+
+def test_encoder_disagreement_trips_before_the_first_motion(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench(angle_error=0.05)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.TRIPPED
+    assert "encoder against drive" in outcome.message
+    assert len(bench.targets) == 1
+    assert_safe_and_readable(runner, bench, folder, outcome)
+
+
+@pytest.mark.parametrize(
+    ("verb", "count", "error"),
+    [
+        ("exchange", 1, LinkError("bus-off")),
+        ("exchange", 800, LinkError("bus-off")),
+        ("exchange", 800, DriveFault(0x8611, "following error")),
+        ("prepare", 1, StateError("no")),
+        ("write_limits", 2, LinkError("no answer")),
+        ("enable", 1, StateError("not reached")),
+        ("enable", 2, DriveFault(0x2310, "over-current")),
+        ("disable", 1, StateError("still on")),
+        ("state", 1, LinkError("no answer")),
+    ],
+)
+def test_a_device_error_anywhere(runner: Any, fake_bench: Any, verb: str, count: int, error: Exception) -> None:
+    bench = fake_bench()
+    bench.faults[verb, count] = throw(error)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert str(error) in outcome.message
+    assert_safe_and_readable(runner, bench, folder, outcome)
+
+
+@pytest.mark.parametrize(
+    ("verb", "count"),
+    [
+        ("state", 1),
+        ("prepare", 1),
+        ("encoder.prepare", 2),
+        ("write_limits", 1),
+        ("enable", 1),
+        ("enable", 2),
+        ("exchange", 1),
+        ("exchange", 30),
+        ("exchange", 300),
+        ("exchange", 1200),
+        ("set_target", 900),
+        ("disable", 1),
+        ("disable", 2),
+    ],
+)
+def test_ctrl_c_anywhere(runner: Any, fake_bench: Any, verb: str, count: int) -> None:
+    bench = fake_bench()
+    bench.faults[verb, count] = throw(KeyboardInterrupt())
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.STOPPED
+    assert_safe_and_readable(runner, bench, folder, outcome)
+
+
+def test_the_stop_button_is_seen_within_a_cycle(runner: Any, fake_bench: Any) -> None:
+    bench, stop = fake_bench(), StopButton()
+    bench.faults["exchange", 900] = stop.press
+    folder, outcome = runner(bench, stop=stop)
+    assert outcome.ending is Ending.STOPPED
+    assert len(bench.targets) == 900
+    assert_safe_and_readable(runner, bench, folder, outcome)
+
+
+def test_the_operator_gives_up_at_the_second_prompt(runner: Any, fake_bench: Any) -> None:
+    class GivesUp:
+        def confirm_weight(self, stage: str, weight_kg: float) -> float:
+            if weight_kg:
+                raise OperatorStopError("stopped at the weight prompt")
+            return weight_kg
+
+    bench = fake_bench()
+    folder, outcome = runner(bench, operator=GivesUp())
+    assert outcome.ending is Ending.STOPPED
+    assert bench.hung == [0.0]
+    assert [s.state for s in folder.record.stages] == ["done", "running"]
+    assert_safe_and_readable(runner, bench, folder, outcome)
+    assert len(load_run(folder.path).recordings) == 2
+
+
+def test_lost_answers_trip_after_the_sample_age(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: setattr(bench, "fresh", False)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert "sample age" in outcome.message
+    assert folder.record.stale == folder.record.cycles - 699 == 6
+    assert_safe_and_readable(runner, bench, folder, outcome)
+
+
+def test_a_few_lost_answers_are_left_out_of_the_recording(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: setattr(bench, "fresh", False)
+    bench.faults["exchange", 703] = lambda: setattr(bench, "fresh", True)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.DONE
+    short = [r for r in load_run(folder.path).recordings if r.notes]
+    assert [len(r.time) for r in short] == [497]
+    assert "3 samples left out" in short[0].notes[0]
+
+
+def test_a_drive_that_drops_out_is_a_device_failure(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: setattr(bench, "drive_state", ServoState.FAULT)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert "0218h is not OPERATION ENABLED" in outcome.message
+    assert not bench.drive_state.energised
+    assert outcome.safe.verified
+
+
+@pytest.mark.parametrize("nth", [3, 8, 20])
+def test_a_full_disk(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, nth: int) -> None:
+    """Out of space at the n-th flush after the run's head: stopped, safe, and what got through reads back."""
+    flush, calls = McapWriter.flush, itertools.count()
+
+    def full(self: McapWriter) -> None:
+        if next(calls) >= 8 + nth:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        flush(self)
+
+    monkeypatch.setattr(McapWriter, "flush", full)
+    bench = fake_bench()
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert "No space left on device" in outcome.message
+    assert "free disk space" in outcome.message
+    assert not bench.drive_state.energised
+    assert outcome.safe.verified
+    log = read_run(folder.recording)
+    assert log.damage is not None
+    assert folder.record.cycles - len(log.samples["time"]) <= 101
+
+
+def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = throw(ZeroDivisionError("a defect"))
+    with pytest.raises(ZeroDivisionError):
+        runner(bench)
+    assert bench.drive_state is ServoState.SWITCH_ON_DISABLED
+    assert bench.order[-1] == "state"
+    assert read_run(runner.folder / "recording.mcap").damage is None
+    assert read_record(runner.folder).state == "failed"
+
+
+def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench(overrides={"stuck": True})
+    bench.faults["quick_stop", 1] = throw(LinkError("gone"))
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert not outcome.safe.verified
+    assert "could NOT be verified" in outcome.message
+    assert "main supply" in outcome.message
+    assert folder.record.de_energised is False
+
+
+def test_equal_runs_give_equal_samples(runner: Any, fake_bench: Any) -> None:
+    first, _ = runner(fake_bench())
+    one = read_run(first.recording)
+    first.recording.unlink()
+    second, _ = runner(fake_bench())
+    two = read_run(second.recording)
+    assert one.messages == two.messages
+
+
+class Pacer:
+    """A real clock that nobody has to wait for."""
+
+    def __init__(self) -> None:
+        self.now = 7_000_000_000
+        self.deadlines: list[int] = []
+
+    def now_ns(self) -> int:
+        return self.now
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        self.now = max(self.now, deadline_ns)
+        self.deadlines.append(deadline_ns)
+
+
+def test_real_time_holds_every_cycle_to_its_instant(runner: Any, fake_bench: Any) -> None:
+    """Prompts and state changes take no simulated time; each stage starts its own real-time grid."""
+    pacer = Pacer()
+    folder, outcome = runner(fake_bench(pacer=pacer))
+    assert outcome.ending is Ending.DONE
+    assert len(pacer.deadlines) == folder.record.cycles
+    assert set(np.diff(pacer.deadlines)) == {1_000_000, 0}
+    assert pacer.deadlines.count(pacer.deadlines[0]) == 1
+
+
+def test_a_late_cycle_is_counted_and_not_made_up_for(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_500_000)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.DONE
+    assert folder.record.overruns == 1
+    steps = np.diff(read_run(folder.recording).samples["time"])
+    # A cycle, the late one, and the step from one stage to the next.
+    assert set(np.round(steps, 6)) == {0.001, 0.0039, 0.0004}
+    assert np.count_nonzero(np.round(steps, 6) == 0.0039) == 1

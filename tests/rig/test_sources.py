@@ -1,0 +1,368 @@
+"""Campaigns on synthetic files: what is mended and noted, what is refused and where."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+
+from identification.recording import Array, Dataset, Recording
+from rig.errors import InputError
+from rig.sources import load_source
+
+N = 2000
+PERIOD = 0.001
+Columns = dict[str, Array]
+
+
+def motion() -> Columns:
+    """A sine of 1 Hz driven against viscous friction; torque in N m."""
+    time = np.arange(N) * PERIOD
+    angle = np.sin(2 * np.pi * time)
+    velocity = 2 * np.pi * np.cos(2 * np.pi * time)
+    return {"t": time, "a": angle, "w": velocity, "m": 3.0 * velocity}
+
+
+def write_csv(path: Path, columns: Columns) -> None:
+    table = np.column_stack(list(columns.values()))
+    np.savetxt(path, table, delimiter=",", header=",".join(columns), comments="", fmt="%.9g")
+
+
+CHANNELS = "{time: t, angle: a, torque: m}"
+
+
+def campaign(folder: Path, *recordings: str, extra: str = "") -> Path:
+    path = folder / "campaign.yaml"
+    listed = "".join(f"  - {item}\n" for item in recordings or ("file: a.csv",))
+    path.write_text(
+        f"campaign: 1\nbench: {{moment_arm: 0.1}}\ndefaults: {{channels: {CHANNELS}}}\nrecordings:\n{listed}{extra}"
+    )
+    return path
+
+
+def load(folder: Path, change: Callable[[Columns], object], *recordings: str) -> tuple[Recording, ...]:
+    columns = motion()
+    change(columns)
+    write_csv(folder / "a.csv", columns)
+    return load_source(campaign(folder, *recordings)).recordings
+
+
+def problems(folder: Path, change: Callable[[Columns], object], *recordings: str) -> list[str]:
+    with pytest.raises(InputError) as caught:
+        load(folder, change, *recordings)
+    return list(caught.value.problems)
+
+
+def put(name: str, rows: slice | list[int], value: float) -> Callable[[Columns], object]:
+    def change(columns: Columns) -> None:
+        columns[name][rows] = value
+
+    return change
+
+
+def nothing(columns: Columns) -> None:
+    del columns
+
+
+def test_a_clean_file_is_passed_through(tmp_path: Path) -> None:
+    (recording,) = load(tmp_path, nothing)
+    assert recording.notes == ()
+    assert recording.name == "a"
+    assert recording.sha256 == hashlib.sha256((tmp_path / "a.csv").read_bytes()).hexdigest()
+    np.testing.assert_allclose(recording.channels["torque"], motion()["m"], rtol=1e-8)
+    assert set(recording.channels) == {"time", "angle", "torque"}
+
+
+def test_scale_offset_rate_and_average(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", motion())
+    item = (
+        "{file: a.csv, stage: loaded, weight_mass: 30.6, rate: 500, "
+        "channels: {angle: {scale: 2, column: a, offset: 0.5}, torque: {average: true, column: 3}}}"
+    )
+    path = campaign(tmp_path, item)
+    path.write_text(
+        path.read_text()
+        .replace("time: t, ", "")
+        .replace("angle: a, torque: m", "angle: {column: a}, torque: {column: m}")
+    )
+    (recording,) = load_source(path).recordings
+    np.testing.assert_allclose(recording.channels["angle"], 2 * motion()["a"] + 0.5, atol=1e-8)
+    np.testing.assert_array_equal(recording.time, np.arange(N) / 500)
+    assert recording.averaged == {"torque"}
+    assert recording.contact_force == pytest.approx(10 * 30.6 * 9.80665)
+
+
+def test_missing_column_lists_what_is_there(tmp_path: Path) -> None:
+    lines = problems(tmp_path, nothing, "{file: a.csv, channels: {angle: aa, velocity: 9, torque: zzz}}")
+    assert len(lines) == 3
+    assert lines[0].startswith(f"{tmp_path}/campaign.yaml:5:37: recordings[0].channels.angle: no such column in ")
+    assert "did you mean 'a'? columns are t, a, w, m (got \"aa\")" in lines[0]
+    assert "recordings[0].channels.torque: no such column in" in lines[1]
+    assert lines[1].endswith('columns are t, a, w, m (got "zzz")')
+    assert "has 4 columns, index 0 to 3 (got 9)" in lines[2]
+
+
+def test_nan_in_time(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, put("t", [7, 9], np.nan))
+    assert line.startswith(f"{tmp_path}/a.csv:9: time is not a number in 2 rows")
+
+
+def test_isolated_nan_is_interpolated_and_noted(tmp_path: Path) -> None:
+    (recording,) = load(tmp_path, put("a", [10, 11, 500, N - 1], np.nan))
+    assert recording.notes == ("`angle`: 4 missing samples interpolated",)
+    np.testing.assert_allclose(recording.channels["angle"], motion()["a"], atol=0.01)
+
+
+@pytest.mark.parametrize(("run", "refused"), [(5, False), (6, True)])
+def test_the_longest_run_that_is_interpolated(tmp_path: Path, run: int, refused: bool) -> None:
+    change = put("m", slice(100, 100 + run), np.nan)
+    if not refused:
+        assert load(tmp_path, change)[0].notes == (f"`torque`: {run} missing samples interpolated",)
+        return
+    (line,) = problems(tmp_path, change)
+    assert line.startswith(f"{tmp_path}/a.csv:102: `torque`: 6 of 2000 samples are missing, the longest run 6")
+
+
+@pytest.mark.parametrize(("step", "refused"), [(20, False), (19, True)])
+def test_the_largest_share_that_is_interpolated(tmp_path: Path, step: int, refused: bool) -> None:
+    change = put("m", slice(0, N, step), np.inf)
+    if refused:
+        assert "106 of 2000 samples are missing" in problems(tmp_path, change)[0]
+    else:
+        assert load(tmp_path, change)[0].notes == ("`torque`: 100 missing samples interpolated",)
+
+
+def test_several_bad_channels_and_files_are_all_reported(tmp_path: Path) -> None:
+    write_csv(tmp_path / "b.csv", {**motion(), "t": np.full(N, np.nan)})
+
+    def change(columns: Columns) -> None:
+        columns["a"][50:100] = np.nan
+        columns["m"][60:100] = np.nan
+
+    lines = problems(tmp_path, change, "file: a.csv", "file: b.csv", "file: c.csv")
+    assert len(lines) == 4
+    assert [line.split(": ")[0] for line in lines[1:]] == [
+        f"{tmp_path}/a.csv:52",
+        f"{tmp_path}/a.csv:62",
+        f"{tmp_path}/b.csv:2",
+    ]
+    assert "recordings[2].file: no such file in" in lines[0]
+
+
+def test_time_backwards(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, put("t", [1000], 0.5))
+    assert line.startswith(f"{tmp_path}/a.csv:1002: time runs backwards, from 0.999 to 0.5 s")
+
+
+def repeat(count: int) -> Callable[[Columns], object]:
+    def change(columns: Columns) -> None:
+        rows = 1 + 2 * np.arange(count)
+        columns["t"][rows] = columns["t"][rows - 1]
+
+    return change
+
+
+def test_repeated_stamps(tmp_path: Path) -> None:
+    (recording,) = load(tmp_path, repeat(20))
+    assert recording.notes[0] == "20 samples with a repeated time stamp dropped"
+    assert len(recording.time) == N - 20
+    np.testing.assert_allclose(recording.channels["angle"], np.sin(2 * np.pi * recording.time), atol=1e-6)
+    (line,) = problems(tmp_path, repeat(21))
+    assert line.startswith(f"{tmp_path}/a.csv:3: 21 repeated time stamps (1.1 % of the rows, at most 1 %)")
+
+
+def shift(*starts: int) -> Callable[[Columns], object]:
+    def change(columns: Columns) -> None:
+        for start in starts:
+            columns["t"][start:] += 1.0
+
+    return change
+
+
+def test_gaps_split_and_short_stretches_go(tmp_path: Path) -> None:
+    first, second = load(tmp_path, shift(600, 649))
+    assert (first.name, second.name) == ("a[1]", "a[2]")
+    assert (len(first.time), len(second.time)) == (600, N - 649)
+    assert first.notes == second.notes
+    assert first.notes == (
+        "2 gaps, the longest 1.001 s: split into 3 stretches",
+        "1 stretches shorter than 50 samples dropped (49 samples)",
+    )
+    assert [r.name for r in load(tmp_path, shift(600, 650))] == ["a[1]", "a[2]", "a[3]"]
+
+
+def test_nothing_but_gaps(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, shift(*range(40, N, 40)))
+    assert line.startswith(f"{tmp_path}/a.csv:42: 49 gaps leave no stretch of 50 samples")
+
+
+def test_uneven_sampling_keeps_its_stamps(tmp_path: Path) -> None:
+    def jitter(columns: Columns) -> None:
+        columns["t"] += np.random.default_rng(3).uniform(-2e-4, 2e-4, N)
+
+    (recording,) = load(tmp_path, jitter)
+    (note,) = recording.notes
+    assert note.startswith("uneven sampling kept as recorded: median period 0.001")
+    assert np.ptp(np.diff(recording.time)) > 1e-4
+
+
+def test_milliseconds_are_suspected(tmp_path: Path) -> None:
+    def milliseconds(columns: Columns) -> None:
+        columns["t"] *= 5000
+
+    (recording,) = load(tmp_path, milliseconds)
+    assert "set its scale to 0.001" in recording.notes[0]
+
+
+def test_constant_channel_is_noted(tmp_path: Path) -> None:
+    (recording,) = load(tmp_path, nothing, "{file: a.csv, channels: {temperature: {column: m, scale: 1e-300}}}")
+    assert recording.notes == ()
+    (recording,) = load(tmp_path, put("w", slice(None), 21.0), "{file: a.csv, channels: {temperature: w}}")
+    assert recording.notes == ("`temperature` is constant (21)",)
+
+
+def test_slow_channel_is_filled_whatever_its_rate(tmp_path: Path) -> None:
+    def sparse(columns: Columns) -> None:
+        columns["w"] = np.where(np.arange(N) % 100 == 0, 20 + columns["t"], np.nan)
+
+    (recording,) = load(tmp_path, sparse, "{file: a.csv, channels: {temperature: w}}")
+    assert recording.notes == ("`temperature`: 1980 missing samples interpolated",)
+    np.testing.assert_allclose(recording.channels["temperature"][:1901], 20 + recording.time[:1901])
+
+
+def test_voltage_is_missing_by_right_while_the_power_is_off(tmp_path: Path) -> None:
+    def off(columns: Columns) -> None:
+        columns["on"] = np.ones(N)
+        columns["on"][500:900] = 0
+        columns["u"] = columns["m"].copy()
+        columns["u"][500:900] = np.nan
+        columns["u"][1200] = np.nan
+
+    item = "{file: a.csv, channels: {voltage: u, enabled: 'on'}}"
+    (recording,) = load(tmp_path, off, item)
+    assert recording.notes == ("`voltage`: 1 missing samples interpolated",)
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(recording.channels["voltage"])), np.arange(500, 900))
+    (line,) = problems(tmp_path, off, "{file: a.csv, channels: {voltage: u}}")
+    assert line.startswith(f"{tmp_path}/a.csv:502: `voltage`: 401 of 2000 samples are missing")
+    assert "say so with an `enabled` channel" in line
+    (line,) = problems(tmp_path, lambda c: (off(c), put("on", [3], np.nan)(c)), item)
+    assert line.startswith(f"{tmp_path}/a.csv:5: `enabled` is missing in 1 rows")
+
+
+def flip(name: str) -> Callable[[Columns], object]:
+    def change(columns: Columns) -> None:
+        columns[name] *= -1
+
+    return change
+
+
+def test_torque_of_the_wrong_sign(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, flip("m"))
+    assert line.startswith(f"{tmp_path}/a.csv: `torque` opposes the motion (correlation -1.00")
+    assert "negate the scale of `torque` or of `angle`" in line
+    (recording,) = load(tmp_path, flip("m"), "{file: a.csv, channels: {torque: {column: m, scale: -1}}}")
+    assert recording.channels["torque"][0] > 0
+    assert load(tmp_path, flip("m"), "{file: a.csv, gravity: {mass: 1, length: 1}}")
+
+
+def test_inertia_and_a_weak_opposition_are_not_mistaken_for_a_wrong_sign(tmp_path: Path) -> None:
+    def inertial(columns: Columns) -> None:
+        columns["m"] = -20 * columns["a"] - 0.2 * columns["w"]
+
+    assert load(tmp_path, inertial)[0].notes == ()
+
+
+def test_sign_is_seen_through_encoder_steps(tmp_path: Path) -> None:
+    def coarse(columns: Columns) -> None:
+        columns["a"] = np.round(columns["a"], 2)
+        columns["m"] *= -1
+
+    assert "opposes the motion" in problems(tmp_path, coarse)[0]
+
+
+def test_velocity_against_angle(tmp_path: Path) -> None:
+    (line,) = problems(tmp_path, flip("w"), "{file: a.csv, channels: {velocity: w}}")
+    assert "`velocity` runs against `angle` (correlation -1.00)" in line
+
+
+def test_motor_angle_against_angle(tmp_path: Path) -> None:
+    item = "{file: a.csv, channels: {motor_angle: {column: w, scale: 1}}}"
+
+    def geared(factor: float) -> Callable[[Columns], object]:
+        def change(columns: Columns) -> None:
+            columns["w"] = factor * columns["a"]
+
+        return change
+
+    assert load(tmp_path, geared(1.04), item)[0].notes == ()
+    assert load(tmp_path, geared(1.06), item)[0].notes == ("motor_angle / angle is 1.06, bench.gear_ratio says 1",)
+    assert "`motor_angle` runs against `angle`" in problems(tmp_path, geared(-1), item)[0]
+
+
+def test_globs_names_and_roles(tmp_path: Path) -> None:
+    for folder in ("one", "two"):
+        (tmp_path / folder).mkdir()
+        write_csv(tmp_path / folder / "a.csv", motion())
+        write_csv(tmp_path / folder / f"b[{folder}].csv", motion())
+    data = load_source(campaign(tmp_path, "file: '*/a.csv'", "{file: ['one/b[one].csv', 'two/b*'], role: validate}"))
+    assert [r.name for r in data.part("fit")] == ["one/a", "two/a"]
+    assert [r.name for r in data.part("validate")] == ["b[one]", "b[two]"]
+    with pytest.raises(InputError, match=r"recordings\[1\]\.file: .*one/a\.csv is used both to fit and to validate"):
+        load_source(campaign(tmp_path, "file: '*/a.csv'", "{file: one/a.csv, role: validate}"))
+    with pytest.raises(
+        InputError, match=r"recordings\[0\]\.file: no file matches this pattern in .* \(got \"\*\.mat\"\)"
+    ):
+        load_source(campaign(tmp_path, "file: '*.mat'"))
+    with pytest.raises(InputError, match=r"one is a folder"):
+        load_source(campaign(tmp_path, "file: one"))
+    (tmp_path / "a.xlsx").write_text("x")
+    with pytest.raises(InputError, match=r"a\.xlsx: unknown format; readable are csv, tsv, txt, mat"):
+        load_source(campaign(tmp_path, "file: a.xlsx"))
+
+
+def test_a_run_folder_goes_to_its_own_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "run.json").write_text("{}")
+    loaded = Dataset(())
+    monkeypatch.setattr("rig.run.load_run", lambda folder: loaded if folder == tmp_path else None)
+    assert load_source(tmp_path) is loaded
+
+
+def test_sources_that_are_none(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a folder without run\.json"):
+        load_source(tmp_path)
+    (tmp_path / "a.csv").write_text("1,2\n")
+    with pytest.raises(InputError, match="describe recordings made elsewhere in a campaign file"):
+        load_source(tmp_path / "a.csv")
+    with pytest.raises(InputError, match=r"no such file; a source is a run folder or a campaign file$"):
+        load_source(tmp_path / "b.mcap")
+    with pytest.raises(InputError, match="no such file"):
+        load_source(tmp_path / "b.yaml")
+
+
+def test_arrays_of_different_length(tmp_path: Path) -> None:
+    columns = motion()
+    scipy.io.savemat(tmp_path / "a.mat", {**columns, "m": columns["m"][:-1]})
+    with pytest.raises(InputError, match=r"channels differ in length: time 2000, angle 2000, torque 1999"):
+        load_source(campaign(tmp_path, "file: a.mat"))
+
+
+def test_rows_of_an_array_file_are_counted_from_one(tmp_path: Path) -> None:
+    columns = motion()
+    columns["t"][4] = 0
+    np.savez(tmp_path / "a.npz", **columns)
+    with pytest.raises(InputError, match=r"a\.npz: row 5: time runs backwards"):
+        load_source(campaign(tmp_path, "file: a.npz"))
+
+
+@pytest.mark.parametrize(("samples", "refused"), [(50, False), (49, True)])
+def test_the_shortest_recording(tmp_path: Path, samples: int, refused: bool) -> None:
+    write_csv(tmp_path / "a.csv", {name: values[:samples] for name, values in motion().items()})
+    if refused:
+        with pytest.raises(InputError, match="only 49 samples; at least 50 are needed"):
+            load_source(campaign(tmp_path))
+    else:
+        assert len(load_source(campaign(tmp_path)).recordings[0].time) == samples

@@ -1,0 +1,301 @@
+"""Each reader on files as tools write them, and on files that are broken."""
+
+from __future__ import annotations
+
+import gzip
+import importlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from mcap.writer import Writer
+
+from rig.campaign import ReadSection
+from rig.errors import InputError
+from rig.sources.arrays import MatTable, NpzTable
+from rig.sources.delimited import DelimitedTable
+from rig.sources.formats import open_table
+from rig.sources.logs import McapTable
+from rig.sources.parquet import ParquetTable
+from rig.sources.table import format_of, sha256
+
+PLAIN = ReadSection()
+
+
+def delimited(folder: Path, text: str | bytes, options: ReadSection = PLAIN, name: str = "a.csv") -> DelimitedTable:
+    path = folder / name
+    raw = text if isinstance(text, bytes) else text.encode()
+    path.write_bytes(gzip.compress(raw) if name.endswith(".gz") else raw)
+    return DelimitedTable(path, options)
+
+
+@pytest.mark.parametrize("name", ["a.csv", "a.csv.gz", "a.txt", "dir with space.tsv"])
+@pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"])
+def test_header_and_delimiter_are_found(tmp_path: Path, delimiter: str, name: str) -> None:
+    lines = [["t", "x y", "z"], ["0", "1", "2"], ["0.5", "-1e3", "nan"]]
+    table = delimited(tmp_path, "\n".join(delimiter.join(cells) for cells in lines), name=name)
+    assert table.names == ("t", "x y", "z")
+    z, t, x = table.read([2, 0, 1])
+    np.testing.assert_array_equal(t, [0, 0.5])
+    np.testing.assert_array_equal(x, [1, -1000])
+    np.testing.assert_array_equal(z, [2, np.nan])
+
+
+VENDOR = (
+    "Date:;2020-07-08\r\n"
+    '"Trigger:;0;""Parameter values"";""Channel 1"""\r\n'
+    "\r\n"
+    "ms;rpm;%\r\n"
+    "0.000;-10;-32.0\r\n"
+    "51.200;-10;-32.6,,\r\n"
+    '"102.400;-11;-33.0"\r\n'
+    '"153.600";"-11";"-33.5"\r\n'
+    "204.800;;-34.0;;\r\n"
+    "\r\n"
+    "256.000;-12;n/a\r\n"
+)
+
+
+def test_a_vendor_export_with_quoted_rows_commas_and_empty_cells(tmp_path: Path) -> None:
+    table = delimited(tmp_path, VENDOR, ReadSection(delimiter=";", skip_rows=2))
+    assert table.names == ("ms", "rpm", "%")
+    time, speed, torque = table.read([0, 1, 2])
+    np.testing.assert_array_equal(time, [0, 51.2, 102.4, 153.6, 204.8, 256])
+    np.testing.assert_array_equal(speed, [-10, -10, -11, -11, np.nan, -12])
+    np.testing.assert_array_equal(torque, [-32, -32.6, -33, -33.5, -34, np.nan])
+    assert [table.place(row).rsplit(":", 1)[1] for row in (0, 4, 5)] == ["5", "9", "11"]
+
+
+def test_without_header_only_indices(tmp_path: Path) -> None:
+    table = delimited(tmp_path, VENDOR, ReadSection(skip_rows=4))
+    assert table.names == ("", "", "")
+    assert table.notes == ()
+    assert table.read([0])[0][1] == 51.2
+    (note,) = delimited(tmp_path, VENDOR, ReadSection(skip_rows=5)).notes
+    assert "the last skipped line already holds numbers" in note
+
+
+@pytest.mark.parametrize(
+    "raw", [b"t,\xb0C\n1,2\n3,4\n", b"\xef\xbb\xbft,\xc2\xb0C\n1,2\n3,4\n", b"# t,\xc2\xb0C\r\n1,2\r\n3,4"]
+)
+def test_encodings_of_the_header(tmp_path: Path, raw: bytes) -> None:
+    table = delimited(tmp_path, raw)
+    assert table.names == ("t", "°C")
+    np.testing.assert_array_equal(table.read([1])[0], [2, 4])
+
+
+@pytest.mark.parametrize(
+    ("bad", "expected"),
+    [
+        ("0.4,oops,1", "a.csv:402: column 'b' is not a number (got 'oops'); repair or remove the line"),
+        ("0.4,1_000,1", "a.csv:402: column 'b' is not a number (got '1_000')"),
+        ("0.4", "a.csv:402: 1 columns, but column 'b' is needed (got '0.4')"),
+        ("0.4,2020-07-08 21:24:28,1", "column 'b' is not a number (got '2020-07-08 21:24:28')"),
+        ("0.4,\x00\x01,1", "column 'b' is not a number"),
+    ],
+)
+def test_one_bad_line_is_named(tmp_path: Path, bad: str, expected: str) -> None:
+    rows = [f"{k / 1000},{k},{-k}" for k in range(1000)]
+    rows[400] = bad
+    table = delimited(tmp_path, "a,b,c\n" + "\n".join(rows))
+    assert len(table.read([0])[0]) == 1000
+    with pytest.raises(InputError) as caught:
+        table.read([0, 1])
+    assert expected in str(caught.value)
+
+
+def test_a_units_line_below_the_header_suggests_skip_rows(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\); skip header lines"):
+        delimited(tmp_path, "t,x\ns,m\n0,1\n").read([0])
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "expected"),
+    [
+        ("", PLAIN, "the file is empty"),
+        ("\n\n", PLAIN, "the file is empty"),
+        ("a,b\n1,2\n", ReadSection(skip_rows=5), "the file is empty after the 5 skipped lines"),
+        ("a,b\n\n", PLAIN, "no rows of numbers below line 1"),
+    ],
+)
+def test_nothing_to_read(tmp_path: Path, text: str, options: ReadSection, expected: str) -> None:
+    with pytest.raises(InputError, match=expected):
+        delimited(tmp_path, text, options).read([0])
+
+
+def test_a_cut_gzip_file(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv.gz"
+    rows = "".join(f"{value}\n" for value in np.random.default_rng(1).random(5000))
+    path.write_bytes(gzip.compress(f"x\n{rows}".encode())[:-5000])
+    with pytest.raises(InputError, match=r"cannot be read .*; check that it was copied whole"):
+        DelimitedTable(path, PLAIN).read([0])
+    path.write_bytes(b"not gzip at all")
+    with pytest.raises(InputError, match="cannot be read"):
+        DelimitedTable(path, PLAIN)
+
+
+@settings(deadline=None)
+@given(
+    arrays(np.float64, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(allow_infinity=False)),
+    st.sampled_from([",", ";", "\t"]),
+    st.booleans(),
+)
+def test_written_numbers_come_back_exactly(
+    tmp_path_factory: pytest.TempPathFactory, values: np.ndarray, delimiter: str, quoted: bool
+) -> None:
+    quote = '"' if quoted else ""
+    header = delimiter.join(f"c{k}" for k in range(values.shape[1]))
+    rows = [delimiter.join(f"{quote}{float(v)!r}{quote}" for v in row) for row in values]
+    table = delimited(tmp_path_factory.mktemp("csv"), "\n".join([header, *rows]), ReadSection(delimiter=delimiter))
+    read = table.read(range(values.shape[1]))
+    np.testing.assert_array_equal(np.column_stack(read), values)
+
+
+@settings(deadline=None)
+@given(st.binary(max_size=200))
+def test_any_bytes_are_numbers_or_an_input_error(tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
+    folder = tmp_path_factory.mktemp("raw")
+    try:
+        table = delimited(folder, raw)
+        values = table.read(range(len(table.names)))
+    except InputError as error:
+        values = []
+        assert str(folder) in str(error)  # noqa: PT017 - either outcome is right, this is about its words
+    assert all(value.ndim == 1 for value in values)
+
+
+def write_mcap(path: Path, messages: list[tuple[str, int, bytes]], encoding: str = "json") -> None:
+    with path.open("wb") as stream:
+        writer = Writer(stream)
+        writer.start()
+        schema = writer.register_schema("s", "jsonschema", b"{}")
+        channels = {t: writer.register_channel(t, encoding, schema) for t in dict.fromkeys(m[0] for m in messages)}
+        for topic, when, data in messages:
+            writer.add_message(channels[topic], when, data, when)
+        writer.finish()
+
+
+TIME = np.arange(6) * 0.1
+VALUE = np.array([1.0, -2.0, 3.5, 0.0, 7.0, 9.0])
+
+
+def test_mat_in_any_orientation(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    both = np.vstack([TIME, VALUE])
+    scipy.io.savemat(
+        path,
+        {"row": TIME[None, :], "column": VALUE[:, None], "wide": both, "tall": both.T, "one": 3.0, "text": "abc",
+         "count": np.arange(6, dtype=np.uint8)},
+    )  # fmt: skip
+    table = MatTable(path)
+    assert set(table.names) == {"row", "column", "wide[0]", "wide[1]", "tall[0]", "tall[1]", "count"}
+    columns = dict(zip(table.names, table.read(range(len(table.names))), strict=True))
+    for name in ("row", "wide[0]", "tall[0]"):
+        np.testing.assert_array_equal(columns[name], TIME)
+    for name in ("column", "wide[1]", "tall[1]"):
+        np.testing.assert_array_equal(columns[name], VALUE)
+    assert columns["count"].dtype == np.float64
+    compressed = tmp_path / "a.mat.gz"
+    compressed.write_bytes(gzip.compress(path.read_bytes()))
+    assert set(open_table(compressed, PLAIN).names) == set(table.names)
+
+
+def test_mat_that_is_hdf5_broken_or_complex(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    header = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(116) + bytes(8) + b"\x00\x02IM"
+    path.write_bytes(header + bytes(384) + b"\x89HDF\r\n\x1a\n" + bytes(500))
+    with pytest.raises(InputError, match=r"v7\.3 \(HDF5\) is not read; .*'-v7'"):
+        MatTable(path)
+    path.write_bytes(b"garbage" * 40)
+    with pytest.raises(InputError, match="cannot be read"):
+        MatTable(path)
+    path.write_bytes(b"")
+    with pytest.raises(InputError, match="cannot be read"):
+        MatTable(path)
+    scipy.io.savemat(path, {"x": VALUE * 1j})
+    with pytest.raises(InputError, match="not real numbers"):
+        MatTable(path).read([0])
+
+
+def test_npz(tmp_path: Path) -> None:
+    path = tmp_path / "a.npz"
+    np.savez_compressed(path, t=TIME, m=np.column_stack([VALUE, -VALUE]), scalar=1.0)
+    table = NpzTable(path)
+    assert table.names == ("t", "m[0]", "m[1]")
+    np.testing.assert_array_equal(table.read([2])[0], -VALUE)
+    np.savez(path, x=np.array([object()] * 6, dtype=object))
+    with pytest.raises(InputError, match="cannot be read"):
+        NpzTable(path).read([0])
+    path.write_bytes(b"PK nothing")
+    with pytest.raises(InputError, match="without object arrays"):
+        NpzTable(path)
+
+
+def test_parquet(tmp_path: Path) -> None:
+    arrow = pytest.importorskip("pyarrow")
+    parquet = importlib.import_module("pyarrow.parquet")
+    path = tmp_path / "a.parquet"
+    stamps = arrow.array([1_700_000_000_000 + 100 * k for k in range(6)], arrow.timestamp("ms"))
+    values = arrow.array([1.0, None, 3.5, 0.0, 7.0, 9.0])
+    parquet.write_table(arrow.table({"when": stamps, "x": values, "text": ["a"] * 6, "n": list(range(6))}), path)
+    table = ParquetTable(path)
+    assert table.names == ("when", "x", "text", "n")
+    time, x, n = table.read([0, 1, 3])
+    np.testing.assert_allclose(time, TIME, atol=1e-9)
+    np.testing.assert_array_equal(x, [1, np.nan, 3.5, 0, 7, 9])
+    np.testing.assert_array_equal(n, np.arange(6))
+    with pytest.raises(InputError, match="column 'text' is not numbers"):
+        table.read([2])
+    path.write_bytes(b"PAR1")
+    with pytest.raises(InputError, match="cannot be read"):
+        ParquetTable(path)
+
+
+def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(name: str) -> object:
+        raise ImportError(name)
+
+    monkeypatch.setattr("rig.sources.parquet.importlib.import_module", refuse)
+    with pytest.raises(InputError, match=r"pip install loadrig\[parquet\]"):
+        ParquetTable(tmp_path / "a.parquet")
+
+
+def test_mcap_json(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    messages = [
+        ("/drive", 10**18 + k * 10**8, json.dumps({"x": v, "in": {"on": k > 2}, "id": "d"}).encode())
+        for k, v in enumerate(VALUE)
+    ]
+    write_mcap(path, [*messages, ("/other", 10**18, b'{"y": 1}')])
+    table = McapTable(path)
+    assert table.names == ("/drive.x", "/drive.in.on", "/drive.log_time", "/other.y", "/other.log_time")
+    x, on, time = table.read([0, 1, 2])
+    np.testing.assert_array_equal(x, VALUE)
+    np.testing.assert_array_equal(on, [0, 0, 0, 1, 1, 1])
+    np.testing.assert_allclose(time, TIME, atol=1e-6)
+    with pytest.raises(InputError, match=r"several topics \(/drive, /other\)"):
+        table.read([0, 3])
+
+
+def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    write_mcap(path, [("/sample", 0, b"\x01")], "protobuf")
+    with pytest.raises(InputError, match=r"no JSON messages; found /sample \(protobuf\); .* opened by its folder"):
+        McapTable(path)
+    path.write_bytes(path.read_bytes()[:40])
+    with pytest.raises(InputError, match="cannot be read"):
+        McapTable(path)
+    write_mcap(path, [("/sample", 0, b"{broken")])
+    with pytest.raises(InputError, match="cannot be read"):
+        McapTable(path)
+
+
+def test_format_and_digest(tmp_path: Path) -> None:
+    assert [format_of(Path(p)) for p in ("a.CSV", "b.csv.gz", "c", "d.gz")] == ["csv", "csv", "", ""]
+    (tmp_path / "a").write_bytes(b"abc")
+    assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"

@@ -1,0 +1,129 @@
+"""The shared real recordings, read in place."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.recording import Dataset
+from rig.sources import load_source
+
+ROOT = Path(__file__).resolve().parents[2]
+RECORDINGS = ROOT.parent / "shared" / "recordings"
+CAMPAIGNS = ROOT / "tests" / "campaigns"
+
+pytestmark = pytest.mark.recordings
+
+
+@pytest.fixture(autouse=True)
+def _present() -> None:
+    if not RECORDINGS.is_dir():
+        message = f"the shared recordings are not at {RECORDINGS}"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+
+
+def write(folder: Path, text: str) -> Dataset:
+    path = folder / "campaign.yaml"
+    path.write_text(text.replace("RECORDINGS", str(RECORDINGS)))
+    return load_source(path)
+
+
+def test_emps() -> None:
+    data = load_source(CAMPAIGNS / "emps.yaml")
+    (fit,), (validate,) = data.part("fit"), data.part("validate")
+    assert data.model.terms == ("offset",)
+    assert (fit.name, validate.name) == ("DATA_EMPS", "DATA_EMPS_PULSES")
+    assert fit.bench.motion == "linear"
+    for recording in data.recordings:
+        assert len(recording.time) == 24841
+        assert recording.period == pytest.approx(1e-3, rel=1e-3)
+        assert recording.notes == ()
+    # 0.2 m of travel, and about 20 N of Coulomb friction plus 204 N s/m: the force is some tens of newtons.
+    assert 0.1 < np.ptp(fit.channels["angle"]) < 0.5
+    assert 20 < np.std(fit.channels["torque"]) < 100
+
+
+@pytest.mark.parametrize(("name", "light", "heavy"), [("to_heavy", "fit", "validate"), ("to_light", "validate", "fit")])
+def test_sts3032(name: str, light: str, heavy: str) -> None:
+    data = load_source(CAMPAIGNS / f"sts3032_{name}.yaml")
+    assert len(data.recordings) == 54
+    assert len({recording.name for recording in data.recordings}) == 54
+    for recording in data.recordings:
+        mass, length, gain, _ = recording.name.split("_", 3)
+        assert recording.pendulum is not None
+        assert recording.pendulum.mass == pytest.approx(float(mass[1:-1]) / 1000)
+        assert recording.pendulum.length == pytest.approx(float(length[1:-2]) / 1000)
+        assert recording.pendulum.zero == -0.1258
+        assert gain in ("kp08", "kp16", "kp32")
+        assert recording.role == {"m259g": light, "m457g": heavy}[mass]
+        assert recording.channels["enabled"].all()
+        assert np.isfinite(recording.channels["voltage"]).all()
+
+
+def test_every_sts3032_file_loads_and_falls_freely_while_off(tmp_path: Path) -> None:
+    data = write(
+        tmp_path,
+        "campaign: 1\n"
+        "bench: {torque_constant: 0.4934, back_emf_constant: 0.4934, resistance: 4.0916}\n"
+        "recordings:\n"
+        "  - file: RECORDINGS/sts3032_lever/m*.csv\n"
+        "    gravity: {mass: 0.3, length: 0.07}\n"
+        "    channels: {time: time_s, angle: angle_rad, enabled: torque_enabled, voltage: voltage_V}\n",
+    )
+    assert len(data.recordings) == 96
+    for recording in data.recordings:
+        off = recording.channels["enabled"] == 0
+        assert bool(off.any()) == ("lift_and_drop" in recording.name)
+        np.testing.assert_array_equal(np.isnan(recording.channels["voltage"]), off)
+
+
+@pytest.mark.parametrize(("skip_rows", "time", "torque"), [(14, "0", "2"), (13, "ms", "'%'")])
+def test_epos_exports_as_they_are(tmp_path: Path, skip_rows: int, time: str, torque: str) -> None:
+    data = write(
+        tmp_path,
+        "campaign: 1\n"
+        "bench: {}\n"
+        "defaults:\n"
+        f"  read: {{delimiter: ';', skip_rows: {skip_rows}}}\n"
+        "  channels:\n"
+        f"    time: {{column: {time}, scale: 1e-3}}\n"
+        "    velocity: {column: 1, scale: -0.10471975511965977}\n"
+        f"    torque: {{column: {torque}, scale: -9.84e-5}}\n"
+        "recordings:\n"
+        "  - file: RECORDINGS/screw_drives/driveNo*/steady_state/0.096kg/[!n]*.csv\n"
+        "  - file: RECORDINGS/screw_drives/driveNo*/steady_state/0.096kg/n[13-9]*.csv\n"
+        "  - file: RECORDINGS/screw_drives/driveNo*/steady_state/0.096kg/n2?*.csv\n"
+        "  - file: RECORDINGS/screw_drives/driveNo1/steady_state/0.096kg/n2.csv\n"
+        f"    read: {{skip_rows: {skip_rows - 2}}}\n"
+        "  - file: RECORDINGS/screw_drives/driveNo*/start_stop/*.csv\n",
+    )
+    assert len(data.recordings) == len(list((RECORDINGS / "screw_drives").rglob("*.csv")))
+    for recording in data.recordings:
+        assert len(recording.time) == 500
+        if "start_stop" not in recording.source:
+            speed = float(Path(recording.source).stem.replace("n", "-")) * np.pi / 30
+            assert np.mean(recording.channels["velocity"]) == pytest.approx(speed, rel=0.15, abs=0.1)
+
+
+def test_odrive(tmp_path: Path) -> None:
+    data = write(
+        tmp_path,
+        "campaign: 1\n"
+        "bench: {}\n"
+        "recordings:\n"
+        "  - file: RECORDINGS/odrive_cogging/*.csv\n"
+        "    channels:\n"
+        "      time: time_s\n"
+        "      current: current_A\n"
+        "      angle: {column: position_counts, scale: 7.669903939428206e-4}\n",
+    )
+    assert len(data.recordings) == 3
+    for recording in data.recordings:
+        turn = abs(recording.channels["angle"][-1] - recording.channels["angle"][0])
+        assert turn < 7
+        assert "uneven sampling" in recording.notes[0]
