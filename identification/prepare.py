@@ -27,6 +27,8 @@ POSITION_BANDWIDTH = 2.5
 """Cut-off of the filter on position over the stated bandwidth (EMPS practice: 100 Hz and 40 Hz)."""
 DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
 """Default bandwidth over the sample rate, where the encoder does not ask for less."""
+SLOW_BANDWIDTH_HZ = 20.0
+"""Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of their rate."""
 REST_SAMPLES = 6
 """Samples without any change of angle that count as rest."""
 
@@ -132,6 +134,13 @@ def torque_unit(recording: Recording) -> str:
     return "N" if recording.bench.motion == "linear" else "N m"
 
 
+def volts_per_torque(recording: Recording) -> float | None:
+    """Return the armature voltage R I of one unit of joint torque, V; None unless torque comes from the voltage."""
+    if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
+        return None
+    return recording.bench.resistance / ampere_torque(recording)
+
+
 def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     """Mark samples of stretches of at least ``samples`` in which the recorded angle does not change at all."""
     tolerance = 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0
@@ -146,13 +155,14 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
 
 
 def default_bandwidth(recording: Recording) -> float:
-    """Choose a bandwidth, Hz: 1/25 of the rate, or less where the encoder's steps would swamp the acceleration.
+    """Choose a bandwidth, Hz: 1/25 of the rate (20 Hz or a sixth of the rate where that is slow), or less where the
+    encoder's steps would swamp the acceleration.
 
     White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12) sqrt(2 b / (5 rate));
     the bandwidth keeps that below a tenth of the acceleration's own rms, estimated at the lowest bandwidth tried.
     """
     rate = 1.0 / recording.period
-    top = DEFAULT_SHARE_OF_RATE * rate
+    top = max(DEFAULT_SHARE_OF_RATE * rate, min(SLOW_BANDWIDTH_HZ, rate / 6.0))
     angle = joint_angle(recording)
     if angle is None:
         return top

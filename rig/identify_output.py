@@ -8,7 +8,7 @@ from pathlib import Path
 from identification.estimate.result import Identification
 from rig.errors import InputError
 from rig.identify import Outcome
-from rig.parameter_table import parameter_table
+from rig.parameter_table import parameter_notes, parameter_table
 from rig.report import write_report
 from rig.results import identification_record
 from rig.run import write_json
@@ -22,6 +22,7 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     cells = parameter_table(outcome.results, truth)
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
+    lines += [f"note: {line}" for line in parameter_notes(outcome.results)]
     lines += [f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings]
     return "\n".join(lines)
 

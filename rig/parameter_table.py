@@ -42,13 +42,16 @@ def parameter_table(results: Sequence[Identification], truth: Mapping[str, float
     return Table(tuple(header), tuple(rows), tuple(numbers))
 
 
+def parameter_notes(results: Sequence[Identification]) -> list[str]:
+    """Return the reasons behind the last column of :func:`parameter_table`, a line each."""
+    return [f"{r.method}: {p.name}: {p.reason}" for r in results for p in r.parameters.values() if p.reason]
+
+
 def note(parameter: Parameter) -> str:
     """Say in words what to know about an estimate beside its numbers."""
     if not parameter.identifiable:
-        return f"not identifiable: {parameter.reason}" if parameter.reason else "not identifiable"
-    if parameter.at_bound:
-        return parameter.reason or "at the bound of the search"
-    return parameter.reason
+        return "not identifiable"
+    return "at the bound of the search" if parameter.at_bound else ""
 
 
 def _error(value: float | None, true: float | None) -> str:

@@ -13,7 +13,7 @@ from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Dataset, Recording
 from rig.figures import Picture, save
-from rig.parameter_table import Table, parameter_table
+from rig.parameter_table import Table, parameter_notes, parameter_table
 from rig.results import Provenance
 from rig.tables import number, percent
 
@@ -61,6 +61,7 @@ def write_report(
         subtitle=f"Identification by the {' and the '.join(r.method for r in results)} method",
         warnings=[f"{r.method}: {w}" for r in results for w in r.warnings],
         parameters=parameter_table(results, truth),
+        parameter_notes=parameter_notes(results),
         has_truth=truth is not None,
         fits=_fit_table(results),
         stages=_stage_table(results),

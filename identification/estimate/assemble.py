@@ -22,7 +22,7 @@ from identification.estimate.result import (
     Trace,
 )
 from identification.estimate.uncertainty import Spread
-from identification.prepare import Prepared, torque_unit
+from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model
 
 WIDEST = 0.5
@@ -38,8 +38,31 @@ def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
     return units
 
 
-def errors_of(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> tuple[float, float, int]:
-    """Return (sum of squared torque errors, sum of squared torques, samples) over the used samples."""
+def fit_of(
+    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float, validate: Sequence[Prepared] = ()
+) -> Fit:
+    """Return the error over the used samples, and over those set aside.
+
+    In the unit of the torque; on a bench where only the voltage was measured, in volts: the armature voltage R I that
+    the torque error stands for.
+    """
+    first = prepared[0]
+    volts = volts_per_torque(first.recording)
+    rms, relative = _errors(prepared, values, alpha)
+    held: tuple[float | None, float | None] = _errors(validate, values, alpha) if validate else (None, None)
+    scale = 1.0 if volts is None else volts
+    return Fit(
+        unit=torque_unit(first.recording) if volts is None else "V",
+        bandwidth_Hz=first.bandwidth_Hz,
+        train_rms=scale * rms,
+        train_relative=relative,
+        validate_rms=None if held[0] is None else scale * held[0],
+        validate_relative=held[1],
+    )
+
+
+def _errors(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> tuple[float, float]:
+    """Return (rms torque error, its norm over that of the drive's torque) over the used samples."""
     error = torque = 0.0
     count = 0
     for p in prepared:
@@ -48,22 +71,7 @@ def errors_of(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: 
         error += float(residual @ residual)
         torque += float(p.drive_torque[used] @ p.drive_torque[used])
         count += int(np.sum(used))
-    return error, torque, count
-
-
-def fit_of(
-    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float, validate: Sequence[Prepared] = ()
-) -> Fit:
-    """Return the torque error over the used samples, and over those set aside."""
-
-    def both(group: Sequence[Prepared]) -> tuple[float, float]:
-        error, torque, count = errors_of(group, values, alpha)
-        return math.sqrt(error / max(count, 1)), math.sqrt(error / torque) if torque > 0.0 else 0.0
-
-    rms, relative = both(prepared)
-    held = both(validate) if validate else (None, None)
-    first = prepared[0]
-    return Fit(torque_unit(first.recording), first.bandwidth_Hz, rms, relative, held[0], held[1])
+    return math.sqrt(error / max(count, 1)), math.sqrt(error / torque) if torque > 0.0 else 0.0
 
 
 def trace_of(p: Prepared, values: Mapping[str, float], alpha: float) -> Trace:

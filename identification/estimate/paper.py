@@ -99,7 +99,6 @@ def identify_paper(
         known |= found
         parameters |= estimates
         stages += convergence
-    warnings += [f"{p.name}: {p.reason}" for p in parameters.values() if p.reason and not p.identifiable]
     pairs = [(p, _trace(p, known, alpha)) for p in prepared]
     roles = {role: [pair for pair in pairs if pair[1].role == role] for role in ("fit", "validate")}
     return Identification(

@@ -76,13 +76,14 @@ def stribeck(result: Identification, moments: Mapping[str, float]) -> Figure:
 
 
 def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) -> Figure:
-    """Deviation of the best parameters, and fitness, after every generation (Fig. 12 and 13).
+    """Deviation of the best parameters, and cost, as the search went on (Fig. 12 and 13).
 
     Args:
         stage: A search with its history.
         truth: Values to measure the deviation from; without it, from the final ones.
     """
     made, (upper, lower) = figure(2, height=6.0, sharex=True)
+    cost, count = ("cost", "evaluation") if stage.target is None else ("fitness", "generation")
     costs = stage.cost_history if stage.cost_history is not None else np.array([stage.cost])
     for color, (name, history) in zip(CYCLE, stage.parameter_history.items(), strict=False):
         reference = (truth or {}).get(name, float(history[-1]))
@@ -91,12 +92,12 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     upper.set_yscale("log")
     upper.set_ylabel(f"deviation from the {'true' if truth else 'final'} value (%)")
     legend_above(upper, 5)
-    lower.plot(_generations(costs), costs, color=BLUE, label="best fitness")
+    lower.plot(_generations(costs), costs, color=BLUE, label=f"best {cost}")
     if stage.target is not None:
         lower.axhline(stage.target, color=VERMILION, linestyle="--", label=f"target {stage.target:g} {stage.cost_unit}")
     lower.set_yscale("log")
-    lower.set_ylabel(f"fitness ({stage.cost_unit})")
-    lower.set_xlabel("generation (1)")
+    lower.set_ylabel(f"{cost} ({stage.cost_unit})")
+    lower.set_xlabel(f"{count} (1)")
     legend_above(lower, 2)
     made.suptitle(f"Convergence: {_STAGE_TITLES.get(stage.stage, stage.stage)}", fontsize=11)
     return made

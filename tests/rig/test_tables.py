@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.estimate.result import Fit, Identification, Parameter
-from rig.parameter_table import note, parameter_table
+from rig.parameter_table import note, parameter_notes, parameter_table
 from rig.tables import interval, number, percent, table
 
 CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
@@ -57,7 +57,7 @@ def test_one_method() -> None:
     made = parameter_table([result("default", Mc=MC, J=J)])
     assert made.header == ("parameter", "value", "90 % interval", "unit", "note")
     assert made.rows[0] == ("Mc", "6.9", "[6.8, 7]", "N m", "")
-    assert made.rows[1] == ("J", "-", "-", "kg m^2", "not identifiable: too slow")
+    assert made.rows[1] == ("J", "-", "-", "kg m^2", "not identifiable")
     assert made.right == (1, 2)
 
 
@@ -71,7 +71,11 @@ def test_two_methods_and_the_truth() -> None:
     assert cells["paper: value"] == "7.5"
     assert made.rows[0][3] == "-8 %"
     assert made.rows[0][6] == "0 %"
-    assert made.rows[1][-1] == "default: not identifiable: too slow"
+    assert made.rows[1][-1] == "default: not identifiable"
+
+
+def test_reasons_are_given_line_by_line() -> None:
+    assert parameter_notes([result("default", Mc=MC, J=J)]) == ["default: J: too slow"]
 
 
 def test_a_bound_is_said_in_words() -> None:
