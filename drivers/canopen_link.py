@@ -10,6 +10,7 @@ from typing import Any, Final
 import can
 import canopen
 
+from drivers.can_port import ERROR_FLAG, FramePort, PythonCanPort
 from drivers.canopen_node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
 from drivers.clock import NS, Clock
 from drivers.emergency import explain
@@ -20,6 +21,8 @@ _FRAMES_KEPT: Final = 1 << 16
 _ANSWER_SHARE: Final = 0.8
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
+_SYNC: Final = 0x080
+_HIGHEST_ID: Final = 0x7FF
 
 
 class _Network(canopen.Network):
@@ -53,7 +56,7 @@ class CanopenLink(Link):
     def __init__(
         self,
         clock: Clock,
-        connect: Callable[[], can.BusABC],
+        connect: Callable[[], FramePort],
         name: str = "CAN bus",
         master_id: int = 0x7F,
         sdo_timeout_s: float = 0.3,
@@ -64,12 +67,10 @@ class CanopenLink(Link):
         self.sdo_timeout_s = sdo_timeout_s
         self._name = name
         self._connect = connect
-        self._bus: can.BusABC | None = None
+        self._port: FramePort | None = None
         self._network = _Network(self.send)
         self._nodes: dict[int, CanopenNode] = {}
-        self._frames: deque[tuple[int, int, bytes, bool]] = deque(maxlen=_FRAMES_KEPT)
-        self._sync = _message(0x080, b"")
-        self._heartbeat = _message(0x700 + master_id, _OPERATIONAL_HEARTBEAT)
+        self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
         self._cycle_s: float | None = None
         self._answer_ns = 0
         self._heartbeat_every = 1
@@ -91,8 +92,9 @@ class CanopenLink(Link):
         ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can.
         """
 
-        def connect() -> can.BusABC:
-            return can.Bus(channel=channel, interface=interface, bitrate=bitrate, **(bus_options or {}))
+        def connect() -> FramePort:
+            bus = can.Bus(channel=channel, interface=interface, bitrate=bitrate, **(bus_options or {}))
+            return PythonCanPort(bus, clock)
 
         name = f"{interface} {channel} at {bitrate} bit/s"
         return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)
@@ -120,10 +122,10 @@ class CanopenLink(Link):
         Raises:
             LinkError: It cannot be opened.
         """
-        if self._bus is not None:
+        if self._port is not None:
             return
         try:
-            self._bus = self._connect()
+            self._port = self._connect()
         except (can.CanError, OSError, ValueError, TypeError) as error:
             raise LinkError(
                 f"{self._name} cannot be opened: {error}; check the interface, its driver and the rights to use it"
@@ -131,9 +133,9 @@ class CanopenLink(Link):
 
     def close(self) -> None:
         """Close the bus; safe to call twice and after a failure."""
-        bus, self._bus = self._bus, None
-        if bus is not None:
-            bus.shutdown()
+        port, self._port = self._port, None
+        if port is not None:
+            port.shutdown()
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
         """Set the cycle time, the same for all devices.
@@ -157,32 +159,26 @@ class CanopenLink(Link):
             LinkError: The bus failed, or a device was lost, stopped or restarted.
             DriveFault: A device sent an emergency message.
         """
-        self._drain()
+        self._receive(0.0)
         self.cycle += 1
         self._missing = 0
         for node in self._nodes.values():
-            for message in node.outputs:
-                self._send(message)
+            for identifier, data in node.outputs.items():
+                self.send(identifier, data)
             self._missing += node.expected
-        self._send(self._sync)
+        self.send(_SYNC, b"")
         if self.cycle % self._heartbeat_every == 0:
-            self._send(self._heartbeat)
-        now_ns = self.clock.now_ns
-        deadline = now_ns() + self._answer_ns
-        while self._missing:
-            left = deadline - now_ns()
-            if left <= 0:
-                break
-            received = self._receive(left / NS)
-            if received is not None:
-                self._handle(received)
+            self.heartbeat()
+        deadline = self.clock.now_ns() + self._answer_ns
+        while self._missing and (left := deadline - self.clock.now_ns()) > 0:
+            self._receive(left / NS)
         self._check_heartbeats()
         if self._troubles:
             self._raise_troubles()
 
     def take_frames(self) -> list[RawFrame]:
         """Return the raw frames seen since the last call, oldest first; at most the last 65 536."""
-        frames = [RawFrame(*frame) for frame in self._frames]
+        frames = list(self._frames)
         self._frames.clear()
         return frames
 
@@ -192,11 +188,18 @@ class CanopenLink(Link):
         Raises:
             LinkError: The bus refuses it.
         """
-        self._send(_message(identifier, data))
+        port = self._port or self._opened()
+        try:
+            port.transmit(identifier, data)
+        except (can.CanError, OSError) as error:
+            raise LinkError(
+                f"{self._name} cannot send: {error}; check cabling, termination, and that a device is powered"
+            ) from error
+        self._frames.append(RawFrame(self.clock.now_ns(), identifier, data, True))
 
     def heartbeat(self) -> None:
         """Send the master's heartbeat."""
-        self._send(self._heartbeat)
+        self.send(0x700 + self.master_id, _OPERATIONAL_HEARTBEAT)
 
     def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
         """Receive and dispatch frames until ``ready()``; False after ``timeout_s``.
@@ -209,46 +212,32 @@ class CanopenLink(Link):
             left = deadline - self.clock.now_ns()
             if left <= 0:
                 return False
-            message = self._receive(left / NS)
-            if message is not None:
-                self._handle(message)
+            self._receive(left / NS)
         return True
 
-    def _drain(self) -> None:
-        while (message := self._receive(0.0)) is not None:
-            self._handle(message)
-
-    def _opened(self) -> can.BusABC:
-        if self._bus is None:
+    def _opened(self) -> FramePort:
+        if self._port is None:
             raise LinkError(f"{self._name} is not open: call open() first")
-        return self._bus
+        return self._port
 
-    def _send(self, message: can.Message) -> None:
-        bus = self._bus or self._opened()
+    def _receive(self, timeout_s: float) -> None:
+        """Dispatch what has come in, waiting for it where there is nothing."""
+        port = self._port or self._opened()
         try:
-            bus.send(message)
-        except (can.CanError, OSError) as error:
-            raise LinkError(
-                f"{self._name} cannot send: {error}; check cabling, termination, and that a device is powered"
-            ) from error
-        self._frames.append((self.clock.now_ns(), message.arbitration_id, bytes(message.data), True))
-
-    def _receive(self, timeout_s: float) -> can.Message | None:
-        bus = self._bus or self._opened()
-        try:
-            return bus.recv(timeout_s)
+            frames = port.collect(timeout_s)
         except (can.CanError, OSError) as error:
             raise LinkError(f"{self._name} cannot receive: {error}; check the interface and its cable") from error
+        for frame in frames:
+            self._handle(frame)
 
-    def _handle(self, message: can.Message) -> None:
-        if message.is_error_frame:
-            text = f"{self._name}: error frame; check termination (120 ohm at both ends), cabling and bit rate"
-            self._troubles.append((0, LinkError(text)))
+    def _handle(self, frame: RawFrame) -> None:
+        time_ns, identifier, data, _ = frame
+        if identifier > _HIGHEST_ID:
+            if identifier & ERROR_FLAG:
+                text = f"{self._name}: error frame; check termination (120 ohm at both ends), cabling and bit rate"
+                self._troubles.append((0, LinkError(text)))
             return
-        if message.is_remote_frame or message.is_extended_id:
-            return
-        identifier, data = message.arbitration_id, bytes(message.data)
-        self._frames.append((self.clock.now_ns(), identifier, data, False))
+        self._frames.append(frame)
         node = self._nodes.get(identifier & 0x7F)
         if node is None:
             return
@@ -265,8 +254,8 @@ class CanopenLink(Link):
         if function == 0x080 and len(data) == 8:
             self._emergency(node, data)
         elif function == 0x700 and len(data) == 1:
-            self._heard(node, data[0] & 0x7F)
-        self._network.notify(identifier, bytearray(data), message.timestamp)
+            self._heard(node, data[0] & 0x7F, time_ns)
+        self._network.notify(identifier, bytearray(data), time_ns / NS)
 
     def _emergency(self, node: CanopenNode, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little")
@@ -281,8 +270,8 @@ class CanopenLink(Link):
                 if origin != node.node_id or isinstance(trouble, LinkError)
             ]
 
-    def _heard(self, node: CanopenNode, state: int) -> None:
-        node.heard_ns = self.clock.now_ns()
+    def _heard(self, node: CanopenNode, state: int, time_ns: int) -> None:
+        node.heard_ns = time_ns
         node.nmt_state = state
         if node.monitored and state != OPERATIONAL:
             what = "restarted" if state == INITIALISING else f"left OPERATIONAL for {NMT_NAMES.get(state, state)}"
@@ -307,6 +296,3 @@ class CanopenLink(Link):
         # A lost bus explains whatever else happened; of several faults the first is the cause.
         raise next((trouble for trouble in troubles if isinstance(trouble, LinkError)), troubles[0])
 
-
-def _message(identifier: int, data: bytes) -> can.Message:
-    return can.Message(arbitration_id=identifier, is_extended_id=False, data=bytearray(data))

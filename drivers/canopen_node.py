@@ -6,7 +6,6 @@ import struct
 from collections.abc import Sequence
 from typing import Final
 
-import can
 from canopen.objectdictionary import ObjectDictionary
 
 from drivers.canopen_pdo import Input, configure
@@ -35,7 +34,7 @@ class CanopenNode:
     Attributes:
         node_id: 1 to 127.
         remote: canopen's view of it.
-        outputs: Frames to send at every exchange.
+        outputs: Identifier to data of each RPDO, as the next exchange sends them.
         inputs: Identifier to the last frame of each TPDO.
         expected: How many of those come with every SYNC.
         nmt_state: From its last heartbeat; None before the first.
@@ -46,7 +45,7 @@ class CanopenNode:
     def __init__(self, node_id: int, dictionary: ObjectDictionary, wire: Wire) -> None:
         self.node_id = node_id
         self.remote = PumpedNode(node_id, dictionary, wire)
-        self.outputs: list[can.Message] = []
+        self.outputs: dict[int, bytes] = {}
         self.inputs: dict[int, Input] = {}
         self.expected = 0
         self.nmt_state: int | None = None
@@ -54,7 +53,7 @@ class CanopenNode:
         self.monitored = False
         self._wire = wire
         self._dictionary = dictionary
-        self._staged: dict[int, tuple[can.Message, struct.Struct]] = {}
+        self._staged: dict[int, tuple[int, struct.Struct]] = {}
         self._numbered: dict[int, Input] = {}
 
     @property
@@ -129,13 +128,12 @@ class CanopenNode:
         self.monitored = False
         self._command(0x80)
         self.write(0x1017, 0, round(HEARTBEAT_S * 1e3))
-        self.outputs, self._staged = [], {}
+        self.outputs, self._staged = {}, {}
         for layout, (identifier, packing) in zip(
             outputs, configure(self.remote, self.remote.rpdo, outputs), strict=True
         ):
-            message = can.Message(arbitration_id=identifier, is_extended_id=False, data=bytearray(packing.size))
-            self.outputs.append(message)
-            self._staged[layout.number] = (message, packing)
+            self.outputs[identifier] = bytes(packing.size)
+            self._staged[layout.number] = (identifier, packing)
         self.inputs, self._numbered = {}, {}
         for layout, (identifier, packing) in zip(inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True):
             slot = Input(packing, layout.every)
@@ -148,8 +146,8 @@ class CanopenNode:
 
     def stage(self, number: int, *values: int) -> None:
         """Set the values that RPDO ``number`` carries from the next exchange on."""
-        message, packing = self._staged[number]
-        packing.pack_into(message.data, 0, *values)
+        identifier, packing = self._staged[number]
+        self.outputs[identifier] = packing.pack(*values)
 
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the last good values of TPDO ``number``."""

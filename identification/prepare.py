@@ -29,8 +29,8 @@ DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
 """Default bandwidth over the sample rate, where the encoder does not ask for less."""
 SLOW_BANDWIDTH_HZ = 20.0
 """Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of their rate."""
-REST_SAMPLES = 6
-"""Samples without any change of angle that count as rest."""
+REST_SAMPLES = 8
+"""Samples over which the angle changes by no more than one step of its encoder that count as rest."""
 
 
 @dataclass(frozen=True)
@@ -142,8 +142,8 @@ def volts_per_torque(recording: Recording) -> float | None:
 
 
 def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
-    """Mark samples of stretches of at least ``samples`` in which the recorded angle does not change at all."""
-    tolerance = 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0
+    """Mark samples of stretches of at least ``samples`` in which the angle changes by one encoder step at most."""
+    tolerance = max(1.01 * quantum(angle), 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0)
     if len(angle) <= samples:
         return np.zeros(len(angle), dtype=bool)
     windows = np.lib.stride_tricks.sliding_window_view(angle, samples)
@@ -152,6 +152,12 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     np.add.at(marks, np.flatnonzero(still), 1.0)
     np.add.at(marks, np.flatnonzero(still) + samples, -1.0)
     return np.asarray(np.cumsum(marks)[:-1] > 0.5)
+
+
+def widened(marks: BoolArray, samples: int) -> BoolArray:
+    """Return the marks with ``samples`` more on either side: what a filter on position has smeared into motion."""
+    spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
+    return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
 
 
 def default_bandwidth(recording: Recording) -> float:
@@ -201,18 +207,19 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
             f"{recording.name}: {len(grid)} samples are fewer than the {2 * low_pass.half + 8} that a bandwidth of "
             f"{bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer recording"
         )
-    angle, velocity, still = _motion(recording, grid, rate, POSITION_BANDWIDTH * bandwidth_Hz)
+    cutoff = POSITION_BANDWIDTH * bandwidth_Hz
+    angle, velocity, still = _motion(recording, grid, rate, cutoff)
     exact = low_pass.half == 0
     acceleration = derivative(velocity, 1.0 / rate) if exact else central_difference(velocity, 1.0 / rate)
     drive = drive_torque(recording, grid, velocity)
     if not exact:
-        drive = smooth(drive, rate, POSITION_BANDWIDTH * bandwidth_Hz)
+        drive = smooth(drive, rate, cutoff)
     known = np.zeros(len(grid))
     if recording.pendulum is not None:
         pendulum = recording.pendulum
         weight = pendulum.mass * recording.bench.gravity * pendulum.length
         known = -weight * np.sin(angle - pendulum.zero) - pendulum.mass * pendulum.length**2 * acceleration
-    bad = still | (_unresolved(velocity, rate) if exact else False)
+    bad = _unresolved(velocity, rate) | still if exact else widened(still, round(1.5 * rate / cutoff))
     lead = slice(low_pass.half, len(grid) - low_pass.half, low_pass.factor)
     return Prepared(
         recording=recording,

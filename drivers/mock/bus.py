@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import heapq
 from collections import deque
-from collections.abc import Callable
-from typing import Final
+from collections.abc import Callable, Sequence
 
 import can
 
+from drivers.can_port import ERROR_FLAG
 from drivers.clock import NS, SimulatedClock
+from drivers.interfaces import RawFrame
 
 Handler = Callable[[bytes], None]
 FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
 """Called with (time in ns, identifier, data, sent by the host); returns the frame to deliver, or None to lose it."""
 
-_IDLE_ID: Final = 1 << 30
+
+_NEVER = 1 << 62
 
 
 def frame_bits(length: int) -> int:
@@ -30,16 +33,17 @@ def frame_bits(length: int) -> int:
 class Port:
     """One controller on the bus: sends in order, and hears the identifiers it listens to."""
 
-    def __init__(self, bus: SimulatedBus) -> None:
+    def __init__(self, bus: SimulatedBus, number: int) -> None:
         self._bus = bus
+        self.number = number
         self.queue: deque[tuple[int, bytes]] = deque()
         self.handlers: dict[int, Handler] = {}
 
     def send(self, identifier: int, data: bytes) -> None:
         """Queue a frame; it goes out when it wins arbitration."""
         self.queue.append((identifier, data))
-        if self._bus.idle:
-            self._bus.start()
+        if len(self.queue) == 1:
+            self._bus.contend(identifier, self.number)
 
     def listen(self, identifier: int, handler: Handler) -> None:
         """Hand every frame with this identifier, from any other controller, to ``handler``."""
@@ -53,15 +57,14 @@ class Port:
 
 
 class SimulatedBus(can.BusABC):
-    """The host's python-can interface to the simulated bus.
+    """The simulated bus, as the host's controller sees it: a :class:`~drivers.can_port.FramePort`.
 
-    Every frame takes its worst-case time at ``bitrate``. Among the controllers that wait when the wire falls idle, the
-    lowest identifier goes first; a controller sends its own frames in order. :meth:`recv` advances the clock.
+    It is an interface of python-can as well, for its tools. Every frame takes its worst-case time at ``bitrate``. Among the controllers that wait when the wire falls idle, the
+    lowest identifier goes first; a controller sends its own frames in order. :meth:`collect` advances the clock.
 
     Attributes:
         frame_filters: Hooks for fault injection, applied in order to every frame on the wire.
         down: True when the controller is bus-off; sending then fails.
-        idle: True while no frame is on the wire.
     """
 
     def __init__(self, clock: SimulatedClock, bitrate: int = 1_000_000) -> None:
@@ -74,14 +77,14 @@ class SimulatedBus(can.BusABC):
         self._times = [frame_bits(n) * NS // bitrate for n in range(9)]
         self._ports: list[Port] = []
         self._host = self.attach()
-        self.idle = True
+        self._contenders: list[tuple[int, int]] = []
         self._sender: Port | None = None
-        self._received: deque[can.Message] = deque()
+        self._received: list[RawFrame] = []
         self._routes: dict[int, list[tuple[Port, Handler]]] = {}
 
     def attach(self) -> Port:
         """Put another controller on the bus."""
-        port = Port(self)
+        port = Port(self, len(self._ports))
         self._ports.append(port)
         return port
 
@@ -93,55 +96,57 @@ class SimulatedBus(can.BusABC):
                 routes.setdefault(identifier, []).append((port, handler))
         self._routes = routes
 
-    def start(self) -> None:
-        """Begin the next frame, if somebody waits; the wire must be idle."""
-        lowest = _IDLE_ID
-        for port in self._ports:
-            if port.queue and port.queue[0][0] < lowest:
-                lowest = port.queue[0][0]
-                self._sender = port
-        if lowest != _IDLE_ID and self._sender is not None:
-            self.idle = False
-            length = len(self._sender.queue[0][1])
-            self._clock.call_at(self._clock.now_ns() + self._times[length], self._arrived)
+    def contend(self, identifier: int, number: int) -> None:
+        """Enter the first frame of a controller's queue for the next arbitration."""
+        heapq.heappush(self._contenders, (identifier, number))
+        if self._sender is None:
+            self._clock.call_at(self._clock.now_ns() + self._arbitrate(), self._arrived)
+
+    def _arbitrate(self) -> int:
+        """Put the contender with the lowest identifier on the wire; return how long its frame takes, ns."""
+        _, number = heapq.heappop(self._contenders)
+        self._sender = sender = self._ports[number]
+        return self._times[len(sender.queue[0][1])]
 
     def _arrived(self) -> None:
-        sender = self._sender
-        if sender is None or not sender.queue:
-            return
-        identifier, data = sender.queue.popleft()
-        if self.frame_filters:
-            kept = self._filtered(identifier, data, sender is self._host)
-            if kept is not None:
-                self._deliver(sender, *kept)
-        else:
-            self._deliver(sender, identifier, data)
-        # Receivers queue their answers first, so that all of them take part in the next arbitration.
-        self.idle = True
-        self.start()
+        """Deliver the frame on the wire, and those that follow it, up to the next event of another kind."""
+        clock, contenders = self._clock, self._contenders
+        now = clock.now_ns()
+        while (sender := self._sender) is not None:
+            queue = sender.queue
+            frame: tuple[int, bytes] | None = queue.popleft()
+            if queue:
+                heapq.heappush(contenders, (queue[0][0], sender.number))
+            if self.frame_filters:
+                frame = self._filtered(now, frame, sender is self._host)
+            if frame is not None:
+                identifier, data = frame
+                for port, handler in self._routes.get(identifier, ()):
+                    if port is not sender:
+                        handler(data)
+                if sender is not self._host:
+                    self._received.append(RawFrame(now, identifier, data, False))
+            # Receivers have queued their answers by now, so that all of them take part in the next arbitration.
+            if not contenders:
+                self._sender = None
+                return
+            now += self._arbitrate()
+            if not clock.skip_to(now):
+                clock.call_at(now, self._arrived)
+                return
 
-    def _filtered(self, identifier: int, data: bytes, from_host: bool) -> tuple[int, bytes] | None:
-        frame: tuple[int, bytes] | None = (identifier, data)
+    def _filtered(self, now: int, frame: tuple[int, bytes] | None, from_host: bool) -> tuple[int, bytes] | None:
         for keep in self.frame_filters:
             if frame is None:
                 return None
-            frame = keep(self._clock.now_ns(), *frame, from_host)
+            frame = keep(now, *frame, from_host)
         return frame
-
-    def _deliver(self, sender: Port, identifier: int, data: bytes) -> None:
-        for port, handler in self._routes.get(identifier, ()):
-            if port is not sender:
-                handler(data)
-        if sender is not self._host:
-            message = can.Message(self._clock.now_ns() / NS, identifier, False, data=data)
-            if self._filters is None or self._matches_filters(message):
-                self._received.append(message)
 
     def disturb(self) -> None:
         """Let the host's controller see an error frame."""
-        self._received.append(can.Message(self._clock.now_ns() / NS, is_error_frame=True, is_extended_id=False))
+        self._received.append(RawFrame(self._clock.now_ns(), ERROR_FLAG, b"", False))
 
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+    def transmit(self, identifier: int, data: bytes) -> None:
         """Queue a frame of the host.
 
         Raises:
@@ -149,32 +154,54 @@ class SimulatedBus(can.BusABC):
         """
         if self.down or self._is_shutdown:
             raise can.CanOperationError("bus-off" if self.down else "the bus is shut")
-        self._host.send(msg.arbitration_id, bytes(msg.data))
+        self._host.send(identifier, data)
 
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame for the host, advancing simulated time while there is none.
+    def collect(self, timeout_s: float) -> Sequence[RawFrame]:
+        """Return what has come in, advancing simulated time while there is nothing.
 
-        ``timeout`` is in seconds of simulated time; None waits as long as anything at all is scheduled.
+        Frames that follow one another without a gap come in together, as into a controller's buffer, each with the
+        time at which it arrived.
 
         Raises:
             can.CanOperationError: The bus is shut.
         """
+        deadline = self._clock.now_ns() + round(timeout_s * NS)
+        if not self._wait(deadline):
+            self._clock.sleep_until_ns(deadline)
+        frames, self._received = self._received, []
+        return frames
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Queue a frame of the host; raises as :meth:`transmit`."""
+        self.transmit(msg.arbitration_id, bytes(msg.data))
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Return the next frame that passes python-can's filters; raises as :meth:`collect`.
+
+        ``timeout`` is in seconds of simulated time; None waits as long as anything at all is scheduled.
+        """
+        deadline = _NEVER if timeout is None else self._clock.now_ns() + round(timeout * NS)
+        while self._wait(deadline):
+            time_ns, identifier, data, _ = self._received.pop(0)
+            error = bool(identifier & ERROR_FLAG)
+            message = can.Message(time_ns / NS, identifier & 0x7FF, False, is_error_frame=error, data=data)
+            if self._filters is None or self._matches_filters(message):
+                return message
+        if timeout is not None:
+            self._clock.sleep_until_ns(deadline)
+        return None
+
+    def _wait(self, deadline_ns: int) -> bool:
+        """Advance simulated time until there is a frame for the host; False where there is none by the deadline."""
         if self._is_shutdown:
             raise can.CanOperationError("the bus is shut")
-        received = self._received
-        if received:
-            return received.popleft()
         clock = self._clock
-        deadline = None if timeout is None else clock.now_ns() + round(timeout * NS)
-        while True:
+        while not self._received:
             due = clock.next_event_ns()
-            if due is None or (deadline is not None and due > deadline):
-                if deadline is not None:
-                    clock.sleep_until_ns(deadline)
-                return None
-            clock.sleep_until_ns(due)
-            if received:
-                return received.popleft()
+            if due is None or due > deadline_ns:
+                return False
+            clock.fire_next(deadline_ns)
+        return True
 
     def _send_periodic_internal(self, *args: object, **kwargs: object) -> can.CyclicSendTaskABC:
         raise NotImplementedError("the simulated bus has no threads: send from the control loop")

@@ -222,14 +222,13 @@ def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> Non
     guess = problem.start[speed]
     speeds = np.concatenate([[guess], np.geomspace(0.01, 0.35, _START_SPEEDS) * fastest])
     shares = [m.peak_torque() for m in problem.motions]
-    for share in np.concatenate([[0.0], np.linspace(0.75, 1.0, _START_STATICS)]):
+    for share in np.linspace(0.75, 1.0, _START_STATICS):
         p = problem.start.copy()
-        if share > 0.0:
-            limits = [
-                (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0)) / (m.moment[0] if loaded else 1.0)
-                for m, peak in zip(problem.motions, shares, strict=True)
-            ]
-            p[rise] = float(np.median(limits)) - p[coulomb]
+        limits = [
+            (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0)) / (m.moment[0] if loaded else 1.0)
+            for m, peak in zip(problem.motions, shares, strict=True)
+        ]
+        p[rise] = float(np.median(limits)) - p[coulomb]
         if p[rise] < 0.0:
             continue
         times = [m.static_crossing(static_limit(p, m)) for m in problem.motions]

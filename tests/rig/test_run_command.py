@@ -7,6 +7,7 @@ import json
 import signal
 import subprocess
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ import pytest
 from scipy.io import loadmat
 
 from drivers.clock import SimulatedClock
-from drivers.interfaces import ServoState
+from drivers.interfaces import RawFrame, ServoState
 from drivers.mock.bus import SimulatedBus
 from rig.cli import COMMANDS, status
 from rig.connect import DRIVE_EDS, ENCODER_EDS, connect
@@ -198,14 +199,14 @@ def test_a_tripped_limit_is_a_bad_verdict(tmp_path: Path, capsys: pytest.Capture
 def test_a_bus_that_dies_is_a_device_failure(
     short_sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    receive, count = SimulatedBus.recv, iter(range(10**9))
+    collect, count = SimulatedBus.collect, iter(range(10**9))
 
-    def dying(self: SimulatedBus, timeout: float | None = None) -> can.Message | None:
+    def dying(self: SimulatedBus, timeout_s: float) -> Sequence[RawFrame]:
         if next(count) > 2000:
             raise can.CanOperationError("bus-off")
-        return receive(self, timeout)
+        return collect(self, timeout_s)
 
-    monkeypatch.setattr(SimulatedBus, "recv", dying)
+    monkeypatch.setattr(SimulatedBus, "collect", dying)
     assert run(str(short_sequence), "--yes", "--out", "out") == 4
     text = capsys.readouterr().err
     assert "bus-off" in text
@@ -218,10 +219,10 @@ def test_a_bus_that_dies_is_a_device_failure(
 def test_a_bus_dead_from_the_start_ends_the_command_in_words(
     short_sequence: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def broken(self: SimulatedBus, timeout: float | None = None) -> None:
+    def broken(self: SimulatedBus, timeout_s: float) -> None:
         raise can.CanOperationError("no such network")
 
-    monkeypatch.setattr(SimulatedBus, "recv", broken)
+    monkeypatch.setattr(SimulatedBus, "collect", broken)
     assert run(str(short_sequence), "--yes", "--out", "out") == 4
     assert capsys.readouterr().err.startswith("device error: ")
 

@@ -1,0 +1,141 @@
+"""What drive and encoder report about the machine's state: means, noise, counts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.mock.plant.constants import Joint, Machine, Sensing
+from drivers.mock.plant.direct import simulate
+from drivers.mock.plant.machine import SimulatedMachine
+
+CYCLE_NS = 1_000_000
+TORQUE_PER_AMPERE = 0.03 * 100.0
+
+
+def free_machine(noise_A: float) -> SimulatedMachine:
+    """Without friction the momentum gained is the torque impulse, whatever the drive reports."""
+    machine = Machine(
+        joint=Joint(Mc_N_m=0.0, Ms_N_m=0.0, sigma_2_N_m_s_rad=0.0), sensing=Sensing(current_noise_A=noise_A)
+    )
+    made = SimulatedMachine(machine, np.random.default_rng(7))
+    made.power(True)
+    return made
+
+
+def logged_less_true_mean(noise_A: float, cycles: int) -> np.ndarray:
+    machine = free_machine(noise_A)
+    inertia = machine.constants.joint.inertia_kg_m2
+    out = np.empty(cycles)
+    before = 0.0
+    for k in range(cycles):
+        time = (k * 20 + np.arange(1, 21)) / 20000.0
+        machine.follow(0.5 * time + 0.02 * np.sin(2.0 * np.pi * time))  # never back through rest
+        speed = machine.truth().velocity_rad_s
+        out[k] = machine.latch().current_A - inertia * (speed - before) / (1e-3 * TORQUE_PER_AMPERE)
+        before = speed
+    return out
+
+
+def test_logged_current_is_the_mean_that_accelerated_the_shaft() -> None:
+    assert np.max(np.abs(logged_less_true_mean(0.0, 500))) < 1e-9
+
+
+def test_noise_of_the_logged_mean_is_white_and_has_the_stated_rms() -> None:
+    noise = logged_less_true_mean(0.020, 4000)
+    assert np.sqrt(np.mean(noise**2)) == pytest.approx(0.020, rel=0.05)
+    assert abs(float(np.mean(noise[1:] * noise[:-1]) / np.mean(noise**2))) < 0.06
+
+
+def test_latch_starts_new_means() -> None:
+    machine = free_machine(0.0)
+    machine.follow(np.full(20, 0.01))
+    first = machine.latch()
+    assert first.current_A != 0.0
+    assert first.voltage_V != 0.0
+    again = machine.latch()
+    assert (again.current_A, again.voltage_V) == (0.0, 0.0)
+    assert again.motor_counts == first.motor_counts
+
+
+def test_means_over_parts_make_the_mean_over_the_whole() -> None:
+    path = 0.1 * np.sin(2.0 * np.pi * np.arange(1, 401) / 20000.0)
+    whole, parts = free_machine(0.0), free_machine(0.0)
+    whole.follow(path)
+    latched = []
+    for piece in np.split(path, 4):
+        parts.follow(piece)
+        latched.append(parts.latch())
+    mean = whole.latch()
+    assert mean.current_A == pytest.approx(np.mean([r.current_A for r in latched]), rel=1e-12)
+    assert mean.voltage_V == pytest.approx(np.mean([r.voltage_V for r in latched]), rel=1e-12)
+
+
+def test_encoders_count_whole_steps_downwards() -> None:
+    machine = SimulatedMachine(Machine(), np.random.default_rng(1))
+    machine.power(True)
+    for k in range(400):
+        machine.follow(0.3 * np.sin(2.0 * np.pi * (k * 20 + np.arange(1, 21)) / 4000.0))
+        angle, reading = machine.truth().angle_rad, machine.latch()
+        assert reading.motor_counts == math.floor(angle * 100.0 * 4096.0 / (2.0 * math.pi))
+        assert reading.joint_counts == math.floor(angle * 262144.0 / (2.0 * math.pi))
+
+
+def test_following_error_is_in_motor_counts() -> None:
+    machine = SimulatedMachine(Machine(joint=Joint(Mc_N_m=1e9, Ms_N_m=1e9)), np.random.default_rng(1))
+    machine.power(True)
+    machine.track(500.0, 5 * CYCLE_NS)
+    machine.advance(2 * CYCLE_NS)
+    assert machine.latch().following_error_counts == pytest.approx(200.0)
+    machine.advance(8 * CYCLE_NS)
+    assert machine.latch().following_error_counts == pytest.approx(500.0)
+
+
+def test_velocity_is_that_of_the_motor() -> None:
+    out = SimulatedMachine(Machine(sensing=Sensing(0, 0, 0.0)), np.random.default_rng(1))
+    out.power(True)
+    out.follow(0.5 * np.arange(1, 20001) / 20000.0)
+    assert out.latch().motor_velocity_rad_s == pytest.approx(50.0, rel=1e-6)
+
+
+def test_advance_refuses_a_part_of_a_loop_period() -> None:
+    machine = SimulatedMachine(Machine(), np.random.default_rng(1))
+    with pytest.raises(ValueError, match="75000 ns is not a whole number of loop periods of 50000 ns"):
+        machine.advance(75_000)
+
+
+def test_direct_simulation_refuses_rates_that_do_not_divide() -> None:
+    with pytest.raises(ValueError, match="20000 Hz is not a multiple of 3000 Hz"):
+        simulate(Machine(), np.sin, 0.1, 3000.0)
+
+
+def test_same_seed_same_run_and_another_seed_another() -> None:
+    def run(seed: int) -> np.ndarray:
+        return simulate(Machine(), np.sin, 0.3, 1000.0, rng=np.random.default_rng(seed))["mean_current"]
+
+    assert np.array_equal(run(1), run(1))
+    assert not np.array_equal(run(1), run(2))
+
+
+def test_noise_goes_on_past_one_block() -> None:
+    """Noise is drawn in blocks of 65 536; a long advance equals the same time in short ones."""
+    long, short = (SimulatedMachine(Machine(), np.random.default_rng(3)) for _ in range(2))
+    for machine in (long, short):
+        machine.power(True)
+    long.advance(5000 * CYCLE_NS)
+    for _ in range(5000):
+        short.advance(CYCLE_NS)
+    assert long.latch() == pytest.approx(short.latch(), rel=1e-9)
+    assert long.truth() == short.truth()
+
+
+def test_fewer_counts_are_a_coarser_encoder() -> None:
+    machine = SimulatedMachine(replace(Machine(), sensing=Sensing(1024, 4096, 0.0)), np.random.default_rng(1))
+    machine.power(True)
+    machine.follow(0.2 * np.arange(1, 20001) / 20000.0)
+    angle, reading = machine.truth().angle_rad, machine.latch()
+    assert reading.motor_counts == math.floor(angle * 100.0 * 1024.0 / (2.0 * math.pi))
+    assert reading.joint_counts == math.floor(angle * 4096.0 / (2.0 * math.pi))

@@ -1,0 +1,256 @@
+"""The equation-error view of a recording: alignment, torque sources, rests, one filter for all."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.prepare import (
+    Prepared,
+    default_bandwidth,
+    drive_torque,
+    joint_angle,
+    prepare,
+    resting,
+    torque_unit,
+    uniform_grid,
+)
+from identification.recording import Bench, Pendulum, Recording, RecordingError
+
+from .synthetic import BENCH, TRUTH, friction, sine
+
+RATE = 1000.0
+ROLLING = {**TRUTH, "Ms": TRUTH["Mc"]}
+"""Without the rise toward rest the model is linear."""
+
+
+def linear_fit(p: Prepared) -> np.ndarray:
+    """Mc, sigma_2, J by ordinary least squares on the used samples."""
+    columns = np.column_stack([p.filter(np.sign(p.raw_velocity)), p.velocity, p.acceleration])
+    return np.linalg.lstsq(columns[p.used], p.torque[p.used], rcond=None)[0]
+
+
+def with_channels(recording: Recording, **channels: np.ndarray | None) -> Recording:
+    """Replace channels; None removes one."""
+    merged = {**recording.channels, **channels}
+    return replace(recording, channels={k: v for k, v in merged.items() if v is not None})
+
+
+@pytest.mark.parametrize("bandwidth", [10.0, 40.0, 150.0, 500.0])
+@pytest.mark.parametrize("source", ["angle", "velocity"])
+def test_linear_model_comes_back_at_any_bandwidth(bandwidth: float, source: str) -> None:
+    recording = sine(ROLLING, drift=0.6, frequency=0.7, duration=8.0)  # speed never crosses zero: all signals smooth
+    other = {"angle": "velocity", "velocity": "angle"}[source]
+    found = linear_fit(prepare(with_channels(recording, **{other: None}), bandwidth))
+    tolerance = 1e-4 if source == "angle" else 1e-5
+    offset_sees = [ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]]
+    assert found == pytest.approx(offset_sees, rel=10.0 * tolerance)
+
+
+@pytest.mark.parametrize("bandwidth", [20.0, 40.0])
+def test_linear_model_comes_back_through_reversals(bandwidth: float) -> None:
+    found = linear_fit(prepare(sine(ROLLING, frequency=0.7, duration=8.0), bandwidth))
+    assert found == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=2e-3)
+
+
+def test_exact_channels_come_back_to_rounding() -> None:
+    found = linear_fit(prepare(sine(ROLLING, frequency=0.7, duration=8.0), 500.0))
+    assert found == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=1e-8)
+
+
+def test_a_gear_that_is_left_out_is_a_hundredfold_torque() -> None:
+    recording = sine()
+    current = recording.channels["torque"] / 3.0
+    geared = with_channels(recording, torque=None, current=current)
+    plain = replace(geared, bench=replace(BENCH, gear_ratio=1.0))
+    assert prepare(geared, 40.0).torque == pytest.approx(prepare(recording, 40.0).torque)
+    assert prepare(plain, 40.0).torque == pytest.approx(prepare(recording, 40.0).torque / 100.0)
+
+
+def test_averaged_channel_stands_half_a_period_earlier() -> None:
+    recording = sine(frequency=2.0)
+    time, h = recording.time, 1.0 / RATE
+    w = 2.0 * np.pi * 10.0
+    mean = (np.cos(w * (time - h)) - np.cos(w * time)) / (w * h)  # of sin(w t) over the period that ends at each time
+    averaged = replace(with_channels(recording, torque=mean), averaged=frozenset({"torque"}))
+    grid = uniform_grid(recording)
+    inner = slice(5, -5)
+    aligned = drive_torque(averaged, grid, grid)[inner]
+    expected = np.sin(w * grid[inner])
+    assert aligned == pytest.approx(expected, abs=2e-3)
+    late = drive_torque(replace(averaged, averaged=frozenset()), grid, grid)[inner]
+    assert np.max(np.abs(late - expected)) > 10.0 * np.max(np.abs(aligned - expected))
+
+
+def test_current_from_voltage_leaves_out_the_back_emf() -> None:
+    recording = sine()
+    volts = 1.56 * recording.channels["torque"] / 3.0 + 0.02588 * 100.0 * recording.channels["velocity"]
+    measured = with_channels(recording, torque=None, voltage=volts)
+    assert prepare(measured, 40.0).torque == pytest.approx(prepare(recording, 40.0).torque, abs=1e-3)
+
+
+@pytest.mark.parametrize("mark", ["nan", "enabled"])
+def test_voltage_counts_for_nothing_while_the_power_stage_is_off(mark: str) -> None:
+    recording = sine()
+    velocity = recording.channels["velocity"]
+    volts = np.full(len(velocity), 10.0)
+    off = recording.time > 2.5
+    extra = {"enabled": np.where(off, 0.0, 1.0)} if mark == "enabled" else {}
+    volts[off] = np.nan if mark == "nan" else 10.0
+    measured = with_channels(recording, torque=None, voltage=volts, **extra)
+    torque = drive_torque(measured, recording.time, velocity)
+    assert np.all(torque[off] == 0.0)
+    on = recording.time < 2.5 - 1.0 / RATE
+    assert torque[on] == pytest.approx(3.0 * (10.0 - 2.588 * velocity[on]) / 1.56)
+
+
+def test_torque_channel_comes_before_current_before_voltage() -> None:
+    recording = with_channels(sine(), current=np.full(5000, 2.0), voltage=np.full(5000, 5.0))
+    grid = recording.time
+    assert drive_torque(recording, grid, grid) == pytest.approx(recording.channels["torque"])
+    without = with_channels(recording, torque=None)
+    assert drive_torque(without, grid, grid) == pytest.approx(np.full(5000, 2.0 * 3.0))
+
+
+def test_amperes_where_no_torque_constant_is_known() -> None:
+    recording = with_channels(sine(), torque=None, current=np.full(5000, 2.0))
+    unknown = replace(recording, bench=Bench(gear_ratio=100.0))
+    assert torque_unit(unknown) == "A"
+    assert drive_torque(unknown, unknown.time, unknown.time) == pytest.approx(np.full(5000, 2.0))
+    assert torque_unit(recording) == "N m"
+    assert torque_unit(replace(recording, bench=replace(BENCH, motion="linear"))) == "N"
+
+
+def test_pendulum_torque_and_inertia_are_known_loads() -> None:
+    pendulum = Pendulum(mass=3.0, length=0.4, zero=0.2)
+    hanging = prepare(sine(pendulum=pendulum), 40.0)
+    bare = prepare(sine(), 40.0)
+    assert hanging.torque == pytest.approx(bare.torque, abs=2e-3)
+    assert np.max(np.abs(hanging.drive_torque - bare.drive_torque)) > 1.0
+
+
+def test_load_force_channel_takes_the_place_of_the_weight() -> None:
+    recording = with_channels(sine(weight=30.6), load_force=np.linspace(1000.0, 2000.0, 5000))
+    moment = prepare(recording, 500.0).moment
+    assert moment == pytest.approx(0.095 * np.linspace(1000.0, 2000.0, 5000))
+    assert prepare(sine(weight=30.6), 40.0).moment == pytest.approx(0.095 * 10.0 * 30.6 * 9.80665)
+
+
+def test_uneven_sampling_is_brought_to_an_even_grid() -> None:
+    even = sine(ROLLING, drift=0.6, frequency=0.7, duration=8.0)
+    rng = np.random.default_rng(5)
+    keep = np.sort(rng.choice(len(even.time), size=7000, replace=False))
+    uneven = replace(even, channels={k: v[keep] for k, v in even.channels.items()})
+    prepared = prepare(uneven, 20.0)
+    assert np.ptp(np.diff(prepared.time)) < 1e-9
+    assert linear_fit(prepared) == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=0.01)
+
+
+def test_motor_encoder_counts_through_the_gear_and_keeps_the_joint_zero() -> None:
+    recording = sine()
+    angle = recording.channels["angle"]
+    fine, coarse = 1e-5, 1e-4
+    both = with_channels(
+        recording, motor_angle=np.floor((angle + 1.0) / fine) * fine * 100.0, angle=np.floor(angle / coarse) * coarse
+    )
+    found = joint_angle(both)
+    assert found is not None
+    assert found == pytest.approx(angle, abs=coarse)
+    alone = joint_angle(with_channels(both, angle=None))
+    assert alone is not None
+    assert alone == pytest.approx(angle + 1.0, abs=2.0 * fine)
+    swapped = with_channels(
+        recording, motor_angle=np.floor(angle / coarse) * coarse * 100.0, angle=np.floor(angle / fine) * fine
+    )
+    assert joint_angle(swapped) is swapped.channels["angle"]
+
+
+def test_resting_marks_whole_stretches_without_any_change() -> None:
+    moving = np.random.default_rng(0).uniform(1.0, 2.0, 40).cumsum()
+    angle = np.concatenate([moving[:10], np.full(7, moving[10]), moving[11:20], np.full(4, moving[20]), moving[21:]])
+    marks = resting(angle, samples=6)
+    assert np.flatnonzero(marks).tolist() == list(range(10, 17))
+
+
+def test_resting_of_too_few_samples_is_nothing() -> None:
+    assert not np.any(resting(np.zeros(6), samples=6))
+
+
+def test_samples_touched_by_rest_are_not_used() -> None:
+    recording = sine(frequency=0.5, duration=6.0)
+    time = recording.time
+    held = np.where((time > 2.0) & (time < 2.5), np.interp(2.0, time, recording.channels["angle"]), 0.0)
+    angle = np.where((time > 2.0) & (time < 2.5), held, recording.channels["angle"])
+    prepared = prepare(with_channels(recording, angle=angle, velocity=None), 40.0)
+    reach = prepared.filter.half / RATE
+    inside = (prepared.time > 2.0 - reach + 2e-3) & (prepared.time < 2.5 + reach - 2e-3)
+    assert not np.any(prepared.used[inside])
+    reach += 0.025  # one more of the filter on position, whose memory at 40 Hz is below that
+    outside = (prepared.time < 2.0 - reach) | (prepared.time > 2.5 + reach)
+    assert np.all(prepared.used[outside])
+
+
+def test_exact_channels_leave_out_what_the_rate_cannot_resolve() -> None:
+    """A jump of speed within one sample, as at breakaway."""
+    recording = sine(drift=0.6, frequency=0.7)
+    velocity = recording.channels["velocity"] + np.where(recording.time > 2.0, 0.2, 0.0)
+    angle = np.cumsum(velocity) / RATE
+    prepared = prepare(with_channels(recording, velocity=velocity, angle=angle), 500.0)
+    near = np.abs(prepared.time - 2.0) < 2e-3
+    assert not np.any(prepared.used[near])
+    assert np.mean(prepared.used) > 0.95
+
+
+def test_velocity_alone_is_enough() -> None:
+    prepared = prepare(with_channels(sine(ROLLING), angle=None), 40.0)
+    assert linear_fit(prepared) == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=5e-3)
+
+
+def test_coarser_encoder_asks_for_less_bandwidth() -> None:
+    recording = with_channels(sine(frequency=1.0), velocity=None)
+    angle = recording.channels["angle"]
+    widths = []
+    for unit in (0.0, 1e-6, 1e-4, 1e-3):
+        seen = np.floor(angle / unit) * unit if unit else angle
+        widths.append(default_bandwidth(with_channels(recording, angle=seen)))
+    assert widths[0] == pytest.approx(RATE / 25.0)
+    assert widths == sorted(widths, reverse=True)
+    assert widths[-1] < 0.9 * widths[0]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"torque": None}, "no torque, current or voltage channel"),
+        ({"angle": None, "velocity": None}, "no angle, motor_angle or velocity channel"),
+    ],
+)
+def test_missing_channels_are_named(change: dict[str, None], message: str) -> None:
+    with pytest.raises(RecordingError, match=message):
+        prepare(with_channels(sine(name="run7"), **change), 40.0)
+
+
+def test_voltage_without_motor_constants_is_refused() -> None:
+    recording = with_channels(sine(bench=Bench()), torque=None, voltage=np.zeros(5000))
+    with pytest.raises(RecordingError, match=r"needs bench\.resistance and bench\.back_emf_constant"):
+        prepare(recording, 40.0)
+
+
+def test_load_without_lever_is_refused() -> None:
+    with pytest.raises(RecordingError, match=r"needs bench\.moment_arm"):
+        prepare(sine(weight=10.0, bench=Bench()), 40.0)
+
+
+def test_recording_shorter_than_the_filter_is_refused() -> None:
+    with pytest.raises(RecordingError, match="100 samples are fewer than"):
+        prepare(sine(duration=0.1), 5.0)
+
+
+def test_torque_and_motion_agree_with_what_was_put_in() -> None:
+    """At rest of the filter's own error: the torque error of the true model is far below the torque."""
+    prepared = prepare(sine(), 40.0)
+    model = prepared.filter(friction(prepared.raw_velocity, TRUTH)) + TRUTH["J"] * prepared.acceleration
+    error = (prepared.torque - model)[prepared.used]
+    assert np.sqrt(np.mean(error**2)) < 0.02

@@ -1,0 +1,162 @@
+"""Quantisation, differentiation, filtering and decimation against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from identification.signals import Decimator, central_difference, decimator, derivative, quantum, resample, smooth
+
+RATE = 1000.0
+TIME = np.arange(4000) / RATE
+
+
+@given(
+    unit=st.floats(1e-6, 1e3),
+    offset=st.floats(-10.0, 10.0),
+    counts=st.lists(st.integers(-3, 3), min_size=60, max_size=200).filter(
+        lambda steps: sum(abs(s) == 1 for s in steps) > 8
+    ),
+)
+def test_quantum_is_the_step_of_an_encoder_after_any_scale_and_offset(
+    unit: float, offset: float, counts: list[int]
+) -> None:
+    values = np.cumsum(np.array(counts)) * unit + offset * unit
+    assert quantum(values) == pytest.approx(unit, rel=1e-6)
+
+
+@pytest.mark.parametrize("decimals", [3, 4])
+def test_quantum_of_values_printed_with_few_decimals(decimals: int) -> None:
+    values = np.round(0.35 * np.sin(2.0 * np.pi * 0.2 * TIME), decimals)
+    assert quantum(values) == pytest.approx(10.0**-decimals, rel=1e-6)
+
+
+def test_quantum_of_an_encoder_that_never_moves_slowly() -> None:
+    unit = 2.0 * np.pi / 262144.0
+    values = np.floor(0.35 * np.sin(2.0 * np.pi * 0.2 * TIME) / unit) * unit
+    assert quantum(values) == pytest.approx(unit, rel=1e-6)
+
+
+def test_quantum_skips_missing_samples() -> None:
+    values = np.round(0.35 * np.sin(TIME), 3)
+    values[100:110] = np.nan
+    assert quantum(values) == pytest.approx(1e-3, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_has_no_quantum(seed: int) -> None:
+    assert quantum(np.random.default_rng(seed).normal(size=2000)) == 0.0
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.2, 0.5])
+def test_exact_motion_has_no_quantum(shift: float) -> None:
+    """With a sample on the turning point, or half-way beside it, the first steps are 1, 3, 5 or 1, 2, 3 units."""
+    assert quantum(0.35 * np.sin(2.0 * np.pi * 0.2 * (TIME + shift / RATE))) == 0.0
+
+
+def test_a_few_equal_tiny_steps_are_chance() -> None:
+    """A shaft creeping before it sticks leaves a handful of steps far below all others."""
+    creep = np.cumsum(np.full(4, 1e-9))
+    assert quantum(np.concatenate((creep, 0.35 * np.sin(TIME)))) == 0.0
+
+
+def test_a_constant_has_no_quantum() -> None:
+    assert quantum(np.full(100, 0.3)) == 0.0
+    assert quantum(np.zeros(1)) == 0.0
+
+
+def order(differentiate: object, inner: slice) -> float:
+    """Log2 of the error's fall when the step is halved."""
+    errors = []
+    for step in (0.02, 0.01):
+        time = np.arange(0.0, 4.0, step)
+        error = differentiate(np.sin(3.0 * time), step) - 3.0 * np.cos(3.0 * time)  # type: ignore[operator]
+        errors.append(float(np.max(np.abs(error[inner]))))
+    return float(np.log2(errors[0] / errors[1]))
+
+
+def test_seven_point_derivative_is_of_sixth_order() -> None:
+    assert order(derivative, slice(3, -3)) == pytest.approx(6.0, abs=0.1)
+
+
+def test_three_point_derivative_is_of_second_order() -> None:
+    assert order(central_difference, slice(1, -1)) == pytest.approx(2.0, abs=0.1)
+
+
+def test_derivative_of_a_short_series_falls_back() -> None:
+    assert derivative(np.array([0.0, 1.0, 4.0, 9.0]), 1.0) == pytest.approx([1.0, 2.0, 4.0, 5.0])
+
+
+def test_derivative_is_exact_on_a_polynomial_of_degree_six() -> None:
+    time = np.linspace(-1.0, 1.0, 41)
+    inner = slice(3, -3)
+    assert derivative(time**6, 0.05)[inner] == pytest.approx(6.0 * time[inner] ** 5, abs=1e-12)
+
+
+def test_resample_moves_values_by_their_offset() -> None:
+    grid = TIME[10:-10]
+    moved = resample(TIME, 2.0 * TIME, grid, offset=-0.0005)
+    assert moved == pytest.approx(2.0 * (grid + 0.0005))
+
+
+def test_smooth_keeps_phase_and_removes_what_lies_above() -> None:
+    slow, fast = np.sin(2.0 * np.pi * 2.0 * TIME), np.sin(2.0 * np.pi * 200.0 * TIME)
+    inner = slice(500, -500)
+    assert smooth(slow + fast, RATE, 40.0)[inner] == pytest.approx(slow[inner], abs=1e-4)
+
+
+def test_smooth_above_the_rate_is_the_identity() -> None:
+    values = np.random.default_rng(0).normal(size=100)
+    assert smooth(values, RATE, 450.0) is values
+
+
+@pytest.mark.parametrize("bandwidth", [5.0, 20.0, 40.0, 100.0])
+def test_decimator_keeps_every_sample_at_its_own_time(bandwidth: float) -> None:
+    low_pass = decimator(RATE, bandwidth)
+    lead = slice(low_pass.half, len(TIME) - low_pass.half, low_pass.factor)
+    wave = np.sin(2.0 * np.pi * 0.05 * bandwidth * TIME + 0.3)
+    assert low_pass(wave) == pytest.approx(wave[lead], abs=2e-3)
+    assert low_pass(TIME) == pytest.approx(TIME[lead], abs=1e-12)  # symmetric: a line passes unchanged
+
+
+@pytest.mark.parametrize("bandwidth", [5.0, 20.0, 40.0, 100.0])
+def test_decimator_is_down_by_half_at_its_bandwidth(bandwidth: float) -> None:
+    low_pass = decimator(RATE, bandwidth)
+    offsets = np.arange(-low_pass.half, low_pass.half + 1) / RATE
+    assert float(low_pass.taps @ np.cos(2.0 * np.pi * bandwidth * offsets)) == pytest.approx(0.5, abs=0.01)
+    assert RATE / low_pass.factor >= 2.0 * bandwidth
+
+
+@pytest.mark.parametrize("length", range(400, 420))
+def test_decimator_is_the_plain_convolution_at_every_length(length: int) -> None:
+    low_pass = decimator(RATE, 40.0)
+    values = np.random.default_rng(length).normal(size=length)
+    plain = np.convolve(values, low_pass.taps, mode="valid")[:: low_pass.factor]
+    assert low_pass(values) == pytest.approx(plain, abs=1e-12)
+
+
+def test_decimator_works_along_the_last_axis() -> None:
+    low_pass = decimator(RATE, 40.0)
+    values = np.random.default_rng(0).normal(size=(2, 500))
+    assert np.array_equal(low_pass(values)[1], low_pass(values[1]))
+
+
+@given(st.lists(st.integers(0, 499), max_size=5), st.sampled_from([20.0, 40.0, 150.0]))
+def test_untouched_is_exactly_what_no_bad_sample_can_change(bad: list[int], bandwidth: float) -> None:
+    low_pass = decimator(RATE, bandwidth)
+    marks = np.zeros(500, dtype=bool)
+    marks[bad] = True
+    centres = np.arange(low_pass.half, 500 - low_pass.half, low_pass.factor)
+    expected = [not np.any(marks[c - low_pass.half : c + low_pass.half + 1]) for c in centres]
+    assert low_pass.untouched(marks).tolist() == expected
+    spoiled = low_pass(np.where(marks, 1e9, 0.0))
+    assert np.all(spoiled[low_pass.untouched(marks)] == 0.0)
+
+
+def test_without_anything_to_remove_the_decimator_is_the_identity() -> None:
+    low_pass = decimator(RATE, 450.0)
+    assert low_pass == Decimator(low_pass.taps, 1)
+    assert np.array_equal(low_pass(TIME), TIME)
+    assert low_pass.untouched(TIME > 1.0).tolist() == (TIME <= 1.0).tolist()
