@@ -21,6 +21,7 @@ _FRAMES_KEPT: Final = 1 << 16
 _ANSWER_SHARE: Final = 0.8
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
+_SILENCE_NS: Final = round(HEARTBEATS_MISSED * HEARTBEAT_S * NS)
 _SYNC: Final = 0x080
 _HIGHEST_ID: Final = 0x7FF
 
@@ -280,12 +281,11 @@ class CanopenLink(Link):
 
     def _check_heartbeats(self) -> None:
         now = self.clock.now_ns()
-        limit_s = HEARTBEATS_MISSED * HEARTBEAT_S
         for node in self._nodes.values():
             silent = now - node.heard_ns
-            if node.monitored and silent > limit_s * NS:
+            if silent > _SILENCE_NS and node.monitored:
                 lost = LinkError(
-                    f"{node.label} sent no heartbeat for {silent / NS:.3f} s (limit {limit_s:g} s); "
+                    f"{node.label} sent no heartbeat for {silent / NS:.3f} s (limit {_SILENCE_NS / NS:g} s); "
                     "check its supply and the bus cable"
                 )
                 self._troubles.append((node.node_id, lost))

@@ -63,14 +63,16 @@ class Cycle:
     """
 
     def __init__(self, plan: Plan, devices: Devices, recorder: Recorder, stop: StopButton, progress: Progress) -> None:
-        self._devices = devices
+        self._link, self._servo, self._encoder = devices.link, devices.servo, devices.encoder
+        self._clock = devices.link.clock
+        self._pacer = devices.pacer
         self._recorder = recorder
         self._stop = stop
         self._progress = progress
         self._limits = plan.limits
         self._period_ns = plan.cycle_ns
         self._latch = Latch()
-        self._start_ns = devices.link.clock.now_ns()
+        self._start_ns = self._clock.now_ns()
         self._next_ns = self._fresh_ns = self._start_ns
         self._pacer_offset_ns = 0
         self.count = 0
@@ -80,7 +82,7 @@ class Cycle:
     @property
     def now_ns(self) -> int:
         """Time since the start of the run, ns."""
-        return self._devices.link.clock.now_ns() - self._start_ns
+        return self._clock.now_ns() - self._start_ns
 
     @property
     def next_s(self) -> float:
@@ -93,9 +95,9 @@ class Cycle:
         Raises:
             TripError: That sample is outside a limit; nothing has been commanded to move.
         """
-        self._next_ns = self._fresh_ns = self._devices.link.clock.now_ns()
-        if self._devices.pacer is not None:
-            self._pacer_offset_ns = self._devices.pacer.now_ns() - self._next_ns
+        self._next_ns = self._fresh_ns = self._clock.now_ns()
+        if self._pacer is not None:
+            self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
         trip = self._latch.reset(self._exchange(target, 0), self._age_s, self._limits)
         if trip is not None:
             raise TripError(trip)
@@ -130,19 +132,18 @@ class Cycle:
 
     def _exchange(self, target: float, segment: int) -> Sample:
         """Wait for the cycle's start, send the target, collect and record the answer."""
-        devices = self._devices
-        link, clock = devices.link, devices.link.clock
+        link, clock = self._link, self._clock
         begin_ns = self._next_ns
-        if devices.pacer is not None:
-            devices.pacer.sleep_until_ns(begin_ns + self._pacer_offset_ns)
+        if self._pacer is not None:
+            self._pacer.sleep_until_ns(begin_ns + self._pacer_offset_ns)
         clock.sleep_until_ns(begin_ns)
         late_ns = clock.now_ns() - begin_ns
         if late_ns > self._period_ns:
             self.overruns += 1
             begin_ns += late_ns
-        devices.servo.set_target(target)
+        self._servo.set_target(target)
         link.exchange()
-        servo, encoder = devices.servo.sample(), devices.encoder.sample()
+        servo, encoder = self._servo.sample(), self._encoder.sample()
         fresh = servo.fresh and encoder.fresh
         time_ns = begin_ns - self._start_ns
         sample = Sample(

@@ -294,7 +294,9 @@ def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
 
 
 def _clamp_i16(value: int) -> int:
-    return max(-32768, min(32767, value))
+    if -32768 <= value <= 32767:
+        return value
+    return 32767 if value > 0 else -32768
 
 
 def _check_mode(_subindex: int, value: int) -> None:

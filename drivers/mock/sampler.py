@@ -36,7 +36,8 @@ class Sampler:
 
     def peek(self, now_ns: int) -> Reading:
         """Return the reading at ``now_ns`` without ending the averaging period."""
-        self.advance(now_ns)
+        if now_ns - self.time_ns >= self._loop_ns:
+            self.advance(now_ns)
         if self._last is not None and self._last_ns == self.time_ns:
             return self._last
         span = self.time_ns - self._last_ns

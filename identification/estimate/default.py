@@ -21,6 +21,8 @@ from identification.recording import Dataset, Model, Recording, RecordingError
 Progress = Callable[[str, float], None]
 WHITE = 0.15
 """Greatest correlation of neighbouring innovations at which the refined values are taken."""
+NOISE_EXCESS = 2.0
+"""Greatest torque noise, over the torque's own scatter, at which the refined values are taken."""
 NO_WORSE = 1.1
 """Greatest growth of the equation error at which the refined values are taken."""
 
@@ -127,7 +129,7 @@ def solve_stages(
 
 
 def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
-    solution = varpro.solve(stage.design, *stage.speed_range(), stage.signed)
+    solution = varpro.solve(stage.design, *stage.speed_range())
     samples = max(sum(int(np.sum(p.used)) for p in stage.prepared), 1)
     history = [
         stage.named(float(w), c)
@@ -174,6 +176,8 @@ def _refine(
     found = [m for m in motions.values() if m is not None]
     unloaded = [m for m in found if m.recording.stage == "unloaded"]
     loaded = [m for m in found if m.recording.stage == "loaded"]
+    if not values["J"] > 0.0:
+        return "the equation error finds no inertia to start from"
     if not unloaded:
         return "there is no unloaded recording to start from"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
@@ -187,6 +191,12 @@ def _refusal(refined: Refined, before: float, after: float) -> str:
         return (
             f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, limit {WHITE}), "
             "so physics is missing that the refinement would hide in the parameters"
+        )
+    if refined.torque_noise > NOISE_EXCESS * refined.torque_scatter:
+        return (
+            f"prediction errors ask for a torque noise of {refined.torque_noise:.3g}, but the torque scatters by "
+            f"{refined.torque_scatter:.3g} from sample to sample, so physics is missing that the refinement would hide "
+            "in the parameters"
         )
     if after > NO_WORSE * before:
         return f"the refined values raise the equation error from {before:.3g} to {after:.3g}"

@@ -30,7 +30,10 @@ INDEX = {
     "offset": kernel.OFFSET,
 }
 """Parameter name to its place in the kernel's vector; Ms and mu_s stand there as the rise above the Coulomb level."""
-_LOGARITHMIC = (kernel.OMEGA_SF, kernel.OMEGA_SL)
+_LOGARITHMIC = (kernel.OMEGA_SF, kernel.OMEGA_SL, kernel.INERTIA)
+"""Positive parameters, searched by their logarithm."""
+_FARTHEST_LOG = 6.0
+"""Farthest, in logarithm, that one fit may take them from its start: beyond, the filter's arithmetic overflows."""
 _TEMPERING = (20.0, 4.0, 1.0)
 _HUBER = 4.0
 _TIME_SCALE_S = 1e-3
@@ -48,7 +51,8 @@ class Refined:
         names: Fitted names in that order.
         innovation_rms: 1 where the noise model holds.
         whiteness: Correlation of neighbouring innovations.
-        torque_noise: Torque noise rms that the data ask for, N m.
+        torque_noise: Torque noise rms that the prediction errors ask for, N m.
+        torque_scatter: The torque's own scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Breakaways that entered.
@@ -60,6 +64,7 @@ class Refined:
     innovation_rms: float
     whiteness: float
     torque_noise: float
+    torque_scatter: float
     evaluations: int
     iterations: int
     breakaways: int
@@ -128,7 +133,10 @@ class Problem:
         """Return the kernel's vector of a free vector."""
         p = self.start.copy()
         for value, k in zip(x, self.free, strict=False):
-            p[k] = np.exp(value) if k in _LOGARITHMIC else value
+            if k in _LOGARITHMIC:
+                p[k] = self.start[k] * np.exp(np.clip(value - np.log(self.start[k]), -_FARTHEST_LOG, _FARTHEST_LOG))
+            else:
+                p[k] = value
         return p
 
     def run(self, p: Array, times: Sequence[Array], noise: float) -> tuple[list[Array], float]:
@@ -345,6 +353,7 @@ def refine_stages(
         innovation_rms=float(np.sqrt(np.mean(inside**2))),
         whiteness=float(np.mean(inside[1:] * inside[:-1]) / np.mean(inside**2)),
         torque_noise=joint.noise,
+        torque_scatter=torque_noise(motions),
         evaluations=evaluations + joint.evaluations,
         iterations=joint.iterations,
         breakaways=joint.breakaways,

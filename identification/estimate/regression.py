@@ -90,10 +90,19 @@ class Stage:
         names += [] if self.static in fixed else ["rise"]
         return tuple(names + [n for n in self.others if n not in fixed])
 
-    @property
-    def signed(self) -> tuple[int, ...]:
-        """Columns whose coefficient may be negative."""
-        return tuple(k for k, name in enumerate(self.free) if name == "offset")
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and greatest value of each coefficient in column order.
+
+        Nothing but the offset is negative, and the rise is no greater than the greatest torque seen, as a shaft that
+        moved has overcome it: where no sample lies on the falling branch the data alone would not stop it.
+        """
+        low = np.array([-np.inf if name == "offset" else 0.0 for name in self.free])
+        high = np.full(len(self.free), np.inf)
+        if "rise" in self.free:
+            scales = [float(np.max(p.moment)) if self.name == "loaded" else 1.0 for p in self.prepared]
+            peaks = [float(np.max(np.abs(p.torque))) / s for p, s in zip(self.prepared, scales, strict=True)]
+            high[self.free.index("rise")] = max(*peaks, 1e-300)
+        return low, high
 
     def speed_range(self) -> tuple[float, float]:
         """Return the least and greatest Stribeck speed to try, rad/s."""
@@ -134,9 +143,8 @@ class Stage:
             for k, name in enumerate(self.free):
                 columns[k].append(basis[name][p.used])
         stack = [np.concatenate(c) for c in columns]
-        return Design(
-            np.column_stack(stack) if stack else np.zeros((sum(map(len, targets)), 0)), np.concatenate(targets)
-        )
+        target = np.concatenate(targets)
+        return Design(np.column_stack(stack) if stack else np.zeros((len(target), 0)), target, *self.bounds())
 
     def named(self, omega_s: float, coefficients: Array) -> dict[str, float]:
         """Return the stage's parameters by name."""

@@ -1,8 +1,8 @@
 """Variable projection: given the Stribeck speed, each stage of the model is linear.
 
-With Ms = Mc + dM and every coefficient but the offset non-negative, the linear part follows from least squares for any
-trial omega_s, which leaves a search in one unknown, log omega_s, without the wrong basins of a search in all of them.
-Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+With Ms = Mc + dM and bounds on the coefficients (none but the offset below 0, no rise above the greatest torque seen),
+the linear part follows from least squares for any trial omega_s. That leaves a search in one unknown, log omega_s,
+without the wrong basins of a search in all of them. Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
 """
 
 from __future__ import annotations
@@ -26,10 +26,14 @@ class Design:
     Attributes:
         columns: Shape (n, p).
         target: Shape (n,).
+        low: Least value of each coefficient, shape (p,).
+        high: Greatest value of each coefficient, shape (p,).
     """
 
     columns: Array
     target: Array
+    low: Array
+    high: Array
 
 
 @dataclass(frozen=True)
@@ -55,8 +59,8 @@ class Solution:
     cost_history: Array
 
 
-def non_negative(design: Design, signed: tuple[int, ...] = ()) -> tuple[Array, float]:
-    """Solve least squares with coefficients >= 0, those in ``signed`` free; return (coefficients, cost).
+def bounded_least_squares(design: Design) -> tuple[Array, float]:
+    """Solve least squares within the bounds; return (coefficients, sum of squared residuals).
 
     The problem is first reduced by QR, so the cost keeps full precision on noise-free data.
     """
@@ -66,33 +70,27 @@ def non_negative(design: Design, signed: tuple[int, ...] = ()) -> tuple[Array, f
     reduced: Array = np.asarray(np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r"))
     matrix, right = reduced[:p, :p], reduced[:p, p]
     rest = float(reduced[p, p] ** 2) if reduced.shape[0] > p else 0.0
-    plain = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    bounded = [k for k in range(p) if k not in signed]
-    if np.all(plain[bounded] >= 0.0):
-        misfit = matrix @ plain - right
-        return plain / scale, float(misfit @ misfit) + rest
-    split = np.column_stack([matrix] + [-matrix[:, k] for k in signed])
-    doubled, misfit_norm = optimize.nnls(split, right)
-    solution = doubled[:p].copy()
-    for position, k in enumerate(signed):
-        solution[k] -= doubled[p + position]
-    return solution / scale, float(misfit_norm**2) + rest
+    low, high = design.low * scale, design.high * scale
+    solution = np.linalg.lstsq(matrix, right, rcond=None)[0]
+    if np.any(solution < low) or np.any(solution > high):
+        solution = optimize.lsq_linear(matrix, right, bounds=(low, high), method="bvls").x
+    misfit = matrix @ solution - right
+    return solution / scale, float(misfit @ misfit) + rest
 
 
-def solve(design: Callable[[float], Design], low: float, high: float, signed: tuple[int, ...] = ()) -> Solution:
+def solve(design: Callable[[float], Design], low: float, high: float) -> Solution:
     """Minimise the cost of ``design(omega_s)`` over its coefficients and over log omega_s.
 
     Args:
         design: omega_s to the linear problem left.
         low: Least omega_s tried, rad/s.
         high: Greatest omega_s tried, rad/s; equal to ``low`` to hold it there.
-        signed: Coefficients that may be negative.
     """
     tried: list[tuple[float, float, Array]] = []
 
     def cost(log_omega: float) -> float:
         omega_s = float(np.exp(log_omega))
-        coefficients, value = non_negative(design(omega_s), signed)
+        coefficients, value = bounded_least_squares(design(omega_s))
         if not tried or value < tried[-1][0]:
             tried.append((value, omega_s, coefficients))
         else:
