@@ -14,6 +14,7 @@ import numpy as np
 from scipy import optimize
 
 from identification.estimate import innovations as kernel
+from identification.estimate import levenberg
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
@@ -170,9 +171,11 @@ class Problem:
         ]
         return np.concatenate(found + ends)
 
-    def jacobian(self, x: Array) -> Array:
-        """Return d residuals / d x by differences; one run serves all breakaway times, as no stretch sees another's."""
-        here = self.residuals(x)
+    def jacobian(self, x: Array, here: Array) -> Array:
+        """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences.
+
+        One run serves all breakaway times, as no stretch sees another's.
+        """
         count = len(self.free)
         out = np.zeros((len(here), len(x)))
         for k in range(count):
@@ -257,19 +260,15 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
     solution = problem.origin()
     for factor in tempering:
         problem.noise = noise * factor
-        found = optimize.least_squares(
+        found = levenberg.minimise(
             problem.residuals,
+            problem.jacobian,
             problem.origin(),
-            jac=problem.jacobian,
-            x_scale="jac",
-            loss="huber",
-            f_scale=_HUBER,
-            ftol=1e-5 if factor > 1.0 else 1e-7,
-            xtol=1e-6,
-            max_nfev=25,
+            threshold=_HUBER,
+            tolerance=1e-4 if factor > 1.0 else 1e-7,
         )
         problem.keep(found.x)
-        problem.iterations += int(found.nfev)
+        problem.iterations += found.steps
         solution = problem.origin()
     problem.noise = noise
     return problem.residuals(solution)
@@ -282,8 +281,8 @@ def covariance(problem: Problem) -> Array:
     the noise model misses from stretch to stretch widens the interval.
     """
     x = problem.origin()
-    jacobian = problem.jacobian(x)
     residual = problem.residuals(x)
+    jacobian = problem.jacobian(x, residual)
     count = len(problem.free)
     scale = np.linalg.norm(jacobian, axis=0)
     scale[scale == 0.0] = 1.0

@@ -1,0 +1,149 @@
+"""Both stages by variable projection, on noise-free data with known parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize
+
+from identification.estimate.default import solve_stages
+from identification.estimate.regression import loaded_stage, model_torque, unloaded_stage
+from identification.estimate.varpro import Design, bounded_least_squares, solve
+from identification.prepare import prepare
+from identification.recording import Model, Recording
+
+from .synthetic import LOAD, SYSTEM, TRUTH, sine
+
+EXACT_HZ = 500.0
+WEIGHT_KG = 30.6
+
+
+def estimate(model: Model, *recordings: Recording) -> dict[str, float]:
+    prepared = [prepare(r, EXACT_HZ) for r in recordings]
+    unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
+    loaded = [p for p in prepared if p.recording.stage == "loaded"]
+    return solve_stages(unloaded, loaded, model, lambda _stage, _share: None)[0]
+
+
+def random_truth(seed: int) -> dict[str, float]:
+    rng = np.random.default_rng(seed)
+    truth = {name: value * rng.uniform(0.6, 1.4) for name, value in TRUTH.items()}
+    truth["Ms"] = truth["Mc"] * rng.uniform(1.2, 2.5)
+    truth["mu_s"] = truth["mu_c"] * rng.uniform(1.2, 2.5)
+    return truth
+
+
+def assert_close(found: Mapping[str, float], truth: Mapping[str, float], rel: float) -> None:
+    for name, value in truth.items():
+        assert found[name] == pytest.approx(value, rel=rel), name
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_all_nine_come_back_on_noise_free_data(seed: int) -> None:
+    truth = random_truth(seed)
+    found = estimate(Model(), sine(truth), sine(truth, weight=WEIGHT_KG))
+    assert_close(found, truth, 1e-6)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 1.5])
+def test_other_stribeck_exponents(alpha: float) -> None:
+    recordings = sine(alpha=alpha), sine(weight=WEIGHT_KG, alpha=alpha)
+    assert_close(estimate(Model(alpha=alpha), *recordings), TRUTH, 1e-6)
+
+
+@pytest.mark.parametrize(
+    "fixed",
+    [
+        {"Mc": 7.0},
+        {"Ms": 11.5},
+        {"Mc": 7.0, "Ms": 11.5},
+        {"omega_sf": 0.05},
+        {"sigma_2": 5.0, "J": 0.25},
+        {"omega_sL": 0.03, "mu_c": 0.05},
+        {"mu_s": 0.08},
+    ],
+    ids=lambda fixed: "+".join(fixed),
+)
+def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> None:
+    found = estimate(Model(fixed=fixed), sine(), sine(weight=WEIGHT_KG))
+    assert {name: found[name] for name in fixed} == pytest.approx(fixed, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "names", [("Mc",), ("Ms",), ("Mc", "Ms"), ("omega_sf",), ("J",), ("mu_c",), ("mu_s", "omega_sL")], ids="+".join
+)
+def test_the_others_come_back_where_the_fixed_ones_are_right(names: tuple[str, ...]) -> None:
+    found = estimate(Model(fixed={n: TRUTH[n] for n in names}), sine(), sine(weight=WEIGHT_KG))
+    assert_close(found, TRUTH, 1e-6)
+
+
+def test_everything_fixed_leaves_nothing_to_fit() -> None:
+    fixed = {name: TRUTH[name] for name in SYSTEM}
+    assert estimate(Model(fixed=fixed), sine()) == pytest.approx(fixed)
+
+
+@pytest.mark.parametrize("offset", [-0.8, 0.4])
+def test_declared_offset_comes_back_with_its_sign(offset: float) -> None:
+    found = estimate(Model(terms=("offset",)), sine(offset=offset), sine(offset=offset, weight=WEIGHT_KG))
+    assert_close(found, {**TRUTH, "offset": offset}, 1e-6)
+
+
+def test_undeclared_offset_is_not_fitted() -> None:
+    assert set(estimate(Model(), sine(offset=0.4))) == set(SYSTEM)
+
+
+def test_friction_that_falls_toward_rest_ends_on_the_bound() -> None:
+    """Ms below Mc is outside the model: the rise stays at 0, exactly."""
+    found = estimate(Model(), sine({**TRUTH, "Ms": 0.7 * TRUTH["Mc"]}))
+    assert found["Ms"] == found["Mc"]
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=60)
+def test_bounded_least_squares_is_the_constrained_minimum(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    columns = rng.normal(size=(40, 4)) * 10.0 ** rng.uniform(-3.0, 3.0, 4)
+    target = rng.normal(size=40)
+    low = np.array([0.0, 0.0, 0.0, -np.inf])
+    high = np.full(4, np.inf)
+    found, cost = bounded_least_squares(Design(columns, target, low, high))
+    assert np.all(found >= low)
+    assert cost == pytest.approx(float(np.sum((columns @ found - target) ** 2)), rel=1e-9)
+    scale = np.linalg.norm(columns, axis=0)
+    reference = optimize.lsq_linear(columns / scale, target, (low, high), tol=1e-14)
+    assert cost <= 2.0 * reference.cost * (1.0 + 1e-9)
+
+
+def test_cost_keeps_full_precision_on_noise_free_data() -> None:
+    rng = np.random.default_rng(0)
+    columns, truth = rng.normal(size=(5000, 4)), np.array([1.0, 2.0, 3.0, 4.0])
+    design = Design(columns, columns @ truth, np.zeros(4), np.full(4, np.inf))
+    found, cost = bounded_least_squares(design)
+    assert found == pytest.approx(truth, rel=1e-12)
+    assert cost < 1e-24
+
+
+def test_history_holds_the_best_so_far() -> None:
+    stage = unloaded_stage([prepare(sine(), EXACT_HZ)], Model())
+    solution = solve(stage.design, *stage.speed_range())
+    assert np.all(np.diff(solution.cost_history) <= 0.0)
+    assert solution.cost_history[-1] == solution.cost
+    assert solution.omega_history[-1] == solution.omega_s
+    assert len(solution.cost_history) == solution.evaluations < 100
+
+
+def test_stages_name_what_they_fit() -> None:
+    p, q = prepare(sine(), EXACT_HZ), prepare(sine(weight=WEIGHT_KG), EXACT_HZ)
+    assert set(unloaded_stage([p], Model()).names) == set(SYSTEM)
+    assert set(loaded_stage([q], Model(), TRUTH).names) == set(LOAD)
+
+
+@pytest.mark.parametrize("weight", [0.0, WEIGHT_KG])
+def test_model_torque_at_the_truth_is_the_torque(weight: float) -> None:
+    p = prepare(sine(weight=weight, offset=0.3), EXACT_HZ)
+    error = p.torque - model_torque(p, {**TRUTH, "offset": 0.3}, 2.0)
+    assert np.max(np.abs(error[p.used])) < 1e-8
