@@ -246,7 +246,7 @@ class CanopenLink(Link):
         if slot is not None:
             # A frame of the wrong length updates nothing, and its cycle counts as missed.
             if len(data) == slot.size:
-                slot.data = data
+                slot.values = slot.layout.unpack(data)
                 if slot.cycle != self.cycle and not slot.slack:
                     self._missing -= 1
                 slot.cycle = self.cycle

@@ -137,7 +137,7 @@ class CanopenNode:
         self.inputs, self._numbered = {}, {}
         for layout, (identifier, packing) in zip(inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True):
             slot = Input(packing, layout.every)
-            slot.data = packing.pack(*(self.read(*address) for address in layout.objects))
+            slot.values = tuple(self.read(*address) for address in layout.objects)
             if slot.slack:
                 slot.cycle = self.cycle
             self.inputs[identifier] = self._numbered[layout.number] = slot
@@ -151,8 +151,7 @@ class CanopenNode:
 
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the last good values of TPDO ``number``."""
-        slot = self._numbered[number]
-        return slot.layout.unpack(slot.data)
+        return self._numbered[number].values
 
     def watch(self, limit_s: float) -> None:
         """Arm the device's heartbeat consumer (1016h), and start it with a first heartbeat.

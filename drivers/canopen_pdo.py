@@ -29,18 +29,18 @@ class Input:
     Attributes:
         layout: Of its values.
         slack: Cycles it may be old and still count as fresh.
-        data: Of the last good frame.
+        values: Of the last good frame.
         cycle: In which that came.
     """
 
-    __slots__ = ("cycle", "data", "layout", "size", "slack")
+    __slots__ = ("cycle", "layout", "size", "slack", "values")
 
     def __init__(self, layout: struct.Struct, every: int) -> None:
         self.layout = layout
         self.size = layout.size
         # A slow PDO's phase against the exchange is the device's own, so one period more is allowed.
         self.slack = 0 if every == 1 else 2 * every
-        self.data = bytes(layout.size)
+        self.values: tuple[int, ...] = layout.unpack(bytes(layout.size))
         self.cycle = -1
 
 

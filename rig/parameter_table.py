@@ -25,7 +25,7 @@ class Table:
 
 
 def parameter_table(results: Sequence[Identification], truth: Mapping[str, float] | None = None) -> Table:
-    """Return one row per parameter, with value and 90 % interval by each method.
+    """Return one row per parameter, with value and 90 % interval by each method; columns without content are left out.
 
     Args:
         results: One per method; the first names the rows.
@@ -34,12 +34,13 @@ def parameter_table(results: Sequence[Identification], truth: Mapping[str, float
     header = ["parameter"]
     for result in results:
         prefix = "" if len(results) == 1 else f"{result.method}: "
-        header += [f"{prefix}value", f"{prefix}90 % interval", *(["error"] if truth else [])]
+        header += [f"{prefix}value", f"{prefix}90 % interval", *([f"{prefix}error"] if truth else [])]
     header += ["unit", *(["true"] if truth else []), "note"]
     names = dict.fromkeys(name for result in results for name in result.parameters)
     rows = [_row(name, results, truth) for name in names]
-    numbers = [i for i, title in enumerate(header) if title not in ("parameter", "unit", "note")]
-    return Table(tuple(header), tuple(rows), tuple(numbers))
+    kept = [i for i in range(len(header)) if any(row[i] not in ("", "-") for row in rows)]
+    numbers = [k for k, i in enumerate(kept) if header[i] not in ("parameter", "unit", "note")]
+    return Table(tuple(header[i] for i in kept), tuple(tuple(row[i] for i in kept) for row in rows), tuple(numbers))
 
 
 def parameter_notes(results: Sequence[Identification]) -> list[str]:

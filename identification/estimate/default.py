@@ -214,5 +214,5 @@ def _joint_convergence(refined: Refined) -> Convergence:
         evaluations=refined.evaluations,
         generations=refined.iterations,
         cost=refined.innovation_rms,
-        cost_unit="innovation rms over its noise (1 where the noise model holds)",
+        cost_unit="of the noise",
     )

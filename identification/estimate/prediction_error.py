@@ -31,6 +31,7 @@ INDEX = {
     "offset": kernel.OFFSET,
 }
 """Parameter name to its place in the kernel's vector; Ms and mu_s stand there as the rise above the Coulomb level."""
+_COULOMB_OF = {"Ms": kernel.MC, "mu_s": kernel.MU_C}
 _LOGARITHMIC = (kernel.OMEGA_SF, kernel.OMEGA_SL, kernel.INERTIA)
 """Positive parameters, searched by their logarithm."""
 _FARTHEST_LOG = 6.0
@@ -97,12 +98,13 @@ class Problem:
     """Residuals and Jacobian of one joint fit: parameters first, then the breakaway times of all stretches."""
 
     def __init__(
-        self, motions: Sequence[Motion], start: Array, free: Sequence[int], alpha: float, noise: float
+        self, motions: Sequence[Motion], start: Array, free: Sequence[int], model: Model, noise: float
     ) -> None:
         self.motions = tuple(motions)
         self.start = start
         self.free = tuple(free)
-        self.alpha = alpha
+        self.alpha = model.alpha
+        self.statics = [(_COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in _COULOMB_OF]
         self.noise = noise
         self.begins = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
@@ -138,6 +140,8 @@ class Problem:
                 p[k] = self.start[k] * np.exp(np.clip(value - np.log(self.start[k]), -_FARTHEST_LOG, _FARTHEST_LOG))
             else:
                 p[k] = value
+        for coulomb, rise, static in self.statics:
+            p[rise] = static - p[coulomb]
         return p
 
     def run(self, p: Array, times: Sequence[Array], noise: float) -> tuple[list[Array], float]:
@@ -223,7 +227,7 @@ def likeliest_noise(problem: Problem, first: float) -> float:
 
 
 def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> None:
-    """Search a grid of static limits and Stribeck speeds for the start; sets the problem's start and times.
+    """Search a grid of static limits and Stribeck speeds, those that are free, for the start and its breakaway times.
 
     The static limit lies at or below the peak torque before visible motion, since breakaway takes time to show.
     """
@@ -231,15 +235,18 @@ def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> Non
     best: tuple[float, Array, list[Array]] | None = None
     fastest = max(float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in problem.motions)
     guess = problem.start[speed]
-    speeds = np.concatenate([[guess], np.geomspace(0.01, 0.35, _START_SPEEDS) * fastest])
-    shares = [m.peak_torque() for m in problem.motions]
-    for share in np.linspace(0.75, 1.0, _START_STATICS):
+    speeds = np.array([guess])
+    if speed in problem.free:
+        speeds = np.concatenate([speeds, np.geomspace(0.01, 0.35, _START_SPEEDS) * fastest])
+    peaks = [m.peak_torque() for m in problem.motions]
+    for share in np.linspace(0.75, 1.0, _START_STATICS) if rise in problem.free else (1.0,):
         p = problem.start.copy()
-        limits = [
-            (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0)) / (m.moment[0] if loaded else 1.0)
-            for m, peak in zip(problem.motions, shares, strict=True)
-        ]
-        p[rise] = float(np.median(limits)) - p[coulomb]
+        if rise in problem.free:
+            limits = [
+                (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0)) / (m.moment[0] if loaded else 1.0)
+                for m, peak in zip(problem.motions, peaks, strict=True)
+            ]
+            p[rise] = float(np.median(limits)) - p[coulomb]
         if p[rise] < 0.0:
             continue
         times = [m.static_crossing(static_limit(p, m)) for m in problem.motions]
@@ -318,7 +325,7 @@ def refine_stages(
         system.append(kernel.OFFSET)
     load = [k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed]
     evaluations = 0
-    first = Problem(unloaded, pack(start), system, model.alpha, torque_noise(unloaded))
+    first = Problem(unloaded, pack(start), system, model, torque_noise(unloaded))
     # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
     first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
     first.noise = likeliest_noise(first, first.noise)
@@ -327,7 +334,7 @@ def refine_stages(
     motions, begins, noise, free = tuple(unloaded), list(first.begins), first.noise, system
     vector = first.start
     if loaded:
-        second = Problem(loaded, vector, load, model.alpha, noise)
+        second = Problem(loaded, vector, load, model, noise)
         seed_breakaway(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL)
         refine(second)
         evaluations += second.evaluations
@@ -335,7 +342,7 @@ def refine_stages(
         vector = second.start
     if kernel.INERTIA not in fixed:
         free = [*free, kernel.INERTIA]
-    joint = Problem(motions, vector, free, model.alpha, noise)
+    joint = Problem(motions, vector, free, model, noise)
     joint.begins = begins
     joint.noise = likeliest_noise(joint, noise)
     residual = refine(joint, (1.0,))

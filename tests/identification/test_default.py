@@ -1,0 +1,161 @@
+"""The default method from end to end: recovery, refusals, bookkeeping."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.estimate.default import identify, solve_stages
+from identification.estimate.prediction_error import refine_stages
+from identification.estimate.result import Identification
+from identification.estimate.stretches import motion
+from identification.prepare import prepare
+from identification.recording import Dataset, Model, Recording, RecordingError
+
+from .practical import logged, simulated, with_ripple
+from .synthetic import TRUTH, sine
+
+SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+
+
+@pytest.fixture(scope="module")
+def practical_result(practical_pair: tuple[Recording, Recording]) -> Identification:
+    return identify(Dataset(practical_pair))
+
+
+def equation_error(result: Identification, *recordings: Recording) -> dict[str, float]:
+    prepared = [prepare(r, result.fit.bandwidth_Hz) for r in recordings]
+    return solve_stages(prepared, [], Model(), lambda _stage, _share: None)[0]
+
+
+def test_practical_bench_within_tenths_of_a_percent(practical_result: Identification) -> None:
+    assert [s.method for s in practical_result.stages] == ["variable projection"] * 2 + ["prediction error"]
+    assert practical_result.warnings == ()
+    found = practical_result.values()
+    for name, value in TRUTH.items():
+        limit = {"omega_sL": 0.03, "J": 0.008}.get(name, 0.004)
+        assert found[name] == pytest.approx(value, rel=limit), name
+
+
+def test_innovations_of_the_practical_bench_are_of_unit_size(practical_result: Identification) -> None:
+    assert practical_result.stages[-1].cost == pytest.approx(1.0, abs=0.1)
+
+
+def test_intervals_are_narrow_and_near_the_truth(practical_result: Identification) -> None:
+    for name, value in TRUTH.items():
+        parameter = practical_result.parameters[name]
+        assert parameter.low is not None
+        assert parameter.high is not None
+        half = 0.5 * (parameter.high - parameter.low)
+        assert half < 0.05 * value, name
+        assert abs(0.5 * (parameter.high + parameter.low) - value) < 3.0 * half, name
+
+
+def test_result_holds_every_signal_and_adds_up(practical_result: Identification) -> None:
+    assert [t.recording for t in practical_result.traces] == ["unloaded", "loaded"]
+    assert practical_result.evaluations == sum(s.evaluations for s in practical_result.stages)
+    errors = [(t.torque - t.torque_model)[t.used] for t in practical_result.traces]
+    rms = np.sqrt(np.mean(np.concatenate(errors) ** 2))
+    assert practical_result.fit.train_rms == pytest.approx(rms)
+    assert practical_result.fit.validate_rms is None
+
+
+@pytest.mark.parametrize(
+    ("names", "loaded"),
+    [(("J",), False), (("Ms",), False), (("Mc", "omega_sf"), False), (SYSTEM, False), (("mu_s", "omega_sL"), True)],
+    ids=lambda value: "+".join(value) if isinstance(value, tuple) else "",
+)
+def test_fixed_values_are_held_through_the_refinement(
+    practical_pair: tuple[Recording, Recording], names: tuple[str, ...], loaded: bool
+) -> None:
+    result = identify(Dataset(practical_pair[: 1 + loaded], Model(fixed={n: TRUTH[n] for n in names})))
+    assert result.stages[-1].method == "prediction error"
+    for name, found in result.values().items():
+        limit = 1e-12 if name in names else 0.008
+        assert found == pytest.approx(TRUTH[name], rel=limit), name
+
+
+@pytest.mark.parametrize(("amplitude", "words"), [(0.3, "ask for a torque noise of"), (1.0, "stay correlated")])
+def test_hidden_ripple_leaves_the_values_of_the_equation_error(
+    practical_pair: tuple[Recording, Recording], amplitude: float, words: str
+) -> None:
+    """A torque over the angle as cogging makes it, which no nominal parameter can take."""
+    recording = with_ripple(practical_pair[0], amplitude, 120.0)
+    result = identify(Dataset((recording,)))
+    (warning,) = result.warnings
+    assert "values are those of the equation error at" in warning
+    assert words in warning
+    plain = equation_error(result, recording)
+    assert result.values() == {name: plain[name] for name in result.values()}
+
+
+def test_strong_hidden_ripple_does_not_break_the_search(practical_pair: tuple[Recording, Recording]) -> None:
+    result = identify(Dataset((with_ripple(practical_pair[0], 2.0, 40.0),)))
+    assert "physics is missing" in result.warnings[0]
+
+
+def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Recording]) -> None:
+    clean, rippled = (motion(r) for r in (practical_pair[0], with_ripple(practical_pair[0], 0.3, 40.0)))
+    assert clean is not None
+    assert rippled is not None
+    right, wrong = (refine_stages([m], [], TRUTH_SYSTEM, Model()) for m in (clean, rippled))
+    assert right.torque_noise < right.torque_scatter
+    assert wrong.torque_noise > 3.0 * wrong.torque_scatter
+    assert abs(right.whiteness) < 0.1
+
+
+TRUTH_SYSTEM = {name: TRUTH[name] for name in SYSTEM}
+
+
+def test_exact_channels_are_not_refined() -> None:
+    result = identify(Dataset((sine(),)), bandwidth_Hz=500.0)
+    assert [s.method for s in result.stages] == ["variable projection"]
+    (warning,) = result.warnings
+    assert "a quantised encoder" in warning
+    assert result.values() == pytest.approx({name: TRUTH[name] for name in SYSTEM}, rel=1e-6)
+
+
+def test_without_inertia_to_start_from_nothing_is_refined(practical_pair: tuple[Recording, Recording]) -> None:
+    recording = practical_pair[0]
+    acceleration = np.gradient(np.gradient(recording.channels["motor_angle"], 1e-3), 1e-3) / 100.0
+    smooth = np.convolve(acceleration, np.ones(51) / 51.0, mode="same")
+    current = recording.channels["current"] - 0.3 * smooth / 3.0  # takes away more than J domega/dt
+    result = identify(Dataset((replace(recording, channels={**recording.channels, "current": current}),)))
+    assert "no inertia to start from" in result.warnings[0]
+    assert result.parameters["J"].at_bound
+
+
+def test_validation_is_scored_and_never_fitted(practical_pair: tuple[Recording, Recording]) -> None:
+    unloaded = practical_pair[0]
+    other = replace(logged(simulated(3, 0.0), 0.0, name="other"), role="validate")
+    alone, scored = identify(Dataset((unloaded,))), identify(Dataset((unloaded, other)))
+    assert scored.values() == alone.values()
+    assert scored.fit.train_rms == alone.fit.train_rms
+    assert scored.fit.validate_rms == scored.fits_by_recording["other"].train_rms
+    assert scored.fit.validate_rms == pytest.approx(scored.fit.train_rms, rel=0.2)
+
+
+def test_progress_is_told() -> None:
+    heard: list[tuple[str, float]] = []
+    identify(Dataset((sine(),)), progress=lambda stage, share: heard.append((stage, share)))
+    assert heard[0] == ("unloaded", 0.0)
+    assert ("unloaded", 1.0) in heard
+    assert heard[-1] == ("joint", 1.0)
+
+
+def test_loaded_alone_is_refused_with_what_is_missing() -> None:
+    with pytest.raises(RecordingError, match=r"record an unloaded stage, or fix Mc, Ms, omega_sf, sigma_2, J"):
+        identify(Dataset((sine(weight=30.6),)))
+
+
+def test_loaded_alone_with_the_system_fixed() -> None:
+    result = identify(Dataset((sine(weight=30.6),), Model(fixed=TRUTH_SYSTEM)), bandwidth_Hz=500.0)
+    for name in ("mu_c", "mu_s", "omega_sL", "mu_2"):
+        assert result.values()[name] == pytest.approx(TRUTH[name], rel=1e-6)
+
+
+def test_nothing_to_fit_is_refused() -> None:
+    with pytest.raises(RecordingError, match="no recording has role 'fit'"):
+        identify(Dataset((sine(role="validate"),)))

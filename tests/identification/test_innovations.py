@@ -1,0 +1,158 @@
+"""The prediction-error filter against an independent Kalman filter, and its cost's derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from identification.estimate import innovations as kernel
+from identification.estimate.prediction_error import INDEX, Problem, likeliest_noise, pack, static_limit, unpack
+from identification.estimate.stretches import Motion, motion
+from identification.recording import Model, Recording
+
+from .synthetic import TRUTH
+
+INERTIA, VISCOUS, COULOMB = 0.2, 5.0, 2.0
+STEP_S = 1e-3
+TORQUE_NOISE, ANGLE_NOISE = 0.05, 4.4e-6
+
+
+def kalman(angle: np.ndarray, torque: np.ndarray, start: float) -> np.ndarray:
+    """Normalised innovations of J domega/dt = u - Mc - sigma omega, exactly discretised, from rest at ``start``."""
+    drift = np.array([[0.0, 1.0], [0.0, -VISCOUS / INERTIA]])
+    inlet = np.array([[0.0], [1.0 / INERTIA]])
+    diffusion = np.array([[0.0, 0.0], [0.0, TORQUE_NOISE**2 * STEP_S / INERTIA**2]])
+    moves = linalg.expm(np.block([[drift, inlet], [np.zeros((1, 3))]]) * STEP_S)
+    transition, gain = moves[:2, :2], moves[:2, 2]
+    loan = linalg.expm(np.block([[-drift, diffusion], [np.zeros((2, 2)), drift.T]]) * STEP_S)  # Van Loan 1978
+    process = loan[2:, 2:].T @ loan[:2, 2:]
+    state, covariance = np.array([start, 0.0]), np.diag([ANGLE_NOISE**2, 0.0])
+    observe = np.array([1.0, 0.0])
+    out = np.empty(len(angle))
+    for k, (seen, u) in enumerate(zip(angle, torque, strict=True)):
+        state = transition @ state + gain * (u - COULOMB)
+        covariance = transition @ covariance @ transition.T + process
+        variance = observe @ covariance @ observe + ANGLE_NOISE**2
+        correction = covariance @ observe / variance
+        error = seen - state[0]
+        out[k] = error / np.sqrt(variance)
+        state = state + correction * error
+        covariance = (np.eye(2) - np.outer(correction, observe)) @ covariance
+    return out
+
+
+def run_kernel(angle: np.ndarray, torque: np.ndarray, side: float, steps: float) -> tuple[np.ndarray, float]:
+    n = len(angle)
+    p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
+    out, speeds = np.zeros(n), np.zeros(n)
+    logs = kernel.innovations(
+        np.array([[1.0, float(n), side, 1.0]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
+        np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), p, out, speeds,
+    )  # fmt: skip
+    return side * out[1:], logs
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_linear_case_is_the_kalman_filter(side: float) -> None:
+    rng = np.random.default_rng(2)
+    n = 800
+    time = STEP_S * np.arange(n)
+    torque = 6.0 + np.sin(12.0 * time)
+    angle, speed = np.zeros(n), 0.0
+    for k in range(1, n):
+        speed += STEP_S / INERTIA * (torque[k] + TORQUE_NOISE * rng.normal() - COULOMB - VISCOUS * speed)
+        angle[k] = angle[k - 1] + STEP_S * speed
+    angle += ANGLE_NOISE * rng.normal(size=n)
+    expected = kalman(angle[1:], torque[1:], angle[0])
+    found, logs = run_kernel(angle, torque, side, 8.0)
+    assert np.std(expected) > 0.5
+    assert np.max(np.abs(found - expected)) < 0.02 * float(np.std(expected))
+    assert logs < 0.0
+
+
+def test_inside_steps_converge() -> None:
+    """The first sample aside, whose covariance starts from a known state and is of first order."""
+    time = STEP_S * np.arange(400)
+    torque = 6.0 + np.sin(12.0 * time)
+    angle = 0.1 * time
+    coarse, medium, fine = (run_kernel(angle, torque, 1.0, steps)[0][1:] for steps in (1.0, 2.0, 4.0))
+    first, second = np.max(np.abs(coarse - medium)), np.max(np.abs(medium - fine))
+    assert 0.0 < second < first / 1.5
+
+
+@pytest.fixture(scope="module")
+def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion]:
+    unloaded, loaded = (motion(r) for r in practical_pair)
+    assert unloaded is not None
+    assert loaded is not None
+    return unloaded, loaded
+
+
+def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
+    problem = Problem([m], pack(TRUTH), free, Model(), 0.06)
+    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
+    return problem
+
+
+@pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
+def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Motion, Motion], case: int) -> None:
+    problem = at_truth(motions[case])
+    (found,), _ = problem.run(problem.start, problem.begins, likeliest_noise(problem, 0.06))
+    clipped = found[np.abs(found) < 6.0]  # the encoder's noise is uniform, friction at breakaway is steep
+    assert len(clipped) > 0.995 * len(found)
+    assert np.mean(clipped**2) == pytest.approx(1.0, abs=0.1)
+    assert abs(np.mean(found[1:] * found[:-1]) / np.mean(found**2)) < 0.1
+
+
+def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
+    problem = at_truth(motions[1])
+    (right,), _ = problem.run(problem.start, problem.begins, 0.06)
+    for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
+        wrong = problem.start.copy()
+        wrong[INDEX[name]] *= 1.1
+        (found,), _ = problem.run(wrong, problem.begins, 0.06)
+        assert np.sum(np.minimum(found**2, 25.0)) > np.sum(np.minimum(right**2, 25.0)), name
+
+
+@pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
+def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case: int) -> None:
+    """Every column by central differences of its own, breakaway times included one by one."""
+    short = replace(motions[case], table=motions[case].table[:3], seen=motions[case].seen[:3])
+    inside = np.zeros(len(short.time), dtype=bool)
+    for first, last in short.table[:, :2].astype(int):
+        inside[first:last] = True
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J") + (("mu_c", "mu_s", "omega_sL", "mu_2") if case else ())
+    problem = at_truth(replace(short, inside=inside), tuple(INDEX[n] for n in names))
+    x = problem.origin()
+    found = problem.jacobian(x, problem.residuals(x))
+    for k in range(len(x)):
+        step = 2e-5 * max(abs(x[k]), 0.05) if k < len(names) else 1e-3
+        up, down = x.copy(), x.copy()
+        up[k] += step
+        down[k] -= step
+        column = (problem.residuals(up) - problem.residuals(down)) / (2.0 * step)
+        assert np.linalg.norm(found[:, k] - column) < 0.05 * np.linalg.norm(column), k
+
+
+def test_packing_keeps_static_limits_as_rises() -> None:
+    p = pack(TRUTH)
+    assert p[kernel.DM] == pytest.approx(12.025 - 6.825)
+    assert p[kernel.DMU] == pytest.approx(0.086 - 0.052)
+    assert unpack(p, tuple(TRUTH)) == pytest.approx(dict(TRUTH))
+
+
+def test_parameters_and_origin_are_inverse(motions: tuple[Motion, Motion]) -> None:
+    problem = at_truth(motions[1], tuple(INDEX.values()))
+    assert problem.parameters(problem.origin()) == pytest.approx(pack(TRUTH))
+
+
+def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:
+    problem = at_truth(motions[0], tuple(INDEX[n] for n in ("Mc", "Ms", "omega_sf", "sigma_2", "J")))
+    for shift in (-1e3, 1e3):
+        x = problem.origin()
+        x[[2, 4]] += shift
+        assert np.all(problem.parameters(x) >= 0.0)
+        assert np.all(np.isfinite(problem.residuals(x)))

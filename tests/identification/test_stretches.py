@@ -1,0 +1,105 @@
+"""Where a recording moves: stretches between rests, and when they break away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.estimate.stretches import LEAD, motion
+from identification.recording import Pendulum, Recording, RecordingError
+
+from .practical import logged, simulated
+
+
+def drop(recording: Recording, *names: str) -> Recording:
+    return replace(recording, channels={k: v for k, v in recording.channels.items() if k not in names})
+
+
+def swap(recording: Recording, **channels: np.ndarray) -> Recording:
+    return replace(recording, channels={**recording.channels, **channels})
+
+
+def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, Recording]) -> None:
+    truth = simulated(10, 30.6)
+    found = motion(practical_pair[1])
+    assert found is not None
+    assert len(found.table) >= 8
+    for (first, last, side, from_rest), seen in zip(found.table, found.seen, strict=True):
+        window = truth["velocity"][int(seen) : int(last)]
+        assert np.all(side * window > 0.0)
+        assert truth["velocity"][int(first) - 1] == 0.0
+        assert from_rest == 1.0
+        assert first <= seen < last
+
+
+def test_stretches_do_not_overlap_and_mark_what_is_inside(practical_pair: tuple[Recording, Recording]) -> None:
+    found = motion(practical_pair[0])
+    assert found is not None
+    edges = found.table[:, :2].astype(int)
+    assert np.all(edges[1:, 0] >= edges[:-1, 1])
+    assert np.sum(found.inside) == np.sum(edges[:, 1] - edges[:, 0])
+
+
+@pytest.mark.parametrize(("case", "weight"), [(0, 0.0), (1, 30.6)])
+def test_static_crossing_is_when_the_shaft_broke_away(
+    practical_pair: tuple[Recording, Recording], case: int, weight: float
+) -> None:
+    truth = simulated(10 * case, weight)
+    found = motion(practical_pair[case])
+    assert found is not None
+    static = 12.025 + 0.095 * 10.0 * weight * 9.80665 * 0.086
+    crossings = found.static_crossing(static)
+    for (first, _, _, _), when in zip(found.table, crossings, strict=True):
+        moving = int(first) + int(np.flatnonzero(truth["velocity"][int(first) :])[0])
+        assert when == pytest.approx(truth["time"][moving], abs=2e-3)
+
+
+def test_peak_torque_is_at_least_the_static_limit(practical_pair: tuple[Recording, Recording]) -> None:
+    found = motion(practical_pair[0])
+    assert found is not None
+    assert 12.0 < found.peak_torque() < 1.2 * 12.025
+
+
+def test_pendulum_adds_its_inertia_and_takes_its_torque(practical_pair: tuple[Recording, Recording]) -> None:
+    recording = practical_pair[0]
+    bare, hung = motion(recording), motion(replace(recording, pendulum=Pendulum(2.0, 0.3, 0.1)))
+    assert bare is not None
+    assert hung is not None
+    assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
+    assert bare.torque - hung.torque == pytest.approx(2.0 * 9.80665 * 0.3 * np.sin(bare.angle - 0.1))
+
+
+def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    recording = practical_pair[0]
+    exact = simulated(0, 0.0)["angle"] * 100.0
+    jitter = recording.time + np.random.default_rng(0).uniform(0.0, 2e-4, len(recording.time))
+    assert motion(recording) is not None
+    assert motion(drop(recording, "motor_angle")) is None
+    assert motion(drop(recording, "current")) is None
+    assert motion(swap(recording, motor_angle=exact)) is None
+    assert motion(swap(recording, time=jitter)) is None
+
+
+def test_a_single_breakaway_is_not_enough(practical_pair: tuple[Recording, Recording]) -> None:
+    recording = practical_pair[0]
+    assert motion(swap_all(recording, slice(0, 1200))) is None
+
+
+def swap_all(recording: Recording, part: slice) -> Recording:
+    return replace(recording, channels={k: v[part] for k, v in recording.channels.items()})
+
+
+def test_load_without_lever_is_refused() -> None:
+    recording = logged(simulated(10, 30.6), 30.6)
+    with pytest.raises(RecordingError, match=r"needs bench\.moment_arm"):
+        motion(replace(recording, bench=replace(recording.bench, moment_arm=None)))
+
+
+def test_a_stretch_begins_before_anything_is_seen(practical_pair: tuple[Recording, Recording]) -> None:
+    found = motion(practical_pair[0])
+    assert found is not None
+    assert np.all(found.seen - found.table[:, 0] >= LEAD - 1)
