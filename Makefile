@@ -56,7 +56,7 @@ literal: $(VENV)/.runtime
 	$(BIN)/python benchmarks/literal_accuracy.py
 
 bench: $(VENV)/.runtime
-	for script in plant identification bus; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed identification_speed bus_speed; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 clean:
 	rm -rf $(VENV) runs out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,8 +1,8 @@
 """Accuracy and coverage of the default method on the default Figure 10 run, over seeds of noise.
 
-Each seed runs `rig run figure10` through the whole simulated chain (drive loops, bus, quantisation, noise) and identifies
-that run's own log. Prints the error of every parameter, the share of 90 % intervals that hold the truth, and what was
-flagged.
+Each seed runs `rig run figure10` through the whole simulated chain (drive loops, bus, quantisation, noise) and
+identifies that run's own log. Prints the error of every parameter, the share of 90 % intervals that hold the truth, and
+what was flagged.
 
     python benchmarks/figure10_accuracy.py --seeds 20
 """

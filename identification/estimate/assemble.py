@@ -27,6 +27,8 @@ from identification.recording import Model
 
 WIDEST = 0.5
 """Half width of the 90 % interval over the value, above which a parameter counts as not identified."""
+LEAST_RISE = 1e-3
+"""Rise toward rest over the Coulomb level, below which nothing of it counts as seen."""
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
@@ -109,7 +111,26 @@ def parameter_table(
             table[name] = Parameter(name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name))
         else:
             table[name] = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
+    for names in (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL")):
+        if names[1] in spread.names:
+            _judge_rise(table, names, values, spread)
     return table
+
+
+def _judge_rise(
+    table: dict[str, Parameter], names: tuple[str, str, str], values: Mapping[str, float], spread: Spread
+) -> None:
+    """Withhold static friction and Stribeck speed where friction's rise toward rest is not seen."""
+    coulomb, static, speed = names
+    rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
+    if rise < max(half, LEAST_RISE * values[coulomb]):
+        unit = "" if table[static].unit == "1" else f" {table[static].unit}"
+        reason = f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not seen in these recordings"
+        for name in (n for n in (static, speed) if n in spread.names and table[n].identifiable):
+            table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
+    elif table[speed].at_bound and table[static].identifiable:
+        reason = f"it is the end of the falling part of friction, and {table[speed].reason}"
+        table[static] = Parameter(static, table[static].unit, None, identifiable=False, reason=reason)
 
 
 def _absent(name: str) -> str:

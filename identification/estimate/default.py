@@ -164,6 +164,8 @@ def _refine(
     bandwidth_Hz: float,
 ) -> Refined | str:
     """Return the refined estimate, or in words why the prediction error does not apply."""
+    if not names:
+        return "every parameter is fixed"
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
         return "no rise of friction toward rest was found to refine"
     motions = {id(r): motion(r) for r in recordings}

@@ -30,7 +30,17 @@ class Spread:
     def half_width(self, name: str) -> float:
         """Return the half width of the 90 % interval; infinite where the data say nothing."""
         k = self.names.index(name)
-        variance = float(self.covariance[k, k])
+        return self._half(float(self.covariance[k, k]))
+
+    def half_width_above(self, name: str, base: str) -> float:
+        """Return that of ``name`` less ``base``; a ``base`` that was not fitted is known exactly."""
+        if base not in self.names:
+            return self.half_width(name)
+        j, k = self.names.index(base), self.names.index(name)
+        c = self.covariance
+        return self._half(float(c[k, k] + c[j, j] - 2.0 * c[j, k]))
+
+    def _half(self, variance: float) -> float:
         if not math.isfinite(variance) or variance < 0.0:
             return math.inf
         return float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, self.freedom)) * math.sqrt(variance)
@@ -58,6 +68,8 @@ def block_sandwich(
     Blocks are ten residual correlation times long, at least eight over all, and never span two recordings, so that what
     the model leaves out from stretch to stretch widens the interval (Liang and Zeger, Biometrika 73 (1986) 13).
     """
+    if not names:
+        return Spread((), np.zeros((0, 0)), math.inf)
     jacobians, residuals, owners = [], [], []
     blocks = 0
     total = sum(int(np.sum(p.used)) for p in prepared)

@@ -18,6 +18,7 @@ from .practical import logged, simulated, with_ripple
 from .synthetic import TRUTH, sine
 
 SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+TRUTH_SYSTEM = {name: TRUTH[name] for name in SYSTEM}
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +65,7 @@ def test_result_holds_every_signal_and_adds_up(practical_result: Identification)
 
 @pytest.mark.parametrize(
     ("names", "loaded"),
-    [(("J",), False), (("Ms",), False), (("Mc", "omega_sf"), False), (SYSTEM, False), (("mu_s", "omega_sL"), True)],
+    [(("J",), False), (("Ms",), False), (("Mc", "omega_sf"), False), (SYSTEM, True), (("mu_s", "omega_sL"), True)],
     ids=lambda value: "+".join(value) if isinstance(value, tuple) else "",
 )
 def test_fixed_values_are_held_through_the_refinement(
@@ -75,6 +76,13 @@ def test_fixed_values_are_held_through_the_refinement(
     for name, found in result.values().items():
         limit = 1e-12 if name in names else 0.008
         assert found == pytest.approx(TRUTH[name], rel=limit), name
+
+
+def test_everything_fixed_is_only_scored(practical_pair: tuple[Recording, Recording]) -> None:
+    result = identify(Dataset(practical_pair[:1], Model(fixed=TRUTH_SYSTEM)))
+    assert result.values() == pytest.approx(TRUTH_SYSTEM)
+    assert "every parameter is fixed" in result.warnings[0]
+    assert result.fit.train_relative < 0.01
 
 
 @pytest.mark.parametrize(("amplitude", "words"), [(0.3, "ask for a torque noise of"), (1.0, "stay correlated")])
@@ -104,9 +112,6 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert right.torque_noise < right.torque_scatter
     assert wrong.torque_noise > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
-
-
-TRUTH_SYSTEM = {name: TRUTH[name] for name in SYSTEM}
 
 
 def test_exact_channels_are_not_refined() -> None:

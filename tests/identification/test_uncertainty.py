@@ -62,6 +62,12 @@ def test_half_width_is_students() -> None:
     assert spread.half_width("a") == pytest.approx(2.0 * stats.t.ppf(0.95, 5.0))
 
 
+def test_half_width_of_a_difference_counts_what_the_two_share() -> None:
+    spread = Spread(("a", "b"), np.array([[4.0, 3.5], [3.5, 4.0]]), 5.0)
+    assert spread.half_width_above("b", "a") == pytest.approx(stats.t.ppf(0.95, 5.0))
+    assert spread.half_width_above("b", "known") == spread.half_width("b")
+
+
 def test_parameter_that_moves_nothing_has_no_interval() -> None:
     still = prepare(sine(), 40.0)
     flat = replace(still, acceleration=np.zeros(len(still.time)))
@@ -87,6 +93,19 @@ def test_static_friction_without_a_rise_is_withheld_with_words() -> None:
         assert found[name].value is None
         assert found[name].at_bound
         assert "does not rise toward rest" in found[name].reason
+
+
+@pytest.mark.parametrize("noise_N_m", [0.0, 0.02, 0.2])
+@pytest.mark.parametrize("seed", range(3))
+def test_static_friction_is_withheld_where_its_falling_part_is_not_seen(noise_N_m: float, seed: int) -> None:
+    """No sample is slower than 8 omega_sf, so nothing says how high friction rises toward rest."""
+    rng = np.random.default_rng(seed)
+    fast = sine(amplitude=0.3, frequency=0.5, drift=1.4, noise=lambda n: rng.normal(0.0, noise_N_m, n))
+    found = identify(Dataset((fast,))).parameters
+    for name in ("Ms", "omega_sf"):
+        assert found[name].value is None, name
+        assert found[name].reason
+    assert found["J"].value == pytest.approx(TRUTH["J"], rel=0.05)
 
 
 def test_fixed_parameters_say_so() -> None:
