@@ -1,9 +1,11 @@
-"""Shared by all tests: whoever leaks a thread, a child process or a listening port fails."""
+"""Shared by all tests: the leak check (threads, child processes, listening ports) and the real recordings."""
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 
 import psutil
 import pytest
@@ -30,6 +32,18 @@ def no_leaks() -> Iterator[None]:
     leaked += [f"process {child.pid}" for child in alive if not _is_resource_tracker(child)]
     leaked += [f"port {port}" for port in _listening(process) - ports]
     assert not leaked, f"left behind: {', '.join(leaked)}"
+
+
+@pytest.fixture(scope="session")
+def recordings() -> Path:
+    """Return where the shared real recordings are, beside the repository; without them a test skips, in CI it fails."""
+    folder = Path(__file__).resolve().parents[2] / "shared" / "recordings"
+    if not folder.is_dir():
+        message = f"the shared recordings are not at {folder}"
+        if os.environ.get("CI"):
+            pytest.fail(message)
+        pytest.skip(message)
+    return folder
 
 
 def _listening(process: psutil.Process) -> set[int]:

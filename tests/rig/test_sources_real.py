@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +14,7 @@ ROOT = Path(__file__).resolve().parents[2]
 RECORDINGS = ROOT.parent / "shared" / "recordings"
 CAMPAIGNS = ROOT / "tests" / "campaigns"
 
-pytestmark = pytest.mark.recordings
-
-
-@pytest.fixture(autouse=True)
-def _present() -> None:
-    if not RECORDINGS.is_dir():
-        message = f"the shared recordings are not at {RECORDINGS}"
-        if os.environ.get("CI"):
-            pytest.fail(message)
-        pytest.skip(message)
+pytestmark = [pytest.mark.recordings, pytest.mark.usefixtures("recordings")]
 
 
 def write(folder: Path, text: str) -> Dataset:

@@ -1,0 +1,72 @@
+"""Real recordings through the whole of identification, against published values where there are any."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.estimate.default import identify
+from identification.estimate.result import Identification
+from rig.sources import load_source
+
+CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
+
+
+def result_of(name: str) -> Identification:
+    return identify(load_source(CAMPAIGNS / name), rng=np.random.default_rng(0))
+
+
+@pytest.mark.recordings
+def test_emps_against_the_published_least_squares(recordings: Path) -> None:
+    found = result_of("emps.yaml")
+    values = found.values()
+    assert values["J"] == pytest.approx(95.1089, rel=0.01)
+    assert values["sigma_2"] == pytest.approx(203.5034, rel=0.01)
+    assert values["Mc"] == pytest.approx(20.3935, rel=0.01)
+    assert values["offset"] == pytest.approx(-3.1648, rel=0.02)
+    assert found.fit.unit == "N"
+    assert found.fit.bandwidth_Hz == pytest.approx(40.0, rel=1e-3)
+    assert found.fit.train_relative <= 0.0415
+    assert found.fit.validate_relative is not None
+    assert found.fit.validate_relative <= 0.0602
+
+
+@pytest.mark.recordings
+def test_emps_shows_no_rise_toward_rest_and_says_so(recordings: Path) -> None:
+    found = result_of("emps.yaml")
+    for name in ("Ms", "omega_sf"):
+        assert not found.parameters[name].identifiable
+        assert found.parameters[name].value is None
+        assert found.parameters[name].reason
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize("name", ["sts3032_to_heavy.yaml", "sts3032_to_light.yaml"])
+def test_sts3032_predicts_the_other_mass_in_volts(recordings: Path, name: str) -> None:
+    found = result_of(name)
+    assert found.fit.unit == "V"
+    assert found.fit.validate_rms is not None
+    assert found.fit.validate_relative is not None
+    # Predicting the other mass costs little more, relative to its own torque, than fitting this one.
+    assert found.fit.validate_relative < 1.1 * found.fit.train_relative
+    assert found.fit.train_relative < 0.35
+    per_recording = found.fits_by_recording
+    assert len(per_recording) == len({trace.recording for trace in found.traces}) == 54
+
+
+@pytest.mark.recordings
+def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_path: Path) -> None:
+    """The evidence behind docs/decisions/0005."""
+    text = (CAMPAIGNS / "sts3032_to_heavy.yaml").read_text()
+    text = text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared"))
+    assert "zero: 0.1258" in text
+    flipped = tmp_path / "flipped.yaml"
+    flipped.write_text(text.replace("zero: 0.1258", "zero: -0.1258"))
+    right = result_of("sts3032_to_heavy.yaml").fit
+    wrong = identify(load_source(flipped), rng=np.random.default_rng(0)).fit
+    assert right.validate_rms is not None
+    assert wrong.validate_rms is not None
+    assert wrong.train_rms > 1.2 * right.train_rms
+    assert wrong.validate_rms > 1.2 * right.validate_rms
