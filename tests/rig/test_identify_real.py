@@ -43,17 +43,15 @@ def test_emps_shows_no_rise_toward_rest_and_says_so(recordings: Path) -> None:
 
 
 @pytest.mark.recordings
-@pytest.mark.parametrize("name", ["sts3032_to_heavy.yaml", "sts3032_to_light.yaml"])
-def test_sts3032_predicts_the_other_mass_in_volts(recordings: Path, name: str) -> None:
-    found = result_of(name)
-    assert found.fit.unit == "V"
-    assert found.fit.validate_rms is not None
-    assert found.fit.validate_relative is not None
-    # Predicting the other mass costs little more, relative to its own torque, than fitting this one.
-    assert found.fit.validate_relative < 1.1 * found.fit.train_relative
-    assert found.fit.train_relative < 0.35
-    per_recording = found.fits_by_recording
-    assert len(per_recording) == len({trace.recording for trace in found.traces}) == 54
+def test_sts3032_predicts_the_other_mass_in_volts(recordings: Path) -> None:
+    """Each mass predicted from the other costs at most 5 % more volts than fitting it."""
+    to_heavy, to_light = result_of("sts3032_to_heavy.yaml"), result_of("sts3032_to_light.yaml")
+    for found, own in ((to_heavy, to_light), (to_light, to_heavy)):
+        assert found.fit.unit == "V"
+        assert found.fit.validate_rms is not None
+        assert found.fit.validate_rms < 1.05 * own.fit.train_rms
+        assert found.fit.train_relative < 0.35
+        assert len(found.fits_by_recording) == len(found.traces) == 54
 
 
 @pytest.mark.recordings
