@@ -10,7 +10,8 @@ from typing import Any, Final
 import can
 import canopen
 
-from drivers.can_port import ERROR_FLAG, FramePort, PythonCanPort
+from drivers.can_port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
+from drivers.can_timing import ANSWER_SHARE
 from drivers.canopen_node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
 from drivers.clock import NS, Clock
 from drivers.emergency import explain
@@ -18,7 +19,6 @@ from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
 
 _FRAMES_KEPT: Final = 1 << 16
-_ANSWER_SHARE: Final = 0.8
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
 _SILENCE_NS: Final = round(HEARTBEATS_MISSED * HEARTBEAT_S * NS)
@@ -147,7 +147,7 @@ class CanopenLink(Link):
         if self._cycle_s is not None and self._cycle_s != cycle_s:
             raise ConfigurationError(f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s")
         self._cycle_s = cycle_s
-        self._answer_ns = round(_ANSWER_SHARE * cycle_s * NS)
+        self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
         self._heartbeat_every = max(1, int(_MASTER_HEARTBEAT_S / cycle_s))
 
     def exchange(self) -> None:
@@ -163,7 +163,12 @@ class CanopenLink(Link):
         self._receive(0.0)
         self.cycle += 1
         self._missing = 0
+        heard_since = self.clock.now_ns() - _SILENCE_NS
         for node in self._nodes.values():
+            if node.heard_ns < heard_since and node.monitored:
+                self._troubles.append((node.node_id, self._lost(node)))
+            node.cycle = self.cycle
+            node.missing = node.expected
             for identifier, data in node.outputs.items():
                 self.send(identifier, data)
             self._missing += node.expected
@@ -173,7 +178,6 @@ class CanopenLink(Link):
         deadline = self.clock.now_ns() + self._answer_ns
         while self._missing and (left := deadline - self.clock.now_ns()) > 0:
             self._receive(left / NS)
-        self._check_heartbeats()
         if self._troubles:
             self._raise_troubles()
 
@@ -196,7 +200,7 @@ class CanopenLink(Link):
             raise LinkError(
                 f"{self._name} cannot send: {error}; check cabling, termination, and that a device is powered"
             ) from error
-        self._frames.append(RawFrame(self.clock.now_ns(), identifier, data, True))
+        self._frames.append(raw_frame((self.clock.now_ns(), identifier, data, True)))
 
     def heartbeat(self) -> None:
         """Send the master's heartbeat."""
@@ -248,6 +252,7 @@ class CanopenLink(Link):
             if len(data) == slot.size:
                 slot.values = slot.layout.unpack(data)
                 if slot.cycle != self.cycle and not slot.slack:
+                    node.missing -= 1
                     self._missing -= 1
                 slot.cycle = self.cycle
             return
@@ -279,20 +284,15 @@ class CanopenLink(Link):
             lost = LinkError(f"{node.label} {what}; check its supply, then prepare it again")
             self._troubles.append((node.node_id, lost))
 
-    def _check_heartbeats(self) -> None:
-        now = self.clock.now_ns()
-        for node in self._nodes.values():
-            silent = now - node.heard_ns
-            if silent > _SILENCE_NS and node.monitored:
-                lost = LinkError(
-                    f"{node.label} sent no heartbeat for {silent / NS:.3f} s (limit {_SILENCE_NS / NS:g} s); "
-                    "check its supply and the bus cable"
-                )
-                self._troubles.append((node.node_id, lost))
+    def _lost(self, node: CanopenNode) -> LinkError:
+        silent_s = (self.clock.now_ns() - node.heard_ns) / NS
+        return LinkError(
+            f"{node.label} sent no heartbeat for {silent_s:.3f} s (limit {_SILENCE_NS / NS:g} s); "
+            "check its supply and the bus cable"
+        )
 
     def _raise_troubles(self) -> None:
         troubles = [trouble for _, trouble in self._troubles]
         self._troubles = []
         # A lost bus explains whatever else happened; of several faults the first is the cause.
         raise next((trouble for trouble in troubles if isinstance(trouble, LinkError)), troubles[0])
-

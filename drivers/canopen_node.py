@@ -37,6 +37,8 @@ class CanopenNode:
         outputs: Identifier to data of each RPDO, as the next exchange sends them.
         inputs: Identifier to the last frame of each TPDO.
         expected: How many of those come with every SYNC.
+        missing: How many of those have not come since the last exchange began.
+        cycle: Number of that exchange.
         nmt_state: From its last heartbeat; None before the first.
         heard_ns: When that came.
         monitored: True from the moment process data runs.
@@ -48,6 +50,8 @@ class CanopenNode:
         self.outputs: dict[int, bytes] = {}
         self.inputs: dict[int, Input] = {}
         self.expected = 0
+        self.missing = 0
+        self.cycle = wire.cycle
         self.nmt_state: int | None = None
         self.heard_ns = 0
         self.monitored = False
@@ -55,6 +59,7 @@ class CanopenNode:
         self._dictionary = dictionary
         self._staged: dict[int, tuple[int, struct.Struct]] = {}
         self._numbered: dict[int, Input] = {}
+        self._slow: list[Input] = []
 
     @property
     def label(self) -> str:
@@ -62,16 +67,12 @@ class CanopenNode:
         return f"node {self.node_id}"
 
     @property
-    def cycle(self) -> int:
-        """Number of exchanges so far."""
-        return self._wire.cycle
-
-    @property
     def fresh(self) -> bool:
         """Whether everything that was due at the last exchange arrived whole."""
-        cycle = self._wire.cycle
-        for slot in self.inputs.values():  # noqa: SIM110  (a generator costs a microsecond a cycle)
-            if cycle - slot.cycle > slot.slack:
+        if self.missing:
+            return False
+        for slot in self._slow:  # noqa: SIM110  (a generator costs a microsecond a cycle)
+            if self.cycle - slot.cycle > slot.slack:
                 return False
         return True
 
@@ -134,14 +135,15 @@ class CanopenNode:
         ):
             self.outputs[identifier] = bytes(packing.size)
             self._staged[layout.number] = (identifier, packing)
-        self.inputs, self._numbered = {}, {}
+        self.inputs, self._numbered, self._slow = {}, {}, []
         for layout, (identifier, packing) in zip(inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True):
             slot = Input(packing, layout.every)
             slot.values = tuple(self.read(*address) for address in layout.objects)
             if slot.slack:
                 slot.cycle = self.cycle
+                self._slow.append(slot)
             self.inputs[identifier] = self._numbered[layout.number] = slot
-        self.expected = sum(layout.every == 1 for layout in inputs)
+        self.expected = self.missing = sum(layout.every == 1 for layout in inputs)
         self._start()
 
     def stage(self, number: int, *values: int) -> None:

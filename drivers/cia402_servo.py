@@ -18,8 +18,11 @@ from drivers.units import ServoScales, Unwrapper
 _OUTPUT: Final = 1
 _MOTION: Final = 1
 _SPEED: Final = 2
-_SUPPLY: Final = 3
+_VOLTAGE: Final = 3
+_SUPPLY: Final = 4
 _SUPPLY_EVERY: Final = 10
+FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, _SUPPLY_EVERY))
+"""Data bytes of each PDO, and in how many cycles it goes once; with a voltage object of 16 bits."""
 _ABORT_IS_FAULT: Final = 1
 _US: Final = 1e-6
 _INT32: Final = range(-(1 << 31), 1 << 31)
@@ -105,7 +108,8 @@ class Cia402Servo(Servo):
             inputs=[
                 PdoLayout(_MOTION, (cia402.STATUSWORD, (0x6064, 0), (0x6078, 0))),
                 PdoLayout(_SPEED, ((0x606C, 0), (0x1013, 0))),
-                PdoLayout(_SUPPLY, ((0x6079, 0), scales.voltage_object, scales.temperature_object), _SUPPLY_EVERY),
+                PdoLayout(_VOLTAGE, (scales.voltage_object,)),
+                PdoLayout(_SUPPLY, ((0x6079, 0), scales.temperature_object), _SUPPLY_EVERY),
             ],
             cycle_s=cycle_s,
         )
@@ -190,7 +194,8 @@ class Cia402Servo(Servo):
         channel, scales = self._channel, self._scales
         statusword, position, current = channel.latest(_MOTION)
         velocity, time_us = channel.latest(_SPEED)
-        supply, voltage, temperature = channel.latest(_SUPPLY)
+        (voltage,) = channel.latest(_VOLTAGE)
+        supply, temperature = channel.latest(_SUPPLY)
         following = 0.0
         if statusword & 0x6F == 0x27:
             # What was sent with the exchange before is what the drive has interpolated up to this one's SYNC.

@@ -10,6 +10,8 @@ from drivers.objects import PdoLayout, ProcessChannel, read_identity
 from drivers.units import EncoderScales, Unwrapper
 
 _POSITION: Final = 1
+FRAMES: Final = ((8, 1),)
+"""As for the drive."""
 _US: Final = 1e-6
 
 

@@ -59,7 +59,7 @@ class SimulatedClock:
     def call_at(self, when_ns: int, action: Callable[[], None]) -> None:
         """Run ``action`` when simulated time reaches ``when_ns`` (now at the earliest)."""
         self._order += 1
-        heapq.heappush(self._events, (max(when_ns, self._now), self._order, action))
+        heapq.heappush(self._events, (when_ns if when_ns > self._now else self._now, self._order, action))
 
     def next_event_ns(self) -> int | None:
         """Return when the next scheduled event falls due, or None."""

@@ -160,7 +160,9 @@ class Servo(ABC):
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
-        """Check units against the drive, map process data, set the cycle, arm the heartbeat watch. No power.
+        """Check units against the drive, map process data, set the cycle, prove the heartbeat watch. No power.
+
+        Proven means written and read back; the watch itself is armed by :meth:`enable` and ends with :meth:`disable`.
 
         Raises:
             ConfigurationError: Scale, unit or identity differ from the bench file.

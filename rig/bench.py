@@ -13,6 +13,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from drivers import cia402_servo, cia406
+from drivers.can_timing import ANSWER_SHARE, cycle_bits
 from drivers.mock.plant import constants
 from rig.configuration import Document, Schema, load_located
 from rig.packaged import resolve
@@ -199,4 +201,20 @@ def load_bench(name: str | Path) -> Document[Bench]:
     Raises:
         InputError: It is not there, or not valid; every problem with its place in the file.
     """
-    return load_located(resolve(name, "benches"), Bench)
+    document = load_located(resolve(name, "benches"), Bench)
+    bench = document.value
+    if bench.bus is not None:
+        document.require((("bus", "bitrate"), text) for text in _overload(bench.bus.bitrate, bench.cycle_s))
+    return document
+
+
+def _overload(bitrate: int, cycle_s: float) -> Iterator[str]:
+    """Yield what is wrong where a control cycle does not fit the bus."""
+    bits = cycle_bits((*cia402_servo.FRAMES, *cia406.FRAMES))
+    share = bits / (bitrate * cycle_s)
+    if share > ANSWER_SHARE:
+        shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))
+        yield (
+            f"too slow: a cycle of {cycle_s * 1e3:g} ms takes up to {bits:.0f} bits, {share:.0%} of the bus, limit "
+            f"{ANSWER_SHARE:.0%}; raise it, or lower cycle_Hz to {1e3 / shortest_ms:g}"
+        )

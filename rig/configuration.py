@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import json
 import types
@@ -140,7 +141,7 @@ def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[
         _, mark, path, _ = _resolve(root, loc[:-1], mapping=True)
         return mark, (*path, loc[-1]), "missing; this key is required", _ABSENT
     node, mark, path, key_mark = _resolve(root, loc)
-    if kind == "extra_forbidden":
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
         return key_mark or mark, path, _unknown_key(schema, loc), _ABSENT
     message = details["msg"]
     if loc[-1:] == ("[key]",):
@@ -151,7 +152,7 @@ def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[
 
 
 def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
-    known = sorted({name for model in _models_at([schema], loc[:-1]) for name in model.model_fields})
+    known = sorted({name for record in _records_at([schema], loc[:-1]) for name in _keys(record)})
     return f"unknown key; {nearest(str(loc[-1]), known)}"
 
 
@@ -164,14 +165,23 @@ def nearest(name: str, known: list[str]) -> str:
     return f"known are {', '.join(known)}" if known else "no key is known here"
 
 
-def _models_at(annotations: list[Any], loc: Loc) -> list[type[BaseModel]]:
-    """Return the models a location may refer to; elements that name a union's branch are passed over."""
+def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
+    """Return the models and dataclasses a location may refer to; elements naming a union's branch are passed over."""
     for element in loc:
         branches = [branch for annotation in annotations for branch in _branches(annotation)]
         stepped = [child for branch in branches for child in _step(branch, element)]
         annotations = stepped or annotations
     branches = [branch for annotation in annotations for branch in _branches(annotation)]
-    return [b for b in branches if isinstance(b, type) and issubclass(b, BaseModel)]
+    return [branch for branch in branches if _keys(branch)]
+
+
+def _keys(annotation: Any) -> Mapping[str, Any]:
+    """Return key to annotation of a model or a standard dataclass; nothing for any other type."""
+    if not isinstance(annotation, type):
+        return {}
+    if issubclass(annotation, BaseModel):
+        return {name: field.annotation for name, field in annotation.model_fields.items()}
+    return typing.get_type_hints(annotation) if dataclasses.is_dataclass(annotation) else {}
 
 
 def _branches(annotation: Any) -> Iterator[Any]:
@@ -186,9 +196,8 @@ def _branches(annotation: Any) -> Iterator[Any]:
 
 
 def _step(annotation: Any, element: str | int) -> list[Any]:
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        field = annotation.model_fields.get(str(element))
-        return [field.annotation] if field else []
+    if keys := _keys(annotation):
+        return [keys[str(element)]] if element in keys else []
     arguments = [a for a in typing.get_args(annotation) if a is not Ellipsis]
     origin = typing.get_origin(annotation)
     if isinstance(element, int) and origin in (list, tuple):

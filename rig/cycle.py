@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.clock import Clock
@@ -74,6 +75,7 @@ class Cycle:
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
         self._next_ns = self._fresh_ns = self._start_ns
+        self._age_s = self._target = 0.0
         self._pacer_offset_ns = 0
         self.count = 0
         self.overruns = 0
@@ -98,7 +100,9 @@ class Cycle:
         self._next_ns = self._fresh_ns = self._clock.now_ns()
         if self._pacer is not None:
             self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
-        trip = self._latch.reset(self._exchange(target, 0), self._age_s, self._limits)
+        self._servo.set_target(target)
+        sample = self._exchange(target, 0)
+        trip = self._latch.reset(sample, self._age_s, self._limits)
         if trip is not None:
             raise TripError(trip)
 
@@ -112,10 +116,12 @@ class Cycle:
             OSError: The recording cannot be written.
         """
         stop, judge, limits = self._stop, self._latch.judge, self._limits
+        set_target = self._servo.set_target
         since = 0
         for target in targets:
             if stop.pressed:
                 stop.check()
+            set_target(target)
             sample = self._exchange(target, segment)
             trip = judge(sample, self._age_s, limits)
             if trip is not None:
@@ -125,14 +131,21 @@ class Cycle:
                 self._progress(stage, since, sample)
                 since = 0
 
-    @property
-    def _age_s(self) -> float:
-        """Time from the last fresh sample to the one just taken, s."""
-        return (self._next_ns - self._period_ns - self._fresh_ns) * 1e-9
+    def watch(self) -> None:
+        """Run one cycle that commands nothing and is not judged, for the time in which the drive brakes by itself.
+
+        Raises:
+            DeviceError: A device or the bus failed.
+        """
+        self._next_ns = max(self._next_ns, self._clock.now_ns())
+        # A recording that cannot be written is no reason to leave the drive alone while it brakes.
+        with suppress(OSError):
+            self._exchange(self._target, 0)
 
     def _exchange(self, target: float, segment: int) -> Sample:
-        """Wait for the cycle's start, send the target, collect and record the answer."""
+        """Wait for the cycle's start, send what is staged, collect and record the answer."""
         link, clock = self._link, self._clock
+        self._target = target
         begin_ns = self._next_ns
         if self._pacer is not None:
             self._pacer.sleep_until_ns(begin_ns + self._pacer_offset_ns)
@@ -141,7 +154,6 @@ class Cycle:
         if late_ns > self._period_ns:
             self.overruns += 1
             begin_ns += late_ns
-        self._servo.set_target(target)
         link.exchange()
         servo, encoder = self._servo.sample(), self._encoder.sample()
         fresh = servo.fresh and encoder.fresh
@@ -164,11 +176,12 @@ class Cycle:
             segment,
             fresh,
         )
-        self._recorder.sample(time_ns, sample, link.take_frames())
         if fresh:
             self._fresh_ns = begin_ns
         else:
             self.stale += 1
+        self._age_s = (begin_ns - self._fresh_ns) * 1e-9
         self.count += 1
         self._next_ns = begin_ns + self._period_ns
+        self._recorder.sample(time_ns, sample, link.take_frames())
         return sample

@@ -104,9 +104,9 @@ class StopButton:
     @contextmanager
     def interruptible(self) -> Iterator[None]:
         """Let the signal raise at once: for waiting on the operator, while the drive is de-energised."""
-        self.check()
         self._raise_at_once = True
         try:
+            self.check()
             yield
         finally:
             self._raise_at_once = False

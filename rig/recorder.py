@@ -53,6 +53,8 @@ class Recorder:
             OSError: It cannot be written (disk full).
         """
         # Spelled out, not `with self._writing()`: this runs every cycle.
+        if self._broken:
+            raise _broken_before()
         try:
             self._writer.message(self._sample, time_ns, encode_sample(sample))
             if frames:
@@ -119,7 +121,7 @@ class Recorder:
     def _writing(self) -> Iterator[None]:
         """Write no more after the first failure: what follows a torn record could not be read anyway."""
         if self._broken:
-            raise OSError(errno.EIO, "the recording failed before")
+            raise _broken_before()
         try:
             yield
         except OSError:
@@ -140,6 +142,10 @@ class Recorder:
                 os.fsync(self._stream.fileno())
         finally:
             _close_whatever_happens(self._stream, self._broken)
+
+
+def _broken_before() -> OSError:
+    return OSError(errno.EIO, "the recording failed before")
 
 
 def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:

@@ -118,12 +118,12 @@ class Sequencer:
         Raises:
             Exception: Only what is not foreseen (a defect in this program), after the drive was made safe.
         """
-        devices = self._devices
         ending = None
         try:
             ending, message, trip = self._attempt()
         finally:
-            safe = make_safe(devices.link, devices.servo, self._plan.cycle_ns, brake=ending is not Ending.DONE)
+            brake = ending is not Ending.DONE
+            safe = make_safe(self._devices.servo, self._cycle.watch, self._plan.cycle_ns, brake=brake)
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
         outcome = Outcome(ending, f"{message}; {safe.message}", safe, trip)
@@ -158,6 +158,7 @@ class Sequencer:
     def _note_end(self, outcome: Outcome) -> Outcome:
         """Put the ending into the recording, unless it is the recording that failed."""
         try:
+            self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
             self._recorder.event(
                 self._cycle.now_ns, outcome.ending.value, message=outcome.message, phase=self.phase.value
             )

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import DeviceError
-from drivers.interfaces import Link, Servo, ServoState
+from drivers.interfaces import Servo, ServoState
 
 BRAKING_TIMEOUT_S = 1.0
 STATE_CYCLES = 20
@@ -38,19 +38,20 @@ class SafeState:
         )
 
 
-def make_safe(link: Link, servo: Servo, cycle_ns: int, *, brake: bool) -> SafeState:
+def make_safe(servo: Servo, watch: Callable[[], None], cycle_ns: int, *, brake: bool) -> SafeState:
     """Brake if asked to, take the power off and read the state back. Never raises a device error.
 
     Args:
-        link: The bus; exchanged while the drive brakes, so that its heartbeat watch does not cut the ramp short.
         servo: The drive.
+        watch: Runs one control cycle; called while the drive brakes, so that its heartbeat watch does not cut the ramp
+            short, and so that the recording shows the shaft stopping.
         cycle_ns: Control cycle, ns.
         brake: Start with a quick stop: after anything but an orderly end.
     """
     problems: list[str] = []
     if brake:
         _attempt(servo.quick_stop, problems)
-        _attempt(lambda: _wait_for_standstill(link, servo, cycle_ns), problems)
+        _attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns), problems)
     if brake or _state(servo, []) is not ServoState.SWITCH_ON_DISABLED:
         _attempt(servo.disable, problems)
     state = _state(servo, problems)
@@ -59,15 +60,12 @@ def make_safe(link: Link, servo: Servo, cycle_ns: int, *, brake: bool) -> SafeSt
     return SafeState(not state.energised, state.value, tuple(problems))
 
 
-def _wait_for_standstill(link: Link, servo: Servo, cycle_ns: int) -> None:
+def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int) -> None:
     """Keep the bus alive until the drive has braked, or for the time-out."""
-    deadline = link.clock.now_ns()
     for cycle in range(round(BRAKING_TIMEOUT_S * 1e9 / cycle_ns)):
         if cycle % STATE_CYCLES == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
             return
-        deadline += cycle_ns
-        link.clock.sleep_until_ns(deadline)
-        link.exchange()
+        watch()
 
 
 def _attempt(action: Callable[[], None], problems: list[str]) -> None:

@@ -8,7 +8,8 @@ from collections.abc import Callable, Sequence
 
 import can
 
-from drivers.can_port import ERROR_FLAG
+from drivers.can_port import ERROR_FLAG, raw_frame
+from drivers.can_timing import frame_bits
 from drivers.clock import NS, SimulatedClock
 from drivers.interfaces import RawFrame
 
@@ -18,16 +19,6 @@ FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
 
 
 _NEVER = 1 << 62
-
-
-def frame_bits(length: int) -> int:
-    """Return the longest a base-format data frame of ``length`` bytes can be, in bit times.
-
-    34 + 8 n bits are subject to stuffing, one stuff bit after every four at worst; 13 bits (delimiters, acknowledge,
-    end of frame, intermission) are not.
-    """
-    stuffed = 34 + 8 * length
-    return stuffed + (stuffed - 1) // 4 + 13
 
 
 class Port:
@@ -59,8 +50,9 @@ class Port:
 class SimulatedBus(can.BusABC):
     """The simulated bus, as the host's controller sees it: a :class:`~drivers.can_port.FramePort`.
 
-    It is an interface of python-can as well, for its tools. Every frame takes its worst-case time at ``bitrate``. Among the controllers that wait when the wire falls idle, the
-    lowest identifier goes first; a controller sends its own frames in order. :meth:`collect` advances the clock.
+    It is an interface of python-can as well, for its tools. Every frame takes its worst-case time at ``bitrate``. Among
+    the controllers that wait when the wire falls idle, the lowest identifier goes first; a controller sends its own
+    frames in order. :meth:`collect` advances the clock.
 
     Attributes:
         frame_filters: Hooks for fault injection, applied in order to every frame on the wire.
@@ -125,7 +117,7 @@ class SimulatedBus(can.BusABC):
                     if port is not sender:
                         handler(data)
                 if sender is not self._host:
-                    self._received.append(RawFrame(now, identifier, data, False))
+                    self._received.append(raw_frame((now, identifier, data, False)))
             # Receivers have queued their answers by now, so that all of them take part in the next arbitration.
             if not contenders:
                 self._sender = None
@@ -144,7 +136,7 @@ class SimulatedBus(can.BusABC):
 
     def disturb(self) -> None:
         """Let the host's controller see an error frame."""
-        self._received.append(RawFrame(self._clock.now_ns(), ERROR_FLAG, b"", False))
+        self._received.append(raw_frame((self._clock.now_ns(), ERROR_FLAG, b"", False)))
 
     def transmit(self, identifier: int, data: bytes) -> None:
         """Queue a frame of the host.
@@ -168,6 +160,7 @@ class SimulatedBus(can.BusABC):
         deadline = self._clock.now_ns() + round(timeout_s * NS)
         if not self._wait(deadline):
             self._clock.sleep_until_ns(deadline)
+            return ()
         frames, self._received = self._received, []
         return frames
 

@@ -61,6 +61,13 @@ def key(index: int, subindex: int = 0) -> int:
     return index << 8 | subindex
 
 
+def clamp_i16(value: int) -> int:
+    """Return what a device shows of a value in an INTEGER16 object: its nearest end where it does not fit."""
+    if -32768 <= value <= 32767:
+        return value
+    return 32767 if value > 0 else -32768
+
+
 class DeviceDictionary:
     """Values of one device, checked the way a device checks them.
 

@@ -10,7 +10,7 @@ from typing import Final
 from drivers.clock import SimulatedClock
 from drivers.mock import dictionary as od
 from drivers.mock.bus import SimulatedBus
-from drivers.mock.dictionary import SdoAbortError, key
+from drivers.mock.dictionary import SdoAbortError, clamp_i16, key
 from drivers.mock.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
 from drivers.mock.plant import constants
 from drivers.mock.plant.machine import Reading
@@ -164,9 +164,9 @@ class SimulatedDrive(SimulatedNode):
         values[_POSITION] = reading.motor_counts
         values[_VELOCITY] = round(reading.motor_velocity_rad_s * self._counts_per_rad)
         per_mille = round(reading.current_A * self._per_mille_A)
-        values[_CURRENT] = values[_TORQUE] = _clamp_i16(per_mille)
+        values[_CURRENT] = values[_TORQUE] = clamp_i16(per_mille)
         values[_DC_LINK] = round(reading.supply_V * 1e3)
-        values[_VOLTAGE] = _clamp_i16(round(reading.voltage_V * 1e2))
+        values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
         values[_FOLLOWING] = round(reading.following_error_counts)
 
@@ -258,7 +258,7 @@ class SimulatedDrive(SimulatedNode):
         self._machine.track(target, self._period_ns)
 
     def _show_status(self) -> None:
-        word = self.power_state.value | self._flags | _VOLTAGE_ENABLED
+        word = self.power_state | self._flags | _VOLTAGE_ENABLED
         if self.state is Nmt.OPERATIONAL:
             word |= _REMOTE
         if self.power_state is State.OPERATION_ENABLED and self._values[_MODE] == CSP:
@@ -291,12 +291,6 @@ def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
     if counts:
         return counts, 1
     return round(2e8 * math.pi / machine.motor.gear_ratio), 100
-
-
-def _clamp_i16(value: int) -> int:
-    if -32768 <= value <= 32767:
-        return value
-    return 32767 if value > 0 else -32768
 
 
 def _check_mode(_subindex: int, value: int) -> None:

@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.clock import NS, SimulatedClock
 from drivers.mock.bus import SimulatedBus
-from drivers.mock.dictionary import key
+from drivers.mock.dictionary import clamp_i16, key
 from drivers.mock.node import SimulatedNode
 from drivers.mock.sampler import Sampler
 
@@ -60,7 +60,7 @@ class SimulatedEncoder(SimulatedNode):
         self._values[_POSITION] = self._position(counts)
         if self._before is not None and now > self._before[1]:
             moved = (counts - self._before[0]) * self._factor * self._units / self._resolution
-            self._values[_SPEED] = max(-32768, min(32767, round(moved * NS / (now - self._before[1]))))
+            self._values[_SPEED] = clamp_i16(round(moved * NS / (now - self._before[1])))
         self._before = (counts, now)
 
     def _configure(self) -> None:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import Enum, auto, unique
+from enum import Enum, IntEnum, auto, unique
 from typing import Final
 
 
 @unique
-class State(Enum):
+class State(IntEnum):
     """States; the value is what the statusword shows under mask 6Fh (4Fh where bit 5 does not matter)."""
 
     NOT_READY = 0x00

@@ -71,7 +71,8 @@ class ProcessData:
         self._outputs = outputs
         self._too_short = too_short
         self._receive: list[Receive] = []
-        self._transmit: list[Transmit] = []
+        self._synchronous: list[Transmit] = []
+        self._event_driven: list[Transmit] = []
         self._active = False
         indices = {number >> 8 for number in dictionary.entries}
         self._receive_indices = sorted(index for index in indices if 0x1400 <= index < 0x1600)
@@ -98,17 +99,16 @@ class ProcessData:
         """Send the TPDOs that are due at this SYNC."""
         values = self._dictionary.values
         send = self._port.send
-        for pdo in self._transmit:
-            if pdo.every:
-                pdo.count += 1
-                if pdo.count >= pdo.every:
-                    pdo.count = 0
-                    send(pdo.identifier, pdo.layout.pack(*pdo.pick(values)))
+        for pdo in self._synchronous:
+            pdo.count += 1
+            if pdo.count >= pdo.every:
+                pdo.count = 0
+                send(pdo.identifier, pdo.layout.pack(*pdo.pick(values)))
 
     def send_changes(self) -> None:
         """Send the event-driven TPDOs whose content has changed."""
-        for pdo in self._transmit:
-            if not pdo.every and pdo.layout.pack(*pdo.pick(self._dictionary.values)) != pdo.sent:
+        for pdo in self._event_driven:
+            if pdo.layout.pack(*pdo.pick(self._dictionary.values)) != pdo.sent:
                 self._send_event(pdo)
 
     def _send_event(self, pdo: Transmit) -> None:
@@ -136,9 +136,9 @@ class ProcessData:
     def _rebuild(self) -> None:
         for receive in self._receive:
             self._port.ignore(receive.identifier)
-        for transmit in self._transmit:
+        for transmit in self._event_driven:
             transmit.timer.stop()
-        self._receive, self._transmit = [], []
+        self._receive, self._synchronous, self._event_driven = [], [], []
         if not self._active:
             return
         for index in self._receive_indices:
@@ -149,7 +149,8 @@ class ProcessData:
                 self._port.listen(identifier, partial(self._received, pdo))
         for index in self._transmit_indices:
             if (mapped := self._mapping(index)) is not None:
-                self._transmit.append(self._transmitter(index, *mapped))
+                transmit = self._transmitter(index, *mapped)
+                (self._synchronous if transmit.every else self._event_driven).append(transmit)
 
     def _transmitter(
         self, index: int, identifier: int, kind: int, keys: tuple[int, ...], layout: struct.Struct

@@ -21,6 +21,8 @@ from rig.session import describe_devices
 from rig.tables import table
 
 SCHEMA = "loadrig.check/1"
+_UNSET_RAD = 2000.0 * math.pi
+"""A drive in which nothing was set holds the ends of its range; a thousand joint turns (a second) are no limit."""
 
 
 @click.command("check")
@@ -118,4 +120,6 @@ def _unit(name: str) -> str:
 def _show(name: str, value: float | None) -> str:
     if value is None:
         return "off"
+    if _angular(name) and abs(value) > _UNSET_RAD:
+        return "not set"
     return f"{math.degrees(value) if _angular(name) else value:.4g}"

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 import can
 
+from drivers.can_port import PythonCanPort
 from drivers.canopen_link import CanopenLink
 from drivers.canopen_node import CanopenNode
 from drivers.cia402_servo import Cia402Servo
@@ -55,10 +56,12 @@ def make_host(
     scales: ServoScales = SCALES,
     bitrate: int = 1_000_000,
     cycle_s: float = CYCLE_S,
+    python_can: bool = False,
 ) -> Host:
-    """Return an open link to a booted bench; nothing is prepared."""
+    """Return an open link to a booted bench, natively or through python-can; nothing is prepared."""
     bench = simulated_bench(machine or Machine(), seed, bitrate)
-    link = CanopenLink(bench.clock, lambda: bench.bus, "simulated bus")
+    port = PythonCanPort(bench.bus, bench.clock) if python_can else bench.bus
+    link = CanopenLink(bench.clock, lambda: port, "simulated bus")
     drive = link.add_node(DRIVE_NODE, DRIVE_EDS)
     servo = Cia402Servo(drive, link, scales)
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS

@@ -3,8 +3,11 @@ from __future__ import annotations
 import can
 import pytest
 
+from drivers.can_port import MAX_COLLECTED, PythonCanPort
+from drivers.can_timing import frame_bits
 from drivers.clock import SimulatedClock
-from drivers.mock.bus import SimulatedBus, frame_bits
+from drivers.interfaces import RawFrame
+from drivers.mock.bus import SimulatedBus
 
 from .host import frame
 
@@ -105,3 +108,78 @@ def test_a_dead_bus_refuses() -> None:
 def test_no_threads_for_periodic_frames(bus: SimulatedBus) -> None:
     with pytest.raises(NotImplementedError, match="control loop"):
         bus.send_periodic(frame(1), 0.1)
+
+
+def test_frames_without_a_gap_come_in_together_each_with_its_own_time(bus: SimulatedBus) -> None:
+    port = bus.attach()
+    port.send(0x181, bytes(8))
+    port.send(0x281, b"")
+    assert bus.collect(1.0) == [RawFrame(135_000, 0x181, bytes(8), False), RawFrame(190_000, 0x281, b"", False)]
+
+
+def test_collecting_stops_at_its_time_out_in_the_middle_of_a_burst() -> None:
+    clock = SimulatedClock()
+    bus = SimulatedBus(clock)
+    port = bus.attach()
+    for identifier in (1, 2, 3):
+        port.send(identifier, bytes(8))
+    assert [frame.identifier for frame in bus.collect(300e-6)] == [1, 2]
+    assert clock.now_ns() == 270_000
+    assert [frame.identifier for frame in bus.collect(300e-6)] == [3]
+    assert list(bus.collect(300e-6)) == []
+    assert clock.now_ns() == 705_000
+    bus.shutdown()
+
+
+def test_what_falls_due_in_a_burst_happens_at_its_time() -> None:
+    """An event between two frames sees the bus as it is then, and a frame it sends takes part in arbitration."""
+    clock = SimulatedClock()
+    bus = SimulatedBus(clock)
+    first, second = bus.attach(), bus.attach()
+    for identifier in (0x10, 0x20, 0x30):
+        first.send(identifier, b"")
+    clock.call_at(60_000, lambda: second.send(0x18, b""))
+    assert [frame.identifier for frame in bus.collect(1.0)] == [0x10]
+    assert [frame.identifier for frame in bus.collect(1.0)] == [0x20, 0x18, 0x30]
+    bus.shutdown()
+
+
+def test_an_error_frame_keeps_its_kind_through_python_can() -> None:
+    clock = SimulatedClock()
+    bus = SimulatedBus(clock)
+    bus.disturb()
+    native = bus.collect(0.0)
+    bus.disturb()
+    assert PythonCanPort(bus, clock).collect(0.0) == native
+    bus.shutdown()
+
+
+def test_a_port_hands_over_all_that_has_come_in(bus: SimulatedBus) -> None:
+    """What is left over would be taken for the answer to the next cycle."""
+    port = bus.attach()
+    for identifier in (1, 2, 3):
+        port.send(identifier, b"")
+    assert [frame.identifier for frame in PythonCanPort(bus, SimulatedClock()).collect(1.0)] == [1, 2, 3]
+
+
+def test_a_flooded_bus_does_not_hold_the_loop() -> None:
+    class Babbler:
+        def recv(self, timeout: float | None = None) -> can.Message:
+            return frame(0x7)
+
+    port = PythonCanPort(Babbler(), SimulatedClock())  # type: ignore[arg-type]
+    assert len(port.collect(0.1)) == MAX_COLLECTED
+
+
+def test_other_kinds_of_frame_are_flagged() -> None:
+    """As SocketCAN does, so that no base-format identifier can be mistaken for one of them."""
+    with can.Bus(interface="virtual", channel="kinds") as near, can.Bus(interface="virtual", channel="kinds") as far:
+        far.send(can.Message(arbitration_id=0x12, is_extended_id=True))
+        far.send(can.Message(arbitration_id=0x12, is_extended_id=False, is_remote_frame=True))
+        port = PythonCanPort(near, SimulatedClock())
+        kinds = [frame.identifier for _ in range(2) for frame in port.collect(0)]
+        assert kinds == [0x80000012, 0x40000012]
+        port.transmit(0x123, b"\x01")
+        heard = far.recv(0)
+        assert heard is not None
+        assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == (0x123, b"\x01", False)

@@ -9,9 +9,12 @@ from .host import make_host
 
 
 class TestSimulatedCanopen(ServoContract):
-    @pytest.fixture(params=[(1_000_000, 0.001), (500_000, 0.002)], ids=["1 Mbit/s", "500 kbit/s"])
+    @pytest.fixture(
+        params=[(1_000_000, 0.001, False), (500_000, 0.002, False), (1_000_000, 0.001, True)],
+        ids=["1 Mbit/s", "500 kbit/s", "through python-can"],
+    )
     def rig(self, request: pytest.FixtureRequest) -> Iterator[Rig]:
-        bitrate, cycle_s = request.param
-        host = make_host(bitrate=bitrate, cycle_s=cycle_s)
+        bitrate, cycle_s, python_can = request.param
+        host = make_host(bitrate=bitrate, cycle_s=cycle_s, python_can=python_can)
         yield Rig(host.link, host.servo, host.encoder, cycle_s, host.cycles)
         host.link.close()

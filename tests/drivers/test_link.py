@@ -5,6 +5,8 @@ import struct
 import can
 import pytest
 
+from drivers import cia402_servo, cia406
+from drivers.can_timing import cycle_bits, frame_bits
 from drivers.canopen_link import CanopenLink
 from drivers.canopen_node import CanopenNode
 from drivers.clock import SimulatedClock
@@ -59,7 +61,7 @@ def test_a_frame_of_the_wrong_length_updates_nothing(host: Host) -> None:
 def test_slow_process_data_may_be_two_periods_old(host: Host) -> None:
     prepared(host)
     host.cycles(20)
-    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x381 else (i, d))
+    host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x481 else (i, d))
     host.cycles(10)
     assert host.servo.sample().fresh
     host.cycles(20)
@@ -152,6 +154,30 @@ def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
     with pytest.raises(LinkError, match="no SDO response"):
         host.servo.state()
     assert not [f for f in host.link.take_frames() if f.identifier == 0x77F]
+
+
+def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:
+    """The load that a bench file is checked against is that on the wire: SYNC and every PDO, of 1 Mbit/s."""
+    prepared(host)
+    host.cycles(20)
+    host.link.take_frames()
+    host.cycles(1000)
+    frames = [f for f in host.link.take_frames() if f.identifier & 0x780 != 0x700]
+    planned = cycle_bits((*cia402_servo.FRAMES, *cia406.FRAMES))
+    assert sum(frame_bits(len(f.data)) for f in frames) == pytest.approx(1000 * planned, abs=frame_bits(8))
+    assert planned < 700
+
+
+def test_voltage_comes_with_every_sync(host: Host) -> None:
+    """Eq. 1 needs the mean voltage and the mean current of the same period."""
+    enabled(host)
+    seen = []
+    for _ in range(40):
+        host.cycles(1, lambda t: 0.05)
+        sample = host.servo.sample()
+        seen.append((sample.voltage_V, host.bench.drive.objects.integer(0x2100) * 0.01))
+    assert all(voltage == pytest.approx(drive) for voltage, drive in seen)
+    assert len({voltage for voltage, _ in seen}) > 20
 
 
 def test_all_devices_share_one_cycle(host: Host) -> None:

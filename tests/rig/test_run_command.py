@@ -251,6 +251,8 @@ def test_check_reads_the_bench_and_moves_nothing(capsys: pytest.CaptureFixture[s
     text = capsys.readouterr().out
     assert "simulated drive" in text
     assert "switch on disabled (good)" in text
+    assert [line.split()[-3] for line in text.splitlines() if line.startswith("angle m")] == ["set", "set"]
+    assert "e+0" not in text
     found = json.loads(Path("check.json").read_text())
     assert found["schema"] == "loadrig.check/1"
     assert found["encoder"]["product_code"] != found["servo"]["product_code"]
@@ -375,6 +377,24 @@ def test_a_real_bench_needs_an_eds_file(tmp_path: Path, capsys: pytest.CaptureFi
     path.write_text(text.replace("interface: mock", "interface: virtual, channel: nobody"))
     assert status(["check", str(path)]) == 2
     assert "servo.eds: missing; a real device needs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("verbose", [False, True])
+def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) -> None:
+    path = tmp_path / "b.yaml"
+    path.write_text(resolve("practical", "benches").read_text().replace("node: 1,", "node: 3,"))
+    code = (
+        "import sys, rig.cli, rig.connect, drivers.mock.bench as mock;"
+        "made = mock.simulated_bench;"
+        "rig.connect.simulated_bench = lambda m, s, b, d, e: made(m, s, b, 1, e);"
+        "sys.exit(rig.cli.status(sys.argv[1:]))"
+    )
+    options = ["--verbose"] if verbose else []
+    done = subprocess.run([sys.executable, "-c", code, *options, "check", str(path)], capture_output=True, text=True)
+    assert done.returncode == 4
+    spoken = done.stderr.splitlines()
+    assert spoken[-1].startswith("device error: node 3")
+    assert (len(spoken) > 1) is verbose
 
 
 def test_a_real_bus_where_nobody_answers(

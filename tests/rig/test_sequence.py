@@ -206,3 +206,31 @@ def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> No
     for record in (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine):
         for item in dataclasses.fields(record):
             assert f"{item.name}:" in text
+
+
+def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:
+    path = tmp_path / "b.yaml"
+    text = resolve("practical", "benches").read_text()
+    path.write_text(text.replace("    Mc_N_m:", "    Mc_Nm:").replace("  steps_per_loop:", "  steps_pr_loop:"))
+    with pytest.raises(InputError) as caught:
+        load_bench(path)
+    joint, steps = caught.value.problems
+    assert "mock.joint.Mc_Nm: unknown key; did you mean 'Mc_N_m'" in joint
+    assert "mock.steps_pr_loop: unknown key; did you mean 'steps_per_loop'?" in steps
+
+
+@pytest.mark.parametrize(
+    ("bitrate", "rate", "fits"), [(1_000_000, 1000, True), (500_000, 500, True), (500_000, 1000, False)]
+)
+def test_a_cycle_must_fit_the_bus(tmp_path: Path, bitrate: int, rate: int, fits: bool) -> None:
+    path = tmp_path / "b.yaml"
+    text = resolve("practical", "benches").read_text().replace("bitrate: 1000000", f"bitrate: {bitrate}")
+    path.write_text(text.replace("cycle_Hz: 1000", f"cycle_Hz: {rate}"))
+    if fits:
+        assert load_bench(path).value.cycle_Hz == rate
+        return
+    line = next(n for n, line in enumerate(text.splitlines(), 1) if "bitrate" in line)
+    with pytest.raises(
+        InputError, match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500"
+    ):
+        load_bench(path)

@@ -1,4 +1,8 @@
-"""The one place that asks for compilation, so that options are the same everywhere."""
+"""The one place that asks for compilation, so that options are the same everywhere.
+
+The machine code is kept beside each module and renewed when that module changes, not when one it calls does: after
+editing a called kernel run ``make clean``, or touch the caller.
+"""
 
 from __future__ import annotations
 

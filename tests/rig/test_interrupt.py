@@ -1,0 +1,137 @@
+"""Ctrl-C on a real process in every phase of a run: it ends with status 3, the drive verified off, the log readable."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from rig.mcap_reader import read_run
+from rig.run import read_record
+
+CHILD = """
+import sys
+import rig.sequencer
+from drivers.cia402_servo import Cia402Servo
+from rig.cli import status
+from rig.cycle import Cycle
+
+next_phase, follow, quick_stop = rig.sequencer.next_phase, Cycle.follow, Cia402Servo.quick_stop
+
+def announce(phase, event):
+    following = next_phase(phase, event)
+    print("phase", following.value, flush=True)
+    return following
+
+def count(self, targets, segment, stage):
+    self._progress = lambda stage, cycles, sample: print("cycles", segment, flush=True)
+    follow(self, targets, segment, stage)
+
+def brake(self):
+    quick_stop(self)
+    print("braking", flush=True)
+    sys.stdin.readline()
+
+rig.sequencer.next_phase, Cycle.follow = announce, count
+if sys.argv.pop(1) == "hold":
+    Cia402Servo.quick_stop = brake
+sys.exit(status(sys.argv[1:]))
+"""
+SEQUENCE = """\
+sequence: 1
+name: long
+limits: {{speed_deg_s: 20}}
+stages:
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 0.5, frequency_Hz: 0.5}}], duration_s: 60.2,
+     ramp_in_s: 0.1, ramp_out_s: {ramp_out}, center_deg: {centre}, settle_s: 0}}
+"""
+
+
+@contextmanager
+def running(
+    tmp_path: Path, *options: str, hold: bool = False, centre: float = 0, ramp_out: float = 1
+) -> Iterator[subprocess.Popen[str]]:
+    """Run the command in a process of its own that says where it is; it is gone afterwards, whatever happens."""
+    sequence = tmp_path / "long.yaml"
+    sequence.write_text(SEQUENCE.format(centre=centre, ramp_out=ramp_out))
+    command = ["run", str(sequence), "--realtime", "--out", str(tmp_path / "out"), *options]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.STDOUT}
+    arguments = [sys.executable, "-c", CHILD, "hold" if hold else "free", *command]
+    with subprocess.Popen(arguments, text=True, **pipes) as child:  # type: ignore[call-overload]
+        try:
+            yield child
+        finally:
+            child.kill()
+
+
+def wait_for(child: subprocess.Popen[str], words: str, times: int = 1) -> None:
+    """Read what the child says until it has said ``words``; the prompt ends without a newline, so by character."""
+    assert child.stdout is not None
+    said = ""
+    while said.count(words) < times:
+        character = child.stdout.read(1)
+        assert character, f"the run ended before {words!r}: {said}"
+        said += character
+
+
+def assert_stopped(child: subprocess.Popen[str], tmp_path: Path, words: str) -> None:
+    said, _ = child.communicate(timeout=30)
+    assert child.returncode == 3, said
+    assert "Traceback" not in said
+    record = read_record(tmp_path / "out")
+    assert (record.state, record.de_energised) == ("stopped", True)
+    assert words in record.message
+    log = read_run(tmp_path / "out/recording.mcap")
+    assert log.damage is None
+    assert log.events[-1]["event"] == "stopped"
+
+
+def test_at_the_prompt(tmp_path: Path) -> None:
+    with running(tmp_path) as child:
+        wait_for(child, "Mass on the lever now, kg: ")
+        child.send_signal(signal.SIGINT)
+        assert_stopped(child, tmp_path, "phase load: stopped at the weight prompt")
+
+
+def test_on_the_way_to_the_start(tmp_path: Path) -> None:
+    with running(tmp_path, "--yes", centre=25) as child:
+        wait_for(child, "phase approach")
+        child.send_signal(signal.SIGINT)
+        assert_stopped(child, tmp_path, "phase approach: stopped by the operator")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_in_motion(tmp_path: Path, number: signal.Signals) -> None:
+    with running(tmp_path, "--yes") as child:
+        wait_for(child, "cycles 1\n", times=2)
+        child.send_signal(number)
+        assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
+    segment = read_run(tmp_path / "out/recording.mcap").samples["segment"]
+    # The recording goes on while the drive brakes.
+    assert segment[-1] == 0
+    assert np.count_nonzero(segment) >= 200
+
+
+def test_while_the_motion_fades_out(tmp_path: Path) -> None:
+    with running(tmp_path, "--yes", ramp_out=60) as child:
+        wait_for(child, "cycles 1\n", times=3)
+        child.send_signal(signal.SIGINT)
+        assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
+
+
+def test_a_second_one_while_braking_skips_nothing(tmp_path: Path) -> None:
+    with running(tmp_path, "--yes", hold=True) as child:
+        wait_for(child, "cycles 1\n")
+        child.send_signal(signal.SIGINT)
+        wait_for(child, "braking")
+        child.send_signal(signal.SIGINT)
+        assert child.stdin is not None
+        child.stdin.write("\n")
+        child.stdin.flush()
+        assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
