@@ -68,3 +68,15 @@ def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_
     assert wrong.validate_rms is not None
     assert wrong.train_rms > 1.2 * right.train_rms
     assert wrong.validate_rms > 1.2 * right.validate_rms
+
+
+@pytest.mark.recordings
+def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(recordings: Path) -> None:
+    first, second = result_of("screw_drive_1.yaml"), result_of("screw_drive_2.yaml")
+    speed = first.parameters["omega_sf"]
+    assert speed.value is not None
+    assert speed.low is not None
+    assert 2.5 < speed.value < 6.0
+    assert speed.low > 1.0
+    assert not second.parameters["omega_sf"].identifiable
+    assert not second.parameters["Ms"].identifiable
