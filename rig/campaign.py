@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import CHANNELS, Bench, Model, Pendulum
@@ -46,8 +46,14 @@ def _not_zero(value: float) -> float:
     return value
 
 
-Constant = Annotated[float, Field(gt=1e-9, lt=1e9)]
-"""A constant of a machine in SI units; far outside of what is built, so that a slip of the exponent is met here."""
+def _buildable(value: float) -> float:
+    if not 1e-9 < value < 1e9:
+        raise ValueError("outside of 1e-9 to 1e9; no machine is built so, check exponent and unit")
+    return value
+
+
+Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
+"""A constant of a machine, SI."""
 
 
 class BenchSection(Schema):

@@ -17,6 +17,7 @@ from identification.estimate.result import Identification
 from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
 from rig.results import Provenance
+from rig.run import RUN_FILE
 from rig.sources import load_source
 
 
@@ -76,6 +77,7 @@ def identify_source(
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source)
+    described_by = source / RUN_FILE if source.is_dir() else source
     results = []
     for method in methods:
         begun = time.perf_counter()
@@ -89,5 +91,5 @@ def identify_source(
         except RecordingError as error:
             raise InputError(f"{source}: {error}") from error
         results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun))
-    provenance = Provenance.of(seed, dataset.recordings, time.perf_counter() - started)
+    provenance = Provenance.of(seed, dataset.recordings, time.perf_counter() - started, described_by)
     return Outcome(dataset, tuple(results), provenance)

@@ -50,6 +50,7 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
         InputError: A place cannot be written.
     """
     record = identification_record(outcome.results[0], outcome.provenance)
+    record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from identification.estimate.result import Convergence, Fit, Identification, Parameter
 from identification.recording import Recording
-from rig.provenance import utc_now, versions
+from rig.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 PAPER_SCHEMA = "loadrig.paper/1"
@@ -34,9 +35,22 @@ class Provenance:
     versions: Mapping[str, str]
 
     @classmethod
-    def of(cls, seed: int, recordings: Sequence[Recording], seconds: float) -> Provenance:
-        """Return the provenance of a result made just now from these recordings."""
-        inputs = {r.source: r.sha256 for r in recordings if r.source}
+    def of(
+        cls, seed: int, recordings: Sequence[Recording], seconds: float, described_by: Path | None = None
+    ) -> Provenance:
+        """Return the provenance of a result made just now from these recordings.
+
+        Args:
+            seed: Of the random generator.
+            recordings: What was identified.
+            seconds: Wall-clock time spent.
+            described_by: The campaign file, or a run's ``run.json``, which says what the recordings are.
+
+        Raises:
+            OSError: ``described_by`` cannot be read.
+        """
+        inputs = {str(described_by): sha256_file(described_by)} if described_by else {}
+        inputs |= {r.source: r.sha256 for r in recordings if r.source}
         return cls(seed, inputs, seconds, utc_now().isoformat(timespec="seconds"), versions())
 
     def record(self, schema: str) -> dict[str, Any]:

@@ -98,12 +98,8 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     for color, (name, history) in zip(CYCLE, stage.parameter_history.items(), strict=False):
         reference = (truth or {}).get(name, float(history[-1]))
         deviation = np.abs(history - reference) / abs(reference) * 100.0 if reference else np.full(len(history), np.nan)
-        upper.plot(
-            _generations(history),
-            broken(deviation, deviation > _LEAST_PERCENT),
-            color=color,
-            label=LABELS.get(name, name),
-        )
+        shown = broken(deviation, deviation > _LEAST_PERCENT)
+        upper.plot(_generations(history), shown, color=color, label=LABELS.get(name, name))
     upper.set_yscale("log")
     upper.set_ylabel(f"deviation from the {'true' if truth else 'final'} value (%)")
     legend_above(upper, 6)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from identification.estimate.default import identify, solve_stages
+from identification.estimate.paper import identify_paper
 from identification.estimate.prediction_error import refine_stages
 from identification.estimate.result import Identification
 from identification.estimate.stretches import motion
@@ -164,3 +166,30 @@ def test_loaded_alone_with_the_system_fixed() -> None:
 def test_nothing_to_fit_is_refused() -> None:
     with pytest.raises(RecordingError, match="no recording has role 'fit'"):
         identify(Dataset((sine(role="validate"),)))
+
+
+@pytest.mark.parametrize("method", [identify, identify_paper])
+def test_a_stage_at_rest_is_refused(method: Callable[..., Identification]) -> None:
+    still = sine()
+    still = replace(still, channels={**still.channels, "angle": np.full(len(still.time), 0.1)})
+    still = replace(still, channels={k: v for k, v in still.channels.items() if k not in ("velocity", "motor_angle")})
+    with pytest.raises(RecordingError, match=r"sine: 0 samples in motion .* at least 40 are needed"):
+        method(Dataset((still,)), rng=np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("method", [identify, identify_paper])
+def test_a_drive_without_torque_is_refused(method: Callable[..., Identification]) -> None:
+    idle = sine()
+    idle = replace(idle, channels={**idle.channels, "torque": np.zeros(len(idle.time))})
+    with pytest.raises(RecordingError, match="sine: the drive's torque is zero wherever it moves"):
+        method(Dataset((idle,)), rng=np.random.default_rng(0))
+
+
+def test_the_paper_method_takes_no_bandwidth_from_recordings_set_aside() -> None:
+    fitted, aside = sine(name="fitted"), sine(name="aside", rate=250.0)
+    alone = identify_paper(Dataset((fitted,)), rng=np.random.default_rng(0), generations=2)
+    both = identify_paper(
+        Dataset((fitted, replace(aside, role="validate"))), rng=np.random.default_rng(0), generations=2
+    )
+    assert both.fit.bandwidth_Hz == alone.fit.bandwidth_Hz
+    assert both.values() == alone.values()

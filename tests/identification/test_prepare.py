@@ -254,3 +254,14 @@ def test_torque_and_motion_agree_with_what_was_put_in() -> None:
     model = prepared.filter(friction(prepared.raw_velocity, TRUTH)) + TRUTH["J"] * prepared.acceleration
     error = (prepared.torque - model)[prepared.used]
     assert np.sqrt(np.mean(error**2)) < 0.02
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, -1.0, float("nan"), float("inf"), 500.1])
+def test_a_bandwidth_the_rate_cannot_carry(bandwidth: float) -> None:
+    with pytest.raises(RecordingError, match="is out of reach; ask for more than 0 and at most half the rate, 500 Hz"):
+        prepare(sine(), bandwidth)
+
+
+def test_a_filter_longer_than_memory_is_refused_before_it_is_built() -> None:
+    with pytest.raises(RecordingError, match="samples are fewer than the 32000"):
+        prepare(sine(), 1e-9)

@@ -142,6 +142,12 @@ def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
         ("angle: 2", "angle: {column: 2, sclae: 1}", "unknown key; did you mean 'scale'?"),
         ("angle: 2", "angle: true", "angle"),
         ("0.095}", "0.095, gear_ratio: 0}", "bench.gear_ratio: input should be greater than 0"),
+        ("0.095}", "0.095, gear_ratio: 1e300}", "bench.gear_ratio: outside of 1e-9 to 1e9; no machine is built so"),
+        (
+            "file: a.csv",
+            "file: a.csv\n    read: {delimiter: ',', decimal: ','}",
+            "are both a comma",
+        ),
     ],
 )
 def test_cross_checks(tmp_path: Path, old: str, new: str, expected: str | None) -> None:
@@ -160,6 +166,19 @@ def test_loaded_stage_needs_the_moment_arm(tmp_path: Path) -> None:
     assert load_campaign(tmp_path / "c.yaml").value.recordings[0].weight_mass == 30.6
     (line,) = problems(tmp_path, loaded.replace(", moment_arm: 0.095", ""))
     assert line.startswith("5:12: recordings[0].stage: the loaded stage needs bench.moment_arm")
+
+
+def test_a_loaded_recording_is_not_scored_without_working_load(tmp_path: Path) -> None:
+    channels = "channels: {time: 0, current: 1, angle: 2}"
+    validate = f"  - {{file: b.csv, stage: loaded, weight_mass: 30, role: validate, {channels}}}\n"
+    (line,) = problems(tmp_path, SHORT + validate)
+    assert "recordings[1].role: a loaded recording to validate, but none to fit" in line
+    assert line.endswith('fix mu_c, mu_s, omega_sL, mu_2 (got "validate")')
+    known = "model: {fixed: {mu_c: 0.1, mu_s: 0.2, omega_sL: 0.1, mu_2: 0.1}}\n"
+    (tmp_path / "c.yaml").write_text(SHORT + validate + known)
+    assert len(load_campaign(tmp_path / "c.yaml").value.recordings) == 2
+    (tmp_path / "c.yaml").write_text(SHORT + validate + validate.replace("validate", "fit"))
+    assert len(load_campaign(tmp_path / "c.yaml").value.recordings) == 3
 
 
 def test_torque_and_amperes_do_not_mix(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """``rig identify`` as a user runs it."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,8 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     for one in (record, record["compared"][0]):
         assert {"J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"} == set(one["parameters"])
         assert one["fit"]["validate_rms"] > 0.0
-    assert {Path(entry["file"]).name for entry in record["inputs"]} == {"free.csv", "heavy.csv", "later.csv"}
+    inputs = {Path(entry["file"]).name for entry in record["inputs"]}
+    assert inputs == {"bench.yaml", "free.csv", "heavy.csv", "later.csv"}
     assert (out / "report.html").is_file()
 
 
@@ -97,6 +99,52 @@ def test_a_folder_that_cannot_be_written(campaign: Path, tmp_path: Path, capsys:
     out = tmp_path / "taken" / "inside"
     assert status(["identify", str(campaign), "--method", "paper", "--out", str(out)]) == 2
     assert "--out" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("bandwidth", ["nan", "inf", "1e9", "1e-9", "100.1"])
+def test_a_bandwidth_out_of_reach(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], bandwidth: str
+) -> None:
+    assert status(["identify", str(campaign), "--bandwidth", bandwidth, "--out", str(tmp_path / "out")]) == 2
+    assert "bandwidth of" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
+
+
+def test_places_are_judged_before_the_work(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, missing = tmp_path / "out", tmp_path / "missing" / "r.json"
+    assert status(["identify", str(campaign), "--out", str(out), "--json", str(missing)]) == 2
+    assert f"{missing}: the folder {missing.parent} does not exist" in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_ctrl_c_while_writing_keeps_what_was_whole(
+    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")]
+    assert status(arguments) == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+
+    def stop(source: int, target: int) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(os, "replace", stop)
+    assert status([*arguments, "--seed", "1"]) == 3
+    assert capsys.readouterr().err.endswith("stopped by the operator\n")
+    assert (tmp_path / "out" / "report.html").read_text() == page
+    assert json.loads((tmp_path / "out" / "identify.json").read_text())["seed"] == 0
+    assert not list((tmp_path / "out").glob(".*"))
+
+
+def test_corrections_are_told(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in ("free.csv", "heavy.csv"):
+        lines = (tmp_path / name).read_text().splitlines()
+        lines[100] = lines[100].rsplit(",", 1)[0] + ","
+        (tmp_path / name).write_text("\n".join(lines))
+    assert status(["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")]) == 0
+    told = "reading: free: `torque`: 1 missing samples interpolated (1 more like this: see the report)"
+    assert told in capsys.readouterr().out.splitlines()
+    record = json.loads((tmp_path / "out" / "identify.json").read_text())
+    assert record["corrections"] == {name: ["`torque`: 1 missing samples interpolated"] for name in ("free", "heavy")}
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:

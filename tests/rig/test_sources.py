@@ -366,3 +366,32 @@ def test_the_shortest_recording(tmp_path: Path, samples: int, refused: bool) -> 
             load_source(campaign(tmp_path))
     else:
         assert len(load_source(campaign(tmp_path)).recordings[0].time) == samples
+
+
+def test_a_file_is_not_counted_twice(tmp_path: Path) -> None:
+    write_csv(tmp_path / "a.csv", motion())
+    with pytest.raises(InputError, match=r"recordings\[1\]\.file: .*a\.csv is used twice; keep one entry"):
+        load_source(campaign(tmp_path, "file: a.csv", "file: './a.csv'"))
+    both = campaign(tmp_path, "file: a.csv", "{file: a.csv, channels: {torque: {column: m, scale: 2}}}")
+    assert len(load_source(both).recordings) == 2  # another column, another scale: another axis of one log
+
+
+def test_shuffled_rows_under_a_rate_are_refused(tmp_path: Path) -> None:
+    def shuffle(columns: Columns) -> None:
+        order = np.random.default_rng(1).permutation(N)
+        columns.update({name: values[order] for name, values in columns.items()})
+
+    section = "{file: a.csv, rate: 1000, channels: {angle: a, torque: m}}"
+    path = campaign(tmp_path, section)
+    path.write_text(path.read_text().replace(CHANNELS, "{}"))
+    columns = motion()
+    shuffle(columns)
+    write_csv(tmp_path / "a.csv", columns)
+    with pytest.raises(InputError, match="`angle` jumps from sample to sample"):
+        load_source(path)
+
+
+@pytest.mark.parametrize(("period", "noted"), [(0.49, False), (0.5, True), (1.0, True)])
+def test_time_in_milliseconds_is_asked_for(tmp_path: Path, period: float, noted: bool) -> None:
+    (recording,) = load(tmp_path, lambda c: c.update(t=c["t"] * period / PERIOD))
+    assert any("if `time` is in ms or us" in note for note in recording.notes) is noted

@@ -299,3 +299,32 @@ def test_format_and_digest(tmp_path: Path) -> None:
     assert [format_of(Path(p)) for p in ("a.CSV", "b.csv.gz", "c", "d.gz")] == ["csv", "csv", "", ""]
     (tmp_path / "a").write_bytes(b"abc")
     assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_decimal_commas_when_told(tmp_path: Path) -> None:
+    text = 't;x\n0,5;-1,25e3\n1;"2,5"\n'
+    t, x = delimited(tmp_path, text, ReadSection(decimal=",")).read([0, 1])
+    np.testing.assert_array_equal(t, [0.5, 1.0])
+    np.testing.assert_array_equal(x, [-1250.0, 2.5])
+    headless = delimited(tmp_path, "0,5;1,5\n1,0;2,5\n", ReadSection(decimal=","))
+    np.testing.assert_array_equal(headless.read([1])[0], [1.5, 2.5])
+
+
+def test_decimal_commas_when_not_told_suggest_it(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'a\.csv:2: column \'t\' is not a number .*set read\.decimal: ","'):
+        delimited(tmp_path, "t;x\n0,5;1\n").read([0, 1])
+
+
+def test_a_file_that_is_no_text(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="line 1 holds zero bytes, so it is not text"):
+        delimited(tmp_path, b"\x00\x01\x02,\x00\n1,2\n")
+
+
+def test_a_mat_file_that_would_end_the_process(tmp_path: Path) -> None:
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, {"t": np.arange(9.0)})
+    raw = bytearray(path.read_bytes())
+    raw[128 + 48] = 14  # the numbers' element says it is a matrix
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match=r"a\.mat: cannot be read \(values of the impossible type 14"):
+        MatTable(path)
