@@ -19,6 +19,7 @@ from identification.signals import (
     decimator,
     derivative,
     quantum,
+    reach,
     resample,
     smooth,
 )
@@ -29,6 +30,8 @@ DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
 """Default bandwidth over the sample rate, where the encoder does not ask for less."""
 SLOW_BANDWIDTH_HZ = 20.0
 """Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of their rate."""
+RATE_TOLERANCE = 1e-6
+"""Share of the rate that rounded time stamps may cost."""
 REST_SAMPLES = 8
 """Samples over which the angle changes by no more than one step of its encoder that count as rest."""
 
@@ -195,18 +198,25 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
             acceleration the rate cannot resolve are left out.
 
     Raises:
-        RecordingError: A needed channel is missing, or the recording is shorter than the filter.
+        RecordingError: A needed channel is missing, the bandwidth is more than the rate can carry, or the recording is
+            shorter than the filter.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = default_bandwidth(recording)
     grid = uniform_grid(recording)
     rate = 1.0 / recording.period
-    low_pass = decimator(rate, bandwidth_Hz)
-    if len(grid) < 2 * low_pass.half + 8:
+    if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
-            f"{recording.name}: {len(grid)} samples are fewer than the {2 * low_pass.half + 8} that a bandwidth of "
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz; above 0, and at most half the rate, "
+            f"{0.5 * rate:.4g} Hz, can be had"
+        )
+    _, half = reach(rate, bandwidth_Hz)
+    if len(grid) < 2 * half + 8:
+        raise RecordingError(
+            f"{recording.name}: {len(grid)} samples are fewer than the {2 * half + 8} that a bandwidth of "
             f"{bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer recording"
         )
+    low_pass = decimator(rate, bandwidth_Hz)
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, still = _motion(recording, grid, rate, cutoff)
     exact = low_pass.half == 0

@@ -97,14 +97,21 @@ class Decimator:
         return np.asarray(spread[:: self.factor] < 0.5)
 
 
+def reach(rate: float, bandwidth: float) -> tuple[int, int]:
+    """Return decimation and half length, samples, of the low-pass for a bandwidth in Hz; (1, 0) where none is needed."""
+    if bandwidth >= 0.45 * rate:
+        return 1, 0
+    factor = max(1, round(rate / (2.5 * bandwidth)))
+    return factor, factor * max(2, round(1.6 * rate / bandwidth / factor))
+
+
 def decimator(rate: float, bandwidth: float) -> Decimator:
     """Design the low-pass for a bandwidth in Hz: -6 dB there, decimated to 2.5 times the bandwidth.
 
     Where the bandwidth leaves nothing to remove (0.45 of the rate or more) the identity is returned.
     """
-    if bandwidth >= 0.45 * rate:
+    factor, half = reach(rate, bandwidth)
+    if half == 0:
         return Decimator(np.ones(1), 1)
-    factor = max(1, round(rate / (2.5 * bandwidth)))
-    half = factor * max(2, round(1.6 * rate / bandwidth / factor))
     taps = signal.firwin(2 * half + 1, bandwidth, fs=rate, window=("kaiser", 5.0))
     return Decimator(np.asarray(taps / taps.sum()), factor)

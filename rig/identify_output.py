@@ -9,9 +9,9 @@ from identification.estimate.result import Identification
 from rig.errors import InputError
 from rig.identify import Outcome
 from rig.parameter_table import parameter_notes, parameter_table
+from rig.places import write_json
 from rig.report import write_report
 from rig.results import identification_record
-from rig.run import write_json
 from rig.tables import number, percent, table
 
 RESULT_FILE = "identify.json"
@@ -46,7 +46,7 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
         )
     except OSError as error:
         raise InputError(
-            f"{error.filename or folder}: cannot be written: {error.strerror}; give --out another folder"
+            f"{folder}: the result cannot be written: {error.strerror}; give --out and --json another place"
         ) from error
 
 

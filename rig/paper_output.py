@@ -15,9 +15,9 @@ from rig.errors import InputError
 from rig.figures import Picture, save
 from rig.paper import DURATION_S, RATE_HZ, TABLE_1, TABLE_2, WRONG_BASIN_PERCENT, Printed, Reproduction
 from rig.parameter_table import Table
+from rig.places import write_json, write_text
 from rig.report import provenance_tables, render
 from rig.results import PAPER_SCHEMA, Provenance, finite
-from rig.run import write_json
 from rig.tables import number, percent
 
 RESULT_FILE = "paper.json"
@@ -98,10 +98,10 @@ def write(folder: Path, found: Reproduction, provenance: Provenance, json_file: 
         for path in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(path, result)
         path = folder / "report.html"
-        path.write_text(page, encoding="utf-8")
+        write_text(path, page)
     except OSError as error:
         raise InputError(
-            f"{error.filename or folder}: cannot be written: {error.strerror}; give another place"
+            f"{folder}: the result cannot be written: {error.strerror}; give --out and --json another place"
         ) from error
     return path
 

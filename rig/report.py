@@ -14,6 +14,7 @@ from identification.plots import signals
 from identification.recording import Dataset, Recording
 from rig.figures import Picture, save
 from rig.parameter_table import Table, parameter_notes, parameter_table
+from rig.places import write_text
 from rig.results import Provenance
 from rig.tables import number, percent
 
@@ -73,7 +74,7 @@ def write_report(
         **provenance_tables(provenance),
     )
     path = folder / "report.html"
-    path.write_text(page, encoding="utf-8")
+    write_text(path, page)
     return path
 
 

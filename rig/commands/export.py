@@ -9,6 +9,7 @@ import click
 from rig.cli import DONE
 from rig.errors import InputError
 from rig.export import WRITERS, export
+from rig.places import replacing, require_file
 from rig.sources import load_source
 
 
@@ -28,9 +29,11 @@ def command(source: Path, kind: str, out: Path | None) -> int:
     path = out or Path(f"{source.resolve().stem}.{kind}")
     if path.exists():
         raise InputError(f"{path}: exists already; give --out another name")
+    require_file(path, "--out")
     dataset = load_source(source)
     try:
-        export(dataset, path, kind)
+        with replacing(path) as draft:
+            export(dataset, draft, kind)
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror}") from error
     count = sum(len(recording.time) for recording in dataset.recordings)

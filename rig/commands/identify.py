@@ -53,11 +53,14 @@ def command(
     from rig.bar import ShareBar
     from rig.identify import identify_source
     from rig.identify_output import text, write
+    from rig.places import require_file, require_folder
     from rig.truth import truth_of
 
+    folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
+    require_folder(folder, "--out")
+    require_file(json_file, "--json")
     with ShareBar() as bar:
         outcome = identify_source(source, _METHODS[method], bandwidth, seed, bar)
-        folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
         bar("writing the report", 1.0)
         truth = truth_of(source)
         report = write(folder, source.resolve().stem, outcome, truth, json_file)

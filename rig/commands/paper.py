@@ -33,9 +33,12 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     from rig.bar import ShareBar
     from rig.paper import reproduce
     from rig.paper_output import remarks, tables, write
+    from rig.places import require_file, require_folder
     from rig.results import Provenance
     from rig.tables import table
 
+    require_folder(out, "--out")
+    require_file(json_file, "--json")
     started = time.perf_counter()
     with ShareBar() as bar:
         found = reproduce(range(seed, seed + seeds), bar)

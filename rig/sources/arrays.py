@@ -15,6 +15,7 @@ import scipy.io
 
 from identification.recording import Array
 from rig.errors import InputError
+from rig.sources.mat_elements import check_elements
 from rig.sources.table import Table, damaged, open_binary
 
 _DAMAGED = (
@@ -82,6 +83,8 @@ class MatTable(ArrayTable):
     def __init__(self, path: Path) -> None:
         try:
             with open_binary(path) as stream:
+                check_elements(stream)
+                stream.seek(0)
                 contents = scipy.io.whosmat(cast(Any, stream))
         except NotImplementedError as error:
             raise InputError(

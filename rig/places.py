@@ -1,0 +1,88 @@
+"""The places that results go to: judged before the work, written in one step after it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rig.errors import InputError
+
+
+def require_folder(path: Path, option: str) -> None:
+    """Check, before anything is computed, that a folder is there or can be made; makes nothing.
+
+    Args:
+        path: The folder.
+        option: What chose it, for the message.
+
+    Raises:
+        InputError: It cannot be; says which folder above it is in the way.
+    """
+    above = path
+    while not above.exists() and above != above.parent:
+        above = above.parent
+    if not above.is_dir():
+        raise InputError(f"{path}: cannot be made, as {above} is a file; give {option} another place")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{path}: {above} may not be written to; give {option} another place")
+
+
+def require_file(path: Path | None, option: str) -> None:
+    """Check, before anything is computed, that a file can be written; makes nothing.
+
+    Raises:
+        InputError: Its folder is missing or read-only, or it is a folder itself.
+    """
+    if path is None:
+        return
+    if path.is_dir():
+        raise InputError(f"{path}: is a folder; give {option} a file")
+    if not path.parent.is_dir():
+        raise InputError(f"{path}: the folder {path.parent} does not exist; make it, or give {option} another place")
+    judged = path.parent if path.is_file() or not path.exists() else path
+    if not os.access(judged, os.W_OK):
+        raise InputError(f"{path}: {judged} may not be written to; give {option} another place")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield the name of a draft; it takes the place of ``path`` at the end, and is removed if there is no good end.
+
+    No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link is followed, and what
+    is no plain file (a pipe, ``/dev/stdout``) is written straight, never replaced.
+    """
+    target = path.resolve()
+    if target.exists() and not target.is_file():
+        yield target
+        return
+    draft = target.with_name(f".{target.name}.new")
+    try:
+        yield draft
+        with open(draft, "rb") as stream:
+            os.fsync(stream.fileno())
+        os.replace(draft, target)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in one step.
+
+    Raises:
+        OSError: It cannot be written; an earlier version is kept.
+    """
+    with replacing(path) as draft, open(draft, "w", encoding="utf-8") as stream:
+        stream.write(text)
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> None:
+    """Write JSON in one step.
+
+    Raises:
+        OSError: It cannot be written; an earlier version is kept.
+    """
+    write_text(path, json.dumps(record, indent=1) + "\n")

@@ -1,0 +1,116 @@
+"""Checks the element headers of a MATLAB file (level 5, ``-v6`` and ``-v7``) before scipy reads it.
+
+scipy trusts them: a wrong type or length in an uncompressed file ends the whole process instead of raising. Compressed
+elements carry a checksum, which scipy checks.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from math import prod
+from typing import IO, NamedTuple
+
+HEADER_BYTES = 128
+LEVEL_5 = 0x0100
+MATRIX, COMPRESSED = 14, 15
+INT8, INT32, UINT32, UTF8 = 1, 5, 6, 16
+SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
+"""Bytes per number of each numeric data type, miINT8 to miUINT64."""
+NUMERIC_CLASSES = range(6, 16)
+"""Array classes mxDOUBLE to mxUINT64; of cells, structs, text and sparse arrays nothing but the header is read."""
+CLASSES = range(1, 19)
+OPAQUE_CLASS = 17
+"""A MATLAB object; it has no dimensions."""
+COMPLEX_FLAG = 0x0800
+_MOST_DIMENSIONS = 32
+
+
+class DamagedElementError(ValueError):
+    """A header contradicts the file; the message names the byte."""
+
+
+class _Element(NamedTuple):
+    kind: int
+    length: int
+    start: int
+    end: int
+
+
+def check_elements(stream: IO[bytes]) -> None:
+    """Check every variable of a level 5 file; files of another level are left to their reader.
+
+    Args:
+        stream: Seekable, at its start; left anywhere.
+
+    Raises:
+        DamagedElementError: An element's type or length is impossible.
+    """
+    header = stream.read(HEADER_BYTES)
+    order = {b"IM": "<", b"MI": ">"}.get(header[126:128])
+    if order is None or struct.unpack(f"{order}H", header[124:126])[0] != LEVEL_5:
+        return
+    size = stream.seek(0, 2)
+    for element in _elements(stream, order, HEADER_BYTES, size):
+        if element.kind == MATRIX:
+            _check_matrix(stream, order, element)
+        elif element.kind != COMPRESSED:
+            raise DamagedElementError(f"no variable where one should start, at byte {element.start}")
+
+
+def _elements(stream: IO[bytes], order: str, start: int, stop: int) -> Iterator[_Element]:
+    """Yield the elements between two places of the file."""
+    while start < stop:
+        stream.seek(start)
+        tag = stream.read(8)
+        if len(tag) < 8:
+            raise DamagedElementError(f"cut off inside an element header, at byte {start}")
+        first, length = struct.unpack(f"{order}II", tag)
+        if first >> 16:  # a small element: type and length share a word, up to four bytes follow
+            element = _Element(first & 0xFFFF, first >> 16, start + 4, start + 8)
+            fits = element.length <= 4
+        else:
+            padding = 0 if first == COMPRESSED else -length % 8
+            element = _Element(first, length, start + 8, start + 8 + length + padding)
+            fits = start + 8 + length <= stop
+        if not fits:
+            raise DamagedElementError(f"an element of {element.length} bytes does not fit, at byte {start}")
+        yield element
+        start = element.end
+
+
+def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
+    parts = _elements(stream, order, matrix.start, matrix.start + matrix.length)
+    flags = _part(parts, matrix, "flags", UINT32)
+    if flags.length != 8:
+        raise DamagedElementError(f"array flags of {flags.length} bytes, at byte {flags.start}")
+    stream.seek(flags.start)
+    word = int(struct.unpack(f"{order}I", stream.read(4))[0])
+    if word & 0xFF not in CLASSES:
+        raise DamagedElementError(f"array of the impossible class {word & 0xFF}, at byte {flags.start}")
+    if word & 0xFF == OPAQUE_CLASS:
+        return
+    dimensions = _part(parts, matrix, "dimensions", INT32, UINT32)
+    count, odd = divmod(dimensions.length, 4)
+    if odd or not 2 <= count <= _MOST_DIMENSIONS:
+        raise DamagedElementError(f"dimensions of {dimensions.length} bytes, at byte {dimensions.start}")
+    stream.seek(dimensions.start)
+    shape = struct.unpack(f"{order}{count}i", stream.read(4 * count))
+    _part(parts, matrix, "name", INT8, UTF8)
+    if word & 0xFF not in NUMERIC_CLASSES:
+        return
+    for name in ("values", "imaginary values")[: 2 if word & COMPLEX_FLAG else 1]:
+        values = _part(parts, matrix, name, *SIZES)
+        if min(shape) < 0 or values.length != prod(shape) * SIZES[values.kind]:
+            raise DamagedElementError(
+                f"{values.length} bytes of {name} for {' x '.join(map(str, shape))} numbers, at byte {values.start}"
+            )
+
+
+def _part(parts: Iterator[_Element], matrix: _Element, name: str, *kinds: int) -> _Element:
+    part = next(parts, None)
+    if part is None:
+        raise DamagedElementError(f"the variable at byte {matrix.start} has no {name}")
+    if part.kind not in kinds:
+        raise DamagedElementError(f"{name} of the impossible type {part.kind}, at byte {part.start}")
+    return part
