@@ -207,8 +207,8 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
     rate = 1.0 / recording.period
     if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz; above 0, and at most half the rate, "
-            f"{0.5 * rate:.4g} Hz, can be had"
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is out of reach; ask for more than 0 and at most "
+            f"half the rate, {0.5 * rate:.4g} Hz"
         )
     _, half = reach(rate, bandwidth_Hz)
     if len(grid) < 2 * half + 8:

@@ -98,7 +98,7 @@ class Decimator:
 
 
 def reach(rate: float, bandwidth: float) -> tuple[int, int]:
-    """Return decimation and half length, samples, of the low-pass for a bandwidth in Hz; (1, 0) where none is needed."""
+    """Return decimation and half length of the low-pass for a bandwidth in Hz, samples; (1, 0) where none is needed."""
     if bandwidth >= 0.45 * rate:
         return 1, 0
     factor = max(1, round(rate / (2.5 * bandwidth)))

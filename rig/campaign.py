@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, NonNegativeFloat, PositiveFloat, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import CHANNELS, Bench, Model, Pendulum
@@ -46,18 +46,22 @@ def _not_zero(value: float) -> float:
     return value
 
 
+Constant = Annotated[float, Field(gt=1e-9, lt=1e9)]
+"""A constant of a machine in SI units; far outside of what is built, so that a slip of the exponent is met here."""
+
+
 class BenchSection(Schema):
     """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`."""
 
     motion: Literal["rotary", "linear"] = "rotary"
-    torque_constant: PositiveFloat | None = None
-    back_emf_constant: PositiveFloat | None = None
-    resistance: PositiveFloat | None = None
-    inductance: PositiveFloat | None = None
-    gear_ratio: PositiveFloat = 1.0
-    moment_arm: PositiveFloat | None = None
-    lever_ratio: PositiveFloat = 10.0
-    gravity: PositiveFloat = 9.80665
+    torque_constant: Constant | None = None
+    back_emf_constant: Constant | None = None
+    resistance: Constant | None = None
+    inductance: Constant | None = None
+    gear_ratio: Constant = 1.0
+    moment_arm: Constant | None = None
+    lever_ratio: Constant = 10.0
+    gravity: Constant = 9.80665
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
@@ -94,8 +98,8 @@ class ModelSection(Schema):
 class GravitySection(Schema):
     """A known weight that turns with the joint: torque -m g l sin(angle - zero)."""
 
-    mass: PositiveFloat
-    length: PositiveFloat
+    mass: Constant
+    length: Constant
     zero: float = 0.0
 
     def pendulum(self) -> Pendulum:
@@ -109,10 +113,18 @@ class ReadSection(Schema):
     Attributes:
         delimiter: One character; found from the first line where not given.
         skip_rows: Lines before the header, or before the first row of numbers where there is no header.
+        decimal: What separates the decimals, a point or a comma.
     """
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
     skip_rows: int = Field(default=0, ge=0)
+    decimal: Literal[".", ","] = "."
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> ReadSection:
+        if self.delimiter == self.decimal == ",":
+            raise ValueError("delimiter and decimal are both a comma; numbers cannot be told apart")
+        return self
 
 
 class ChannelSection(Schema):
@@ -141,10 +153,10 @@ class RecordingSection(Schema):
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
     stage: Literal["unloaded", "loaded"] = "unloaded"
-    weight_mass: NonNegativeFloat = 0.0
+    weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
     gravity: GravitySection | None = None
     role: Literal["fit", "validate"] = "fit"
-    rate: PositiveFloat | None = None
+    rate: Constant | None = None
     read: ReadSection = ReadSection()
     channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
 
@@ -204,12 +216,27 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
             yield ("recordings", index, *loc), message
     if all(recording.role == "validate" for recording in campaign.recordings):
         yield ("recordings",), "every recording has role validate; at least one must have role fit"
+    yield from _check_validation(campaign)
     units = {_torque_unit(recording, campaign.bench) for recording in campaign.recordings}
     if len(units) > 1:
         yield (
             ("bench",),
             "some recordings give torque and others only amperes; add torque_constant, or a torque channel to all",
         )
+
+
+def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
+    """Yield loaded recordings that would be scored by a model without working load."""
+    fitted = any(r.role == "fit" and r.stage == "loaded" for r in campaign.recordings)
+    if fitted or campaign.model.fixed.keys() >= set(LOAD_PARAMETERS):
+        return
+    for index, recording in enumerate(campaign.recordings):
+        if recording.role == "validate" and recording.stage == "loaded":
+            yield (
+                ("recordings", index, "role"),
+                "a loaded recording to validate, but none to fit, so that its working load would be unknown; fit a"
+                f" loaded one, or fix {', '.join(LOAD_PARAMETERS)}",
+            )
 
 
 def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:

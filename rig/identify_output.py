@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from identification.estimate.result import Identification
+from identification.recording import Recording
 from rig.errors import InputError
 from rig.identify import Outcome
 from rig.parameter_table import parameter_notes, parameter_table
@@ -15,6 +17,7 @@ from rig.results import identification_record
 from rig.tables import number, percent, table
 
 RESULT_FILE = "identify.json"
+_NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
 def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
@@ -22,9 +25,22 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     cells = parameter_table(outcome.results, truth)
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
+    lines += reading_notes(outcome.dataset.recordings)
     lines += [f"note: {line}" for line in parameter_notes(outcome.results)]
     lines += [f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings]
     return "\n".join(lines)
+
+
+def reading_notes(recordings: Sequence[Recording]) -> list[str]:
+    """Return what was corrected or doubted on reading; of notes that differ in their numbers only, the first."""
+    alike: dict[str, list[str]] = {}
+    for recording in recordings:
+        for note in recording.notes:
+            alike.setdefault(_NUMBER.sub("#", note), []).append(f"reading: {recording.name}: {note}")
+    return [
+        lines[0] + (f" ({len(lines) - 1} more like this: see the report)" if len(lines) > 1 else "")
+        for lines in alike.values()
+    ]
 
 
 def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] | None, json_file: Path | None) -> Path:
@@ -37,16 +53,17 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)
+    places = [folder / RESULT_FILE, *([json_file] if json_file else [])]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for path in filter(None, (folder / RESULT_FILE, json_file)):
+        for path in places:
             write_json(path, record)
         return write_report(
             folder, f"Identification of {name}", outcome.dataset, outcome.results, outcome.provenance, truth
         )
     except OSError as error:
         raise InputError(
-            f"{folder}: the result cannot be written: {error.strerror}; give --out and --json another place"
+            f"{' or '.join(map(str, places))}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
 
 

@@ -92,16 +92,17 @@ def write(folder: Path, found: Reproduction, provenance: Provenance, json_file: 
         sections=sections,
         **provenance_tables(provenance),
     )
+    places = [folder / RESULT_FILE, *([json_file] if json_file else [])]
     try:
         figures = save([picture for group in pictures.values() for picture in group], folder)
         result = record(found, provenance, figures)
-        for path in filter(None, (folder / RESULT_FILE, json_file)):
-            write_json(path, result)
+        for place in places:
+            write_json(place, result)
         path = folder / "report.html"
         write_text(path, page)
     except OSError as error:
         raise InputError(
-            f"{folder}: the result cannot be written: {error.strerror}; give --out and --json another place"
+            f"{' or '.join(map(str, places))}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
     return path
 
@@ -185,4 +186,6 @@ def _convergence(found: Reproduction, name: str, stage: int) -> Picture:
 def _response(dataset: Dataset, found: Reproduction, case: int) -> Picture:
     trace = next(iter(found.runs["paper"].values())).traces[case]
     recording = dataset.recordings[case]
-    return Picture.of(f"response_case_{case + 1}", f"{recording.name}: response", signals.response(trace, recording))
+    return Picture.of(
+        f"response_case_{case + 1}", f"{recording.name}: response", signals.response(trace, recording, "N m")
+    )

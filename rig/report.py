@@ -19,6 +19,7 @@ from rig.results import Provenance
 from rig.tables import number, percent
 
 _SHOWN_PER_ROLE = 6
+_FIT_HEADER = ("bandwidth", "error, rms", "relative")
 
 
 def write_report(
@@ -52,7 +53,9 @@ def write_report(
         "parameter_figures": [Picture.of("intervals", "Parameters", fit_plots.intervals(results, truth))],
         "fit_figures": [_stribeck(result, recordings) for result in results],
         "convergence_figures": _convergence(results, truth),
-        "recording_figures": [p for trace in shown for p in _of_recording(trace, recordings[trace.recording])],
+        "recording_figures": [
+            p for trace in shown for p in _of_recording(trace, recordings[trace.recording], first.torque_unit)
+        ],
     }
     save([picture for group in groups.values() for picture in group], folder)
     hidden = len(first.traces) - len(shown)
@@ -65,6 +68,7 @@ def write_report(
         parameter_notes=parameter_notes(results),
         has_truth=truth is not None,
         fits=_fit_table(results),
+        recording_fits=_recording_fit_table(results),
         stages=_stage_table(results),
         recordings=_recording_table(dataset.recordings),
         left_out=f"Figures of {hidden} more recordings are left out; their fits are in the table above."
@@ -124,13 +128,15 @@ def _convergence(results: Sequence[Identification], truth: Mapping[str, float] |
     ]
 
 
-def _of_recording(trace: Trace, recording: Recording) -> list[Picture]:
+def _of_recording(trace: Trace, recording: Recording, unit: str) -> list[Picture]:
     return [
-        Picture.of(f"response_{trace.recording}", f"{trace.recording}: response", signals.response(trace, recording)),
+        Picture.of(
+            f"response_{trace.recording}", f"{trace.recording}: response", signals.response(trace, recording, unit)
+        ),
         Picture.of(
             f"residual_{trace.recording}",
             f"{trace.recording}: what the model leaves over",
-            signals.residual(trace, recording.bench.motion),
+            signals.residual(trace, recording.bench.motion, unit),
         ),
     ]
 
@@ -138,14 +144,22 @@ def _of_recording(trace: Trace, recording: Recording) -> list[Picture]:
 def _fit_table(results: Sequence[Identification]) -> Table:
     rows = []
     for result in results:
-        fit, roles = result.fit, {trace.recording: trace.role for trace in result.traces}
+        fit = result.fit
         rows.append((result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative)))
-        rows.append((result.method, "all", "validate", *_fit_cells(fit, fit.validate_rms, fit.validate_relative)))
+        if fit.validate_rms is not None:
+            rows.append((result.method, "all", "validate", *_fit_cells(fit, fit.validate_rms, fit.validate_relative)))
+    return Table(("method", "recordings", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+
+
+def _recording_fit_table(results: Sequence[Identification]) -> Table:
+    rows = []
+    for result in results:
+        roles = {trace.recording: trace.role for trace in result.traces}
         rows += [
             (result.method, name, roles[name], *_fit_cells(fit, fit.train_rms, fit.train_relative))
             for name, fit in result.fits_by_recording.items()
         ]
-    return Table(("method", "recordings", "role", "bandwidth", "error, rms", "relative"), tuple(rows), (3, 4, 5))
+    return Table(("method", "recording", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
 
 
 def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str, str, str]:
@@ -185,8 +199,7 @@ def _recording_table(recordings: Sequence[Recording]) -> Table:
             str(len(r.time)),
             f"{number(1.0 / r.period, 4)} Hz",
             "; ".join(r.notes) or "none",
-            r.source,
         )
         for r in recordings
     )
-    return Table(("recording", "role", "stage", "weight", "samples", "rate", "corrections", "file"), rows, (3, 4, 5))
+    return Table(("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5))

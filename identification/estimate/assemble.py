@@ -183,7 +183,8 @@ def _why(
         return f"the search ends at its bound of {value:.3g} {unit}: the falling part of friction is not seen"
     if at_bound:
         return "the data ask for a value below 0, its bound"
-    interval = f"its 90 % interval, {value - half:.3g} to {value + half:.3g} {unit}, is too wide to call it known"
+    suffix = "" if unit == "1" else f" {unit}"
+    interval = f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide to call it known"
     if name == "J":
         inertia = max(float(np.std((values["J"] * p.acceleration)[p.used])) for p in prepared if np.any(p.used))
         torque = max(float(np.std(p.torque[p.used])) for p in prepared if np.any(p.used))

@@ -11,7 +11,7 @@ import numpy as np
 from identification.estimate import prediction_error, varpro
 from identification.estimate.assemble import fit_of, parameter_table, trace_of
 from identification.estimate.prediction_error import Refined
-from identification.estimate.regression import Stage, loaded_stage, unloaded_stage
+from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
 from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification
 from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import Spread, block_sandwich
@@ -104,11 +104,12 @@ def solve_stages(
     """Solve both stages by variable projection; return all values by name and how each search went.
 
     Raises:
-        RecordingError: Loaded recordings alone cannot tell system from load friction.
+        RecordingError: A stage without motion, or loaded recordings alone, which cannot tell system from load friction.
     """
     values: dict[str, float] = {}
     stages: list[Convergence] = []
     if unloaded:
+        require_motion(unloaded)
         values, record = _solve(unloaded_stage(unloaded, model))
         stages.append(record)
     else:
@@ -121,6 +122,7 @@ def solve_stages(
         values = {n: float(v) for n, v in model.fixed.items()}
     tell("unloaded", 1.0)
     if loaded:
+        require_motion(loaded)
         found, record = _solve(loaded_stage(loaded, model, values))
         values = {**values, **found}
         stages.append(record)

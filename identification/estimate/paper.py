@@ -19,6 +19,7 @@ import numpy as np
 from identification.estimate.assemble import fit_of, trace_of, units_of
 from identification.estimate.genetic import GeneticAlgorithm
 from identification.estimate.misfit import TorqueMisfit
+from identification.estimate.regression import require_motion
 from identification.estimate.result import (
     LOAD_PARAMETERS,
     SYSTEM_PARAMETERS,
@@ -63,7 +64,7 @@ def identify_paper(
 
     Args:
         dataset: Recordings of one bench.
-        bandwidth_Hz: Of the filter that all signals pass; None chooses the least of what the recordings bear.
+        bandwidth_Hz: Of the filter that all signals pass; None chooses the least of what those to fit bear.
         rng: Source of all randomness.
         progress: Called with the stage and the share of its generations that is done.
         generations: Limit per stage.
@@ -72,7 +73,7 @@ def identify_paper(
         RecordingError: No unloaded recording to fit, or one in which nothing moves.
     """
     if bandwidth_Hz is None:
-        bandwidth_Hz = min(default_bandwidth(recording) for recording in dataset.recordings)
+        bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
     alpha = dataset.model.alpha
     warnings: list[str] = []
@@ -204,6 +205,7 @@ def _collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float
     Raises:
         RecordingError: Too little motion, or no load where there should be one.
     """
+    require_motion(prepared)
     parts = []
     for p in prepared:
         rows = np.flatnonzero(p.used & (p.velocity != 0.0))
@@ -213,9 +215,6 @@ def _collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float
             load = p.moment[rows]
         parts.append((torque, p.velocity[rows], p.acceleration[rows], load))
     samples = _Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-    if len(samples.torque) < POPULATION:
-        names = ", ".join(p.recording.name for p in prepared)
-        raise RecordingError(f"{names}: {len(samples.torque)} samples in motion; at least {POPULATION} are needed")
     if not np.all(samples.load > 0.0):
         names = ", ".join(p.recording.name for p in prepared)
         raise RecordingError(f"{names}: loaded, but the contact force is not above 0 N throughout; give weight_mass")

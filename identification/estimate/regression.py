@@ -10,10 +10,12 @@ import numpy as np
 from identification.estimate.varpro import Design
 from identification.model.friction import stribeck_shape
 from identification.prepare import Prepared
-from identification.recording import Array, Model
+from identification.recording import Array, Model, RecordingError
 
 HIGHEST_SHARE = 1.0 / 3.0
 """Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be told from a line."""
+LEAST_MOTION = 40
+"""Samples in motion, over all recordings of a stage, below which nothing is fitted."""
 LOWEST_SHARE = 1e-3
 """Least Stribeck speed tried over the greatest speed seen."""
 
@@ -21,6 +23,24 @@ LOWEST_SHARE = 1e-3
 def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
     """Stack the used samples of one array per recording, shape (n,)."""
     return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
+
+
+def require_motion(prepared: Sequence[Prepared]) -> None:
+    """Check that a stage has something to be fitted to.
+
+    Raises:
+        RecordingError: Hardly a sample moves, or the drive's torque is zero wherever one does.
+    """
+    moving = [p.used & (p.velocity != 0.0) for p in prepared]
+    count = sum(int(np.sum(rows)) for rows in moving)
+    names = ", ".join(p.recording.name for p in prepared)
+    if count < LEAST_MOTION:
+        raise RecordingError(
+            f"{names}: {count} samples in motion and resolved at {prepared[0].bandwidth_Hz:.3g} Hz; at least "
+            f"{LEAST_MOTION} are needed: move it further, longer, or ask for another bandwidth"
+        )
+    if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
+        raise RecordingError(f"{names}: the drive's torque is zero wherever it moves; check the column it is read from")
 
 
 def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:

@@ -128,6 +128,11 @@ class Identification:
     evaluations: int = 0
     seconds: float = 0.0
 
+    @property
+    def torque_unit(self) -> str:
+        """Unit of the traces' torques, which is not the fit's where that is in volts."""
+        return self.parameters["Mc"].unit
+
     def values(self) -> dict[str, float]:
         """Return name to value of the identifiable parameters."""
         return {name: p.value for name, p in self.parameters.items() if p.value is not None}

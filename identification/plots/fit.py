@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -25,6 +26,8 @@ from identification.plots.style import (
 from identification.recording import Array
 
 _POINTS_PER_LOAD = 1500
+_LEAST_PERCENT = 1e-6  # deviations below this are rounding
+_FEW_TIMES = 3.0  # a cost that falls less than this is drawn on a linear scale
 _LINEAR_PERCENT = 10.0  # deviations beyond this are drawn on a logarithmic scale where some are far off
 LABELS = {
     "Mc": r"$M_c$",
@@ -48,8 +51,9 @@ def stribeck(result: Identification, moments: Mapping[str, float]) -> Figure:
         moments: Recording to its contact moment F_P L1, N m.
     """
     rotary = result.motion == "rotary"
-    unit = result.fit.unit
+    unit = result.torque_unit
     made, (axis,) = figure(1, height=5.0)
+    label: str | None = "fitted"
     values = result.values()
     by_load: dict[float, list[Trace]] = {}
     for trace in result.traces:
@@ -63,12 +67,18 @@ def stribeck(result: Identification, moments: Mapping[str, float]) -> Figure:
         top = float(np.max(np.abs(speeds), initial=0.0))
         curve = _curve(np.linspace(top / 2000.0, top, 2000), moment, values, result.alpha) if top > 0.0 else None
         if curve is not None:
-            axis.plot(*curve, color=BLACK, linewidth=1.1, label=None if moment else "fitted")
+            axis.plot(*curve, color=BLACK, linewidth=1.1, label=label)
+        else:
+            # Some of the curve's parameters are not known by themselves; what they explain together is.
+            model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
+            axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
+        label = None
     axis.set_xlabel("velocity (rad/s)" if rotary else "velocity (m/s)")
     axis.set_ylabel(f"friction torque ({unit})" if rotary else f"friction force ({unit})")
     axis.axhline(0.0, color=GREY, linewidth=0.8)
     axis.axvline(0.0, color=GREY, linewidth=0.8)
-    for handle in legend_above(axis, 3).legend_handles:
+    legend = legend_above(axis, 3)
+    for handle in legend.legend_handles if legend else ():
         if handle is not None:
             handle.set_alpha(1.0)
     made.suptitle(f"Friction against speed, {result.method} method", fontsize=11)
@@ -88,14 +98,23 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     for color, (name, history) in zip(CYCLE, stage.parameter_history.items(), strict=False):
         reference = (truth or {}).get(name, float(history[-1]))
         deviation = np.abs(history - reference) / abs(reference) * 100.0 if reference else np.full(len(history), np.nan)
-        upper.plot(_generations(history), broken(deviation, deviation > 0.0), color=color, label=LABELS.get(name, name))
+        upper.plot(
+            _generations(history),
+            broken(deviation, deviation > _LEAST_PERCENT),
+            color=color,
+            label=LABELS.get(name, name),
+        )
     upper.set_yscale("log")
     upper.set_ylabel(f"deviation from the {'true' if truth else 'final'} value (%)")
-    legend_above(upper, 5)
+    legend_above(upper, 6)
     lower.plot(_generations(costs), costs, color=BLUE, label=f"best {cost}")
     if stage.target is not None:
         lower.axhline(stage.target, color=VERMILION, linestyle="--", label=f"target {stage.target:g} {stage.cost_unit}")
-    lower.set_yscale("log")
+    floor = min(float(np.min(costs)), stage.target or math.inf)
+    if 0.0 < _FEW_TIMES * floor < float(np.max(costs)):
+        lower.set_yscale("log")
+    else:
+        lower.set_ylim(0.0, 1.1 * float(np.max(costs)) or 1.0)
     lower.set_ylabel(f"{cost} ({stage.cost_unit})")
     lower.set_xlabel(f"{count} (1)")
     legend_above(lower, 2)
@@ -157,6 +176,10 @@ def _curve(speed: Array, moment: float, values: Mapping[str, float], alpha: floa
     if moment:
         torque = torque + moment * load_coefficient(both, values, alpha)
     return both, torque
+
+
+def _model_friction(trace: Trace) -> Array:
+    return np.asarray(trace.torque_model - (trace.torque - trace.friction))
 
 
 def _generations(history: Array) -> Array:

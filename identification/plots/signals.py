@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from identification.estimate.result import Trace
 from identification.plots.style import (
     BLACK,
     BLUE,
-    GREY,
     ORANGE,
     VERMILION,
     broken,
@@ -22,12 +22,13 @@ from identification.plots.style import (
 from identification.recording import Recording
 
 
-def response(trace: Trace, recording: Recording) -> Figure:
+def response(trace: Trace, recording: Recording, unit: str) -> Figure:
     """Angle and command, velocity, torque and fitted torque against time.
 
     Args:
         trace: The recording as fitted.
         recording: The recording itself, for its command.
+        unit: Of its torque.
     """
     rotary = recording.bench.motion == "rotary"
     scale = np.rad2deg(1.0) if rotary else 1e3
@@ -37,20 +38,20 @@ def response(trace: Trace, recording: Recording) -> Figure:
     if "command" in recording.channels:
         asked = thinned(len(recording.time))
         command = recording.channels["command"][asked] * scale
-        top.plot(recording.time[asked], command, color=GREY, linestyle="--", linewidth=1.4, label="command")
-    top.plot(time, trace.angle[few] * scale, color=BLUE, linewidth=1.2, label="measured")
+        top.plot(recording.time[asked], command, color=BLACK, linestyle="--", linewidth=0.9, zorder=3, label="command")
+    top.plot(time, trace.angle[few] * scale, color=BLUE, linewidth=1.6, label="measured")
     top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
     middle.plot(time, trace.velocity[few], color=BLUE, linewidth=1.0, label="measured")
     middle.set_ylabel("velocity (rad/s)" if rotary else "velocity (m/s)")
-    bottom.plot(time, trace.torque[few], color=BLUE, linewidth=1.0, label="measured")
+    bottom.plot(time, trace.torque[few], color=BLUE, linewidth=2.0, alpha=0.55, label="measured")
     bottom.plot(
         time,
         broken(trace.torque_model, moving(trace))[few],
         color=VERMILION,
-        linewidth=1.2,
+        linewidth=0.9,
         label="model, where it moves",
     )
-    bottom.set_ylabel("torque (N m)" if rotary else "force (N)")
+    bottom.set_ylabel(f"{'torque' if rotary else 'force'} ({unit})")
     bottom.set_xlabel("time (s)")
     for axis in (top, middle, bottom):
         legend_above(axis, 2)
@@ -58,10 +59,15 @@ def response(trace: Trace, recording: Recording) -> Figure:
     return made
 
 
-def residual(trace: Trace, motion: str) -> Figure:
-    """What the model leaves over: against time, against velocity, and how it is spread; moving samples only."""
+def residual(trace: Trace, motion: str, unit: str) -> Figure:
+    """What the model leaves over: against time, against velocity, and how it is spread; moving samples only.
+
+    Args:
+        trace: The recording as fitted.
+        motion: ``rotary`` or ``linear``.
+        unit: Of its torque.
+    """
     rotary = motion == "rotary"
-    unit = "N m" if rotary else "N"
     made, (top, left, right) = mosaic("AA;BC", height=6.0)
     error = trace.torque - trace.torque_model
     few = thinned(len(error))
@@ -75,6 +81,8 @@ def residual(trace: Trace, motion: str) -> Figure:
     right.hist(kept, bins=60, color=BLUE)
     right.set_xlabel(f"measured - model ({unit})")
     right.set_ylabel("samples (1)")
+    for axis in (left, right):
+        axis.xaxis.set_major_locator(MaxNLocator(5))
     if kept.size:
         rms = float(np.sqrt(np.mean(kept**2)))
         for axis in (top, left):

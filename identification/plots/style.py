@@ -75,8 +75,10 @@ def broken(values: Array, keep: NDArray[np.bool_]) -> Array:
     return np.where(keep, values, np.nan)
 
 
-def legend_above(axis: Axes, columns: int) -> Legend:
-    """Add a legend above the axes, where it hides no data."""
+def legend_above(axis: Axes, columns: int) -> Legend | None:
+    """Add a legend above the axes, where it hides no data; none where nothing has a name."""
+    if not axis.get_legend_handles_labels()[0]:
+        return None
     return axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=columns, fontsize=8, frameon=False)
 
 

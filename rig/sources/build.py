@@ -12,7 +12,7 @@ from rig.campaign import Campaign, ChannelSection, RecordingSection
 from rig.configuration import Document, Loc, nearest
 from rig.errors import InputError
 from rig.sources.formats import open_table
-from rig.sources.plausible import gear_finding, sign_errors
+from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
 from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing
 from rig.sources.table import Table, sha256
 
@@ -46,7 +46,10 @@ def build(
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     channels, timing, mended = _mend(table, channels)
     notes = [*table.notes, *mended]
-    problems = list(sign_errors(channels, driven_by_weight=section.gravity is not None))
+    problems = list(value_errors(channels))
+    if not problems:
+        problems += sign_errors(channels, driven_by_weight=section.gravity is not None)
+        notes += unit_hints(channels, bench.gear_ratio, has_lever=bench.moment_arm is not None)
     if "motor_angle" in channels and "angle" in channels:
         finding = gear_finding(channels["motor_angle"], channels["angle"], bench.gear_ratio)
         if finding is not None:

@@ -48,19 +48,22 @@ class DelimitedTable(Table):
             where = f" after the {options.skip_rows} skipped lines" if options.skip_rows else ""
             raise InputError(f"{path}: the file is empty{where}")
         text = text.lstrip("\ufeff")
-        self._delimiter = options.delimiter or _guess_delimiter(text)
+        if "\0" in text:
+            raise InputError(f"{path}: line {line} holds zero bytes, so it is not text; name the file by its format")
+        self._decimal = options.decimal
+        self._delimiter = options.delimiter or _guess_delimiter(text, options.decimal)
         cells = _split(text, self._delimiter)
-        has_header = not all(_is_number(cell) for cell in cells)
+        has_header = not all(_is_number(self._pointed(cell)) for cell in cells)
         self._skip = line if has_header else line - 1
         last = _split(skipped[-1], self._delimiter) if skipped else []
-        if len(last) == len(cells) > 1 and all(_is_number(cell) for cell in last):
+        if len(last) == len(cells) > 1 and all(_is_number(self._pointed(cell)) for cell in last):
             self.notes = ("the last skipped line already holds numbers: check read.skip_rows",)
         self.names = tuple(cell.strip().lstrip("#").strip() if has_header else "" for cell in cells)
 
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`."""
         try:
-            table = self._read_fast(columns)
+            table = self._read_fast(columns) if self._decimal == "." else self._read_tolerant(columns)
         except ValueError:
             table = self._read_tolerant(columns)
         except _READ_ERRORS as error:
@@ -113,13 +116,22 @@ class DelimitedTable(Table):
                 yield self._number(cells[column], line, column)
 
     def _number(self, cell: str, line: int, column: int) -> float:
-        text = cell.strip(' "\t')
+        text = self._pointed(cell.strip(' "\t'))
         if text.lower() in _EMPTY:
             return float("nan")
         if _is_number(text):
             return float(text)
-        hint = "; skip header lines with read.skip_rows" if line <= self._skip + 2 else "; repair or remove the line"
+        if _is_number(text.replace(",", ".", 1)):
+            hint = '; if that is a decimal comma, set read.decimal: ","'
+        else:
+            hint = (
+                "; skip header lines with read.skip_rows" if line <= self._skip + 2 else "; repair or remove the line"
+            )
         raise InputError(f"{self.path}:{line}: column {self._name(column)} is not a number (got {text[:60]!r}){hint}")
+
+    def _pointed(self, cell: str) -> str:
+        """Return a cell with a decimal point."""
+        return cell if self._decimal == "." else cell.replace(",", ".", 1)
 
     def _name(self, column: int) -> str:
         name = self.names[column] if column < len(self.names) else ""
@@ -156,10 +168,10 @@ def _utf8(text: str) -> str:
         return text
 
 
-def _guess_delimiter(text: str) -> str:
-    counts = {delimiter: text.count(delimiter) for delimiter in _DELIMITERS}
+def _guess_delimiter(text: str, decimal: str) -> str:
+    counts = {delimiter: text.count(delimiter) for delimiter in _DELIMITERS if delimiter != decimal}
     best = max(counts, key=lambda delimiter: counts[delimiter])
-    return best if counts[best] else ","
+    return best if counts[best] else _DELIMITERS[-1] if decimal == "." else _DELIMITERS[0]
 
 
 def _split(text: str, delimiter: str) -> list[str]:

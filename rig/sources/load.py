@@ -53,7 +53,7 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 
 
 def _expand(document: Document[Campaign], problems: list[str]) -> list[tuple[Path, int, RecordingSection]]:
-    """Turn file names and globs into files, noting what is missing, of unknown format, or in both roles."""
+    """Turn file names and globs into files, noting what is missing, of unknown format, or there twice."""
     files: list[tuple[Path, int, RecordingSection]] = []
     fitted: dict[tuple[Path, str], str] = {}
     for index, section in enumerate(document.value.recordings):
@@ -63,8 +63,10 @@ def _expand(document: Document[Campaign], problems: list[str]) -> list[tuple[Pat
                 continue
             seen.add(file)
             key = (file.resolve(), repr(sorted(section.channels.items())))
-            if fitted.setdefault(key, section.role) != section.role:
-                problems.append(document.problem(loc, f"{file} is used both to fit and to validate; keep one role"))
+            if key in fitted:
+                again = "twice" if fitted[key] == section.role else "both to fit and to validate"
+                problems.append(document.problem(loc, f"{file} is used {again}; keep one entry for it"))
+            fitted[key] = section.role
             files.append((file, index, section))
     return files
 

@@ -1,4 +1,4 @@
-"""Do the channels of a recording agree with each other? Signs above all.
+"""Can the channels of a recording be what they are said to be, and do they agree with each other? Signs above all.
 
 Pure functions of arrays; each returns words for an error or a note, or nothing.
 """
@@ -10,12 +10,20 @@ from typing import cast
 
 import numpy as np
 
-from identification.recording import Array
+from identification.recording import CHANNELS, Array
 
 BLOCK_S = 0.02
 """Samples are averaged over this time first, s, so that encoder steps and noise do not hide the sign."""
 OPPOSED = -0.3
 """Correlation of torque and velocity while moving below which the torque drives against the motion."""
+LARGEST, SMALLEST = 1e12, 1e-12
+"""No channel reaches the one in SI units; drive and motion, where there are any, exceed the other."""
+_MOVING = frozenset({"torque", "current", "voltage", "angle", "motor_angle", "velocity"})
+UNRELATED = 0.5
+"""Mean square step over twice the variance of a position above which neighbouring samples have nothing in common (1 for
+rows in random order and for mere noise; a sine has less up to a sixth of the sample rate)."""
+LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
+"""Peaks from which it is asked whether the channel is in thousandths."""
 RATIO_TOLERANCE = 0.05
 """Deviation of the measured from the declared gear ratio that is noted."""
 
@@ -53,6 +61,34 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
         )
 
 
+def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
+    """Yield an error for each channel of impossible size, and for a position whose rows do not follow each other."""
+    for name, values in channels.items():
+        top = _peak(values)
+        if name != "time" and (top > LARGEST or (name in _MOVING and 0.0 < top < SMALLEST)):
+            yield f"`{name}` has its peak at {top:.3g} {CHANNELS[name]}; check its scale"
+    for name in ("angle", "motor_angle"):
+        if name in channels and _unrelated(channels[name]):
+            yield (
+                f"`{name}` jumps from sample to sample as far as over the whole recording: its rows are out of order,"
+                " or it holds nothing but noise; sort them by time, or leave the file out"
+            )
+
+
+def unit_hints(channels: Mapping[str, Array], gear_ratio: float, *, has_lever: bool) -> Iterator[str]:
+    """Yield a note for each channel whose size suggests another unit."""
+    for name, limit, unit in (("current", LARGE_CURRENT_A, "mA"), ("voltage", LARGE_VOLTAGE_V, "mV")):
+        if name in channels and (top := _peak(channels[name])) > limit:
+            yield f"`{name}` reaches {top:.4g} {CHANNELS[name]}: if it is in {unit}, set its scale to 0.001"
+    for name, gear in (("angle", 1.0), ("motor_angle", gear_ratio)):
+        turns = float(np.ptp(channels[name])) / (2.0 * np.pi * gear) if name in channels and has_lever else 0.0
+        if turns > 1.0:
+            yield (
+                f"`{name}` turns the joint {turns:.3g} times, which a lever with weights cannot: if it is in degrees,"
+                " set its scale to 0.017453292519943295"
+            )
+
+
 def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
     """Compare motor and joint angle; return (words, whether it is an error) where they disagree."""
     motor, joint = _finite(motor_angle, angle)
@@ -66,6 +102,15 @@ def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[s
     if abs(ratio / gear_ratio - 1.0) > RATIO_TOLERANCE:
         return f"motor_angle / angle is {ratio:.4g}, bench.gear_ratio says {gear_ratio:.4g}", False
     return None
+
+
+def _peak(values: Array) -> float:
+    return float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
+
+
+def _unrelated(position: Array) -> bool:
+    spread = float(np.sum((position - position.mean()) ** 2))
+    return spread > 0.0 and float(np.sum(np.diff(position) ** 2)) > 2.0 * UNRELATED * spread
 
 
 def _block_mean(values: Array, block: int) -> Array:

@@ -25,6 +25,8 @@ MIN_SAMPLES = 50
 """Shortest stretch worth keeping."""
 UNEVEN_SHARE = 0.05
 """Spread of the sample period, 5 to 95 %, above which it is noted, as a share of the median."""
+SLOW_PERIOD_S = 0.5
+"""Median sample period from which it is asked whether time is in seconds."""
 
 Mask = NDArray[np.bool_]
 
@@ -126,8 +128,8 @@ def _describe(steps: Array) -> list[str]:
         notes.append(
             f"uneven sampling kept as recorded: median period {median:.4g} s, 5 to 95 % {low:.4g} to {high:.4g} s"
         )
-    if median > 1.0:
-        notes.append(f"median period {median:.4g} s: if `time` is in milliseconds, set its scale to 0.001")
+    if median >= SLOW_PERIOD_S:
+        notes.append(f"median period {median:.4g} s: if `time` is in ms or us, set its scale to 0.001 or 1e-6")
     return notes
 
 

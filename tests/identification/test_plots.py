@@ -50,9 +50,9 @@ def figures() -> dict[str, Figure]:
     found, (one, recording) = result(), trace()
     names = list(found.parameters)
     return {
-        "response": signals.response(one, recording),
-        "response, linear": signals.response(one, trace(motion="linear")[1]),
-        "residual": signals.residual(one, "rotary"),
+        "response": signals.response(one, recording, "N m"),
+        "response, linear": signals.response(one, trace(motion="linear")[1], "N"),
+        "residual": signals.residual(one, "rotary", "N m"),
         "stribeck": fit_plots.stribeck(found, {"run": 0.0}),
         "convergence": fit_plots.convergence(found.stages[0]),
         "convergence to the truth": fit_plots.convergence(found.stages[0], {"Mc": 7.1}),
@@ -84,7 +84,7 @@ def test_png_is_reproducible() -> None:
 
 def test_rest_breaks_the_fitted_line() -> None:
     one, recording = trace(samples=1001)
-    bottom = signals.response(one, recording).axes[-1]
+    bottom = signals.response(one, recording, "N m").axes[-1]
     fitted = next(line for line in bottom.lines if str(line.get_label()).startswith("model"))
     assert np.array_equal(np.isnan(np.asarray(fitted.get_ydata(), dtype=float)), one.used < 0.5)
 
