@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.assemble import units_of
+from identification.estimate.assemble import fit_of, trace_of, units_of
 from identification.estimate.genetic import GeneticAlgorithm
 from identification.estimate.misfit import TorqueMisfit
 from identification.estimate.regression import require_motion
@@ -24,12 +24,10 @@ from identification.estimate.result import (
     LOAD_PARAMETERS,
     SYSTEM_PARAMETERS,
     Convergence,
-    Fit,
     Identification,
     Parameter,
-    Trace,
 )
-from identification.model.friction import load_coefficient, system_friction
+from identification.model.friction import system_friction
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Array, Dataset, RecordingError
 
@@ -78,7 +76,6 @@ def identify_paper(
         bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
     alpha = dataset.model.alpha
-    unit = torque_unit(dataset.recordings[0])
     warnings: list[str] = []
     if dataset.model.terms:
         warnings.append(
@@ -100,18 +97,18 @@ def identify_paper(
         known |= found
         parameters |= estimates
         stages += convergence
-    pairs = [(p, _trace(p, known, alpha)) for p in prepared]
-    roles = {role: [pair for pair in pairs if pair[1].role == role] for role in ("fit", "validate")}
+    fitted = [p for p in prepared if p.recording.role == "fit"]
+    validate = [p for p in prepared if p.recording.role == "validate"]
     return Identification(
         method="paper",
         motion=dataset.recordings[0].bench.motion,
         alpha=alpha,
         parameters=parameters,
-        fit=_score(roles["fit"], roles["validate"], unit),
+        fit=fit_of(fitted, known, alpha, validate),
         stages=tuple(stages),
         warnings=tuple(warnings),
-        traces=tuple(trace for _, trace in pairs),
-        fits_by_recording={trace.recording: _score([(p, trace)], (), unit) for p, trace in pairs},
+        traces=tuple(trace_of(p, known, alpha) for p in prepared),
+        fits_by_recording={p.recording.name: fit_of([p], known, alpha) for p in prepared},
         evaluations=sum(s.evaluations for s in stages),
     )
 
@@ -238,37 +235,3 @@ def _parameter(
     low, high = bounds
     near = min(value - low, high - value) < _AT_BOUND * (high - low)
     return Parameter(name, unit, value, at_bound=near, reason="at the edge of the search box" if near else "")
-
-
-def _trace(p: Prepared, known: Mapping[str, float], alpha: float) -> Trace:
-    """Return the recording as fitted; ``friction`` is the measured torque less the inertia's."""
-    friction = system_friction(p.velocity, known, alpha)
-    if all(name in known for name in LOAD_PARAMETERS):
-        friction = friction + p.moment * load_coefficient(p.velocity, known, alpha)
-    inertial = known["J"] * p.acceleration
-    return Trace(
-        recording=p.recording.name,
-        role=p.recording.role,
-        stage=p.recording.stage,
-        time=p.time,
-        angle=p.angle,
-        velocity=p.velocity,
-        torque=p.torque,
-        torque_model=friction + inertial,
-        friction=p.torque - inertial,
-        used=p.used.astype(np.float64),
-    )
-
-
-def _score(pairs: Sequence[tuple[Prepared, Trace]], held_out: Sequence[tuple[Prepared, Trace]], unit: str) -> Fit:
-    """Return the torque error of some recordings, and of those set aside."""
-    return Fit(unit, pairs[0][0].bandwidth_Hz, *_errors(pairs), *(_errors(held_out) if held_out else (None, None)))
-
-
-def _errors(pairs: Sequence[tuple[Prepared, Trace]]) -> tuple[float, float]:
-    """Return rms and relative error over the used samples; 0 where there are none."""
-    error = np.concatenate([(t.torque - t.torque_model)[p.used] for p, t in pairs])
-    torque = np.concatenate([p.drive_torque[p.used] for p, _ in pairs])
-    if not np.any(torque):
-        return 0.0, 0.0
-    return float(np.sqrt(np.mean(error**2))), float(np.linalg.norm(error) / np.linalg.norm(torque))

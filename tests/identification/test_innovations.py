@@ -9,7 +9,8 @@ import pytest
 from scipy import linalg
 
 from identification.estimate import innovations as kernel
-from identification.estimate.prediction_error import INDEX, Problem, likeliest_noise, pack, static_limit, unpack
+from identification.estimate.prediction_error import likeliest_noise
+from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.stretches import Motion, motion
 from identification.recording import Model, Recording
 

@@ -1,0 +1,164 @@
+"""The joint least-squares problem of a refinement: free parameters and breakaway times to residuals and Jacobian."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from identification.estimate import innovations as kernel
+from identification.estimate.stretches import Motion
+from identification.recording import Array, Model
+
+INDEX = {
+    "Mc": kernel.MC,
+    "Ms": kernel.DM,
+    "omega_sf": kernel.OMEGA_SF,
+    "sigma_2": kernel.SIGMA_2,
+    "J": kernel.INERTIA,
+    "mu_c": kernel.MU_C,
+    "mu_s": kernel.DMU,
+    "omega_sL": kernel.OMEGA_SL,
+    "mu_2": kernel.MU_2,
+    "offset": kernel.OFFSET,
+}
+"""Parameter name to its place in the kernel's vector; Ms and mu_s stand there as the rise above the Coulomb level."""
+_COULOMB_OF = {"Ms": kernel.MC, "mu_s": kernel.MU_C}
+LOGARITHMIC = (kernel.OMEGA_SF, kernel.OMEGA_SL, kernel.INERTIA)
+"""Positive parameters, searched by their logarithm."""
+_FARTHEST_LOG = 6.0
+"""Farthest, in logarithm, that one fit may take them from its start: beyond, the filter's arithmetic overflows."""
+_TIME_SCALE_S = 1e-3
+
+
+def pack(values: Mapping[str, float]) -> Array:
+    """Return the kernel's vector of named parameters; absent ones are inert."""
+    p = np.zeros(kernel.PARAMETERS)
+    p[kernel.OMEGA_SF] = p[kernel.OMEGA_SL] = 1.0
+    for name, k in INDEX.items():
+        if name in values:
+            p[k] = values[name]
+    p[kernel.DM] = max(values.get("Ms", 0.0) - values.get("Mc", 0.0), 0.0)
+    p[kernel.DMU] = max(values.get("mu_s", 0.0) - values.get("mu_c", 0.0), 0.0)
+    return p
+
+
+def unpack(p: Array, names: Sequence[str]) -> dict[str, float]:
+    """Return named parameters from the kernel's vector."""
+    values = {name: float(p[INDEX[name]]) for name in names}
+    if "Ms" in values:
+        values["Ms"] = float(p[kernel.MC] + p[kernel.DM])
+    if "mu_s" in values:
+        values["mu_s"] = float(p[kernel.MU_C] + p[kernel.DMU])
+    return values
+
+
+class Problem:
+    """Residuals and Jacobian of one joint fit: parameters first, then the breakaway times of all stretches."""
+
+    def __init__(
+        self, motions: Sequence[Motion], start: Array, free: Sequence[int], model: Model, noise: float
+    ) -> None:
+        self.motions = tuple(motions)
+        self.start = start
+        self.free = tuple(free)
+        self.alpha = model.alpha
+        self.statics = [(_COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in _COULOMB_OF]
+        self.noise = noise
+        self.begins = [np.zeros(len(m.table)) for m in motions]
+        self.evaluations = 0
+        self.iterations = 0
+        self._out = [np.zeros(len(m.time)) for m in motions]
+        self._speeds = [np.zeros(len(m.time)) for m in motions]
+        self._stretch = np.concatenate([self._owners(m, j) for j, m in enumerate(motions)])
+        self.breakaways = sum(len(m.table) for m in motions)
+
+    def _owners(self, m: Motion, j: int) -> Array:
+        """Number, over all recordings, of the stretch that owns each inside sample."""
+        offset = sum(len(other.table) for other in self.motions[:j])
+        owner = np.zeros(len(m.time))
+        for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
+            owner[first:last] = offset + k
+        return owner[m.inside]
+
+    @property
+    def owners(self) -> Array:
+        """Stretch of every residual, the breakaway residuals last, shape (r,)."""
+        return np.concatenate([self._stretch, np.arange(self.breakaways)])
+
+    def origin(self) -> Array:
+        """Return the free vector of the start."""
+        p = [np.log(self.start[k]) if k in LOGARITHMIC else self.start[k] for k in self.free]
+        return np.concatenate([p, np.zeros(self.breakaways)])
+
+    def parameters(self, x: Array) -> Array:
+        """Return the kernel's vector of a free vector."""
+        p = self.start.copy()
+        for value, k in zip(x, self.free, strict=False):
+            if k in LOGARITHMIC:
+                p[k] = self.start[k] * np.exp(np.clip(value - np.log(self.start[k]), -_FARTHEST_LOG, _FARTHEST_LOG))
+            else:
+                p[k] = value
+        for coulomb, rise, static in self.statics:
+            p[rise] = static - p[coulomb]
+        return p
+
+    def run(self, p: Array, times: Sequence[Array], noise: float) -> tuple[list[Array], float]:
+        """Filter every recording; return the innovations inside stretches and the sum of log variances."""
+        self.evaluations += 1
+        logs = 0.0
+        found = []
+        for m, begin, out, speeds in zip(self.motions, times, self._out, self._speeds, strict=True):
+            level = np.array([noise, m.angle_variance])
+            logs += kernel.innovations(
+                m.table, begin, m.time, m.angle, m.torque, m.slope, m.moment,
+                m.extra_inertia, self.alpha, level, m.steps, p, out, speeds,
+            )  # fmt: skip
+            found.append(out[m.inside])
+        return found, logs
+
+    def times(self, x: Array) -> list[Array]:
+        """Return the breakaway times of a free vector, s, one array per recording."""
+        shift = _TIME_SCALE_S * x[len(self.free) :]
+        cuts = np.cumsum([len(b) for b in self.begins])[:-1]
+        return [b + s for b, s in zip(self.begins, np.split(shift, cuts), strict=True)]
+
+    def residuals(self, x: Array) -> Array:
+        """Return innovations, then torque at each breakaway less the static limit, all over their noise."""
+        p = self.parameters(x)
+        times = self.times(x)
+        found, _ = self.run(p, times, self.noise)
+        ends = [
+            (m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)) / self.noise
+            for m, t in zip(self.motions, times, strict=True)
+        ]
+        return np.concatenate(found + ends)
+
+    def jacobian(self, x: Array, here: Array) -> Array:
+        """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences.
+
+        One run serves all breakaway times, as no stretch sees another's.
+        """
+        count = len(self.free)
+        out = np.zeros((len(here), len(x)))
+        for k in range(count):
+            step = 1e-4 * max(abs(x[k]), 1e-3)
+            there = x.copy()
+            there[k] += step
+            out[:, k] = (self.residuals(there) - here) / step
+        there = x.copy()
+        there[count:] += 1e-3
+        change = (self.residuals(there) - here) / 1e-3
+        owners = self.owners.astype(np.int64)
+        out[np.arange(len(here)), count + owners] = change
+        return out
+
+    def keep(self, x: Array) -> None:
+        """Make this free vector the new start."""
+        self.start = self.parameters(x)
+        self.begins = self.times(x)
+
+
+def static_limit(p: Array, m: Motion) -> float:
+    """Return Ms + F_P L1 mu_s, N m."""
+    return float(p[kernel.MC] + p[kernel.DM] + m.moment[0] * (p[kernel.MU_C] + p[kernel.DMU]))
