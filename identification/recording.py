@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -165,10 +165,6 @@ class Recording:
     def contact_force(self) -> float:
         """F'_P pressing on the valve, N (eq. 17)."""
         return self.bench.contact_force(self.weight_mass)
-
-    def with_notes(self, *notes: str) -> Recording:
-        """Return a copy with more notes."""
-        return replace(self, notes=self.notes + notes)
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,11 @@ from identification.recording import Array, Bench, Recording
 from rig.campaign import Campaign, ChannelSection, RecordingSection
 from rig.configuration import Document, Loc, nearest
 from rig.errors import InputError
+from rig.provenance import sha256_file
 from rig.sources.formats import open_table
 from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
 from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing
-from rig.sources.table import Table, sha256
+from rig.sources.table import Table
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
 """Channels often logged less often than the rest: their missing samples are interpolated without a limit."""
@@ -41,7 +42,7 @@ def build(
     try:
         table = open_table(file, section.read)
         channels = _read_channels(table, section, document, index)
-        digest = sha256(file)
+        digest = sha256_file(file)
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     channels, timing, mended = _mend(table, channels)

@@ -17,12 +17,13 @@ from mcap.writer import Writer
 
 from rig.campaign import ReadSection
 from rig.errors import InputError
+from rig.provenance import sha256_file
 from rig.sources.arrays import MatTable, NpzTable
 from rig.sources.delimited import DelimitedTable
 from rig.sources.formats import open_table
 from rig.sources.logs import McapTable
 from rig.sources.parquet import ParquetTable
-from rig.sources.table import format_of, sha256
+from rig.sources.table import format_of
 
 PLAIN = ReadSection()
 
@@ -298,7 +299,7 @@ def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
 def test_format_and_digest(tmp_path: Path) -> None:
     assert [format_of(Path(p)) for p in ("a.CSV", "b.csv.gz", "c", "d.gz")] == ["csv", "csv", "", ""]
     (tmp_path / "a").write_bytes(b"abc")
-    assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert sha256_file(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
 
 
 def test_decimal_commas_when_told(tmp_path: Path) -> None:
