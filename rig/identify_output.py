@@ -54,17 +54,16 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)
-    places = [folder / RESULT_FILE, *([json_file] if json_file else [])]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for path in places:
+        for path in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(path, record)
         return write_report(
             folder, f"Identification of {name}", outcome.dataset, outcome.results, outcome.provenance, truth
         )
     except OSError as error:
         raise InputError(
-            f"{' or '.join(map(str, places))}: cannot be written: {error.strerror}; give --out or --json another place"
+            f"{' or '.join(str(p) for p in (folder, json_file) if p)}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
 
 

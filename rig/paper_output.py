@@ -92,17 +92,16 @@ def write(folder: Path, found: Reproduction, provenance: Provenance, json_file: 
         sections=sections,
         **provenance_tables(provenance),
     )
-    places = [folder / RESULT_FILE, *([json_file] if json_file else [])]
     try:
         figures = save([picture for group in pictures.values() for picture in group], folder)
         result = record(found, provenance, figures)
-        for place in places:
+        for place in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(place, result)
         path = folder / "report.html"
         write_text(path, page)
     except OSError as error:
         raise InputError(
-            f"{' or '.join(map(str, places))}: cannot be written: {error.strerror}; give --out or --json another place"
+            f"{' or '.join(str(p) for p in (folder, json_file) if p)}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
     return path
 
