@@ -62,8 +62,9 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
             folder, f"Identification of {name}", outcome.dataset, outcome.results, outcome.provenance, truth
         )
     except OSError as error:
+        places = " or ".join(str(place) for place in (folder, json_file) if place)
         raise InputError(
-            f"{' or '.join(str(p) for p in (folder, json_file) if p)}: cannot be written: {error.strerror}; give --out or --json another place"
+            f"{places}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
 
 

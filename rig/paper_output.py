@@ -100,8 +100,9 @@ def write(folder: Path, found: Reproduction, provenance: Provenance, json_file: 
         path = folder / "report.html"
         write_text(path, page)
     except OSError as error:
+        places = " or ".join(str(place) for place in (folder, json_file) if place)
         raise InputError(
-            f"{' or '.join(str(p) for p in (folder, json_file) if p)}: cannot be written: {error.strerror}; give --out or --json another place"
+            f"{places}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
     return path
 
