@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import can
 import canopen
@@ -23,6 +23,7 @@ _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
 _SILENCE_NS: Final = round(HEARTBEATS_MISSED * HEARTBEAT_S * NS)
 _SYNC: Final = 0x080
+_SDO_ANSWER: Final = 0x580
 _HIGHEST_ID: Final = 0x7FF
 
 
@@ -87,7 +88,7 @@ class CanopenLink(Link):
         bitrate: int,
         bus_options: Mapping[str, Any] | None = None,
         sdo_timeout_s: float = 0.3,
-    ) -> CanopenLink:
+    ) -> Self:
         """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``, ``pcan``...).
 
         ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can.
@@ -261,7 +262,9 @@ class CanopenLink(Link):
             self._emergency(node, data)
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0] & 0x7F, time_ns)
-        self._network.notify(identifier, bytearray(data), time_ns / NS)
+        elif function == _SDO_ANSWER and len(data) == 8:
+            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks raise.
+            self._network.notify(identifier, bytearray(data), time_ns / NS)
 
     def _emergency(self, node: CanopenNode, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little")

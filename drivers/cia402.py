@@ -94,6 +94,5 @@ def controlword(state: S, command: Command) -> int:
     """
     word = CONTROLWORDS.get((state, command))
     if word is None:
-        remedy = _REMEDY.get(command, "wait")
-        raise StateError(f"'{command.value}' is not allowed in state '{state.value}': {remedy}")
+        raise StateError(f"'{command.value}' is not allowed in state '{state.value}': {_REMEDY[command]}")
     return word

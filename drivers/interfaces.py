@@ -102,9 +102,15 @@ class RawFrame(NamedTuple):
 
 
 class Link(ABC):
-    """A bus or port with the devices on it, exchanged once a cycle."""
+    """A bus or port with the devices on it, exchanged once a cycle.
+
+    Attributes:
+        clock: Real or simulated; goes with the bus.
+        has_watchdog: Whether the devices stop by themselves when the control loop does.
+    """
 
     clock: Clock
+    has_watchdog: bool = True
 
     @abstractmethod
     def open(self) -> None:

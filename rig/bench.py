@@ -7,17 +7,20 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers import cia402_servo, cia406
 from drivers.can_timing import ANSWER_SHARE, cycle_bits
 from drivers.mock.plant import constants
 from rig.configuration import Document, Schema, load_located
+from rig.dbc import DbcServoSection, cycle_frames, wire
 from rig.packaged import resolve
+from rig.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -73,6 +76,7 @@ class ServoSection(Schema):
     device's own EDS file, relative to the bench file; the simulated drive needs none.
     """
 
+    kind: Literal["canopen"] = "canopen"
     node: NodeId = 1
     counts_per_motor_turn: Annotated[int, Field(gt=0)] = 4096
     sign: Sign = 1
@@ -92,6 +96,7 @@ class ServoSection(Schema):
 class EncoderSection(Schema):
     """The joint encoder; ``eds`` as for the drive."""
 
+    kind: Literal["cia406"] = "cia406"
     node: NodeId = 2
     counts_per_turn: Annotated[int, Field(gt=0)] = 262144
     sign: Sign = 1
@@ -100,7 +105,10 @@ class EncoderSection(Schema):
 
 
 class LimitsSection(Schema):
-    """Limits checked on every sample, and held by the drive as well where it has an object for them."""
+    """Limits checked on every sample, and held by the drive as well where it has an object for them.
+
+    ``lateness_ms`` ends at half the heartbeat watch of the drive: past that the drive would stop by itself anyway.
+    """
 
     angle_min_deg: float
     angle_max_deg: float
@@ -112,10 +120,17 @@ class LimitsSection(Schema):
     weight_kg: NonNegative
     contact_force_N: NonNegative
     temperature_C: float = 80.0
+    supply_min_V: NonNegative = 0.0
+    supply_max_V: Positive = 1000.0
     sample_age_ms: Positive = 5.0
+    lateness_ms: Annotated[float, Field(gt=0, le=50)] = 25.0
 
     @model_validator(mode="after")
     def _range_is_open(self) -> Self:
+        if not self.supply_min_V < self.supply_max_V:
+            raise ValueError(
+                f"supply_min_V {self.supply_min_V:g} must be below supply_max_V {self.supply_max_V:g}; swap them"
+            )
         if not self.angle_min_deg < self.angle_max_deg:
             raise ValueError(
                 f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg {self.angle_max_deg:g}; swap them"
@@ -123,17 +138,54 @@ class LimitsSection(Schema):
         return self
 
 
+def _servo_kind(section: object) -> object:
+    """Return what kind of servo a section describes; CANopen where it does not say."""
+    return section.get("kind", "canopen") if isinstance(section, dict) else getattr(section, "kind", None)
+
+
+def _bus_kind(section: object) -> object:
+    """Return what kind of bus a section describes: CAN, whose interfaces have many names, or the one serial kind."""
+    name = section.get("interface") if isinstance(section, dict) else getattr(section, "interface", None)
+    return "serial" if name == "epos_serial" else "can"
+
+
+def _encoder_kind(section: object) -> object:
+    """Return what kind of encoder a section describes; CiA 406 where it does not say."""
+    return section.get("kind", "cia406") if isinstance(section, dict) else getattr(section, "kind", None)
+
+
+class Calibration(Schema):
+    """A calibration that the results of this bench rest on; good through the day ``due``."""
+
+    device: str
+    id: str
+    due: date
+
+
 class Bench(Schema):
-    """One bench, as written in its file."""
+    """One bench, as written in its file.
+
+    ``overdue_calibration`` says what a run does where the day of a calibration has passed.
+    """
 
     bench: Literal[1]
     name: str
     machine: Constants
-    bus: Bus | None = Bus()
-    servo: ServoSection = ServoSection()
-    encoder: EncoderSection = EncoderSection()
+    bus: (
+        Annotated[Annotated[Bus, Tag("can")] | Annotated[SerialBus, Tag("serial")], Discriminator(_bus_kind)] | None
+    ) = Bus()
+    servo: Annotated[
+        Annotated[ServoSection, Tag("canopen")] | Annotated[DbcServoSection, Tag("dbc")],
+        Discriminator(_servo_kind, "servo_kind", "kind is unknown; known are canopen (the default) and dbc"),
+    ] = ServoSection()
+    encoder: Annotated[
+        Annotated[EncoderSection, Tag("cia406")] | Annotated[Amt21Section, Tag("amt21")],
+        Discriminator(_encoder_kind, "encoder_kind", "kind is unknown; known are cia406 (the default) and amt21"),
+    ] = EncoderSection()
     cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
     limits: LimitsSection
+    calibrations: tuple[Calibration, ...] = ()
+    overdue_calibration: Literal["warn", "refuse"] = "warn"
     mock: constants.Machine | None = None
 
     @field_validator("cycle_Hz")
@@ -166,10 +218,32 @@ class Bench(Schema):
             )
         return self
 
+    @model_validator(mode="after")
+    def _devices_fit_the_bus(self) -> Self:
+        if isinstance(self.bus, SerialBus):
+            if isinstance(self.servo, DbcServoSection):
+                raise ValueError("a servo of kind dbc needs a CAN bus, but bus.interface is epos_serial; change one")
+            if isinstance(self.encoder, EncoderSection):
+                raise ValueError(
+                    "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; use amt21"
+                )
+        if isinstance(self.encoder, Amt21Section) and (self.encoder.port == MOCK) is not self.simulated:
+            raise ValueError("bus and encoder must both be simulated (mock) or both real; change one")
+        if isinstance(self.encoder, Amt21Section) and isinstance(self.servo, DbcServoSection) and self.simulated:
+            raise ValueError("beside a simulated servo of kind dbc the encoder must be of kind cia406; change one")
+        return self
+
     @property
     def simulated(self) -> bool:
         """Whether the devices are simulated."""
-        return self.bus is None or self.bus.interface == "mock"
+        if isinstance(self.bus, SerialBus):
+            return self.bus.port == MOCK
+        return self.bus is None or self.bus.interface == MOCK
+
+    @property
+    def watched(self) -> bool:
+        """Whether the drive stops by itself when the control loop does."""
+        return not isinstance(self.bus, SerialBus)
 
     @property
     def cycle_ns(self) -> int:
@@ -198,19 +272,33 @@ def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
 def load_bench(name: str | Path) -> Document[Bench]:
     """Read a bench by path, or by the bare name of a packaged one (``practical``).
 
+    Where the drive has no watchdog, the limits of torque, current and speed are those of the file, cut.
+
     Raises:
         InputError: It is not there, or not valid; every problem with its place in the file.
     """
     document = load_located(resolve(name, "benches"), Bench)
     bench = document.value
-    if bench.bus is not None:
-        document.require((("bus", "bitrate"), text) for text in _overload(bench.bus.bitrate, bench.cycle_s))
-    return document
+    frames: Sequence[tuple[int, int]] = cia402_servo.FRAMES
+    if isinstance(bench.servo, DbcServoSection):
+        frames = cycle_frames(wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s)
+    if isinstance(bench.bus, SerialBus):
+        document.require((("bus", "baud"), text) for text in overload(bench.bus, bench.cycle_s))
+    elif bench.bus is not None:
+        document.require((("bus", "bitrate"), text) for text in _overload(frames, bench.bus.bitrate, bench.cycle_s))
+    return document if bench.watched else dataclasses.replace(document, value=_cut(bench))
 
 
-def _overload(bitrate: int, cycle_s: float) -> Iterator[str]:
+def _cut(bench: Bench) -> Bench:
+    """Return a bench with the limits that are in force where nothing but this program watches the drive."""
+    names = ("torque_N_m", "current_A", "speed_deg_s")
+    cut = {name: UNWATCHED_SHARE * getattr(bench.limits, name) for name in names}
+    return bench.model_copy(update={"limits": bench.limits.model_copy(update=cut)})
+
+
+def _overload(servo: Sequence[tuple[int, int]], bitrate: int, cycle_s: float) -> Iterator[str]:
     """Yield what is wrong where a control cycle does not fit the bus."""
-    bits = cycle_bits((*cia402_servo.FRAMES, *cia406.FRAMES))
+    bits = cycle_bits((*servo, *cia406.FRAMES))
     share = bits / (bitrate * cycle_s)
     if share > ANSWER_SHARE:
         shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))

@@ -16,6 +16,8 @@ from rig.errors import InputError
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "run": ("rig.commands.run:command", "Run a sequence on a bench."),
+    "resume": ("rig.commands.resume:command", "Go on with a run that stopped."),
+    "jog": ("rig.commands.jog:command", "Move a bench by hand, at low limits."),
     "check": ("rig.commands.check:command", "Connect to a bench and read it back; nothing moves."),
     "identify": ("rig.commands.identify:command", "Identify friction and inertia from a run or a campaign."),
     "paper": ("rig.commands.paper:command", "Reproduce the paper's tables and figures."),

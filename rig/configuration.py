@@ -21,6 +21,7 @@ from rig.yaml_tree import DocumentError, Mark, Node, parse, read_text
 Loc = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
 _ABSENT = object()
+_Found = tuple[Mark, str, str, object]
 
 
 class Schema(BaseModel):
@@ -91,9 +92,25 @@ def load_located(path: Path, schema: type[M], prepare: Callable[[Node], Node] | 
         root, duplicates = parse(read_text(path))
     except DocumentError as error:
         raise InputError(_format(path, error.mark, "document", error.message)) from error
-    found = [(mark, key, message, _ABSENT) for mark, key, message in duplicates]
+    found: list[_Found] = [(mark, key, message, _ABSENT) for mark, key, message in duplicates]
     if prepare is not None:
         root = prepare(root)
+    return validated(path, root, schema, found)
+
+
+def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] = ()) -> Document[M]:
+    """Validate a tree that was read from ``path``.
+
+    Args:
+        path: The file, for messages.
+        root: Its content.
+        schema: The record to validate into.
+        found: Problems met while reading, reported with those of the schema.
+
+    Raises:
+        InputError: The tree breaks the schema, or there were problems before; lists every error at once.
+    """
+    found = list(found)
     try:
         # JSON input in strict mode: no "5" or true for a number, while lists still make tuples and text makes enums.
         value = schema.model_validate_json(json.dumps(root.plain()), strict=True)
@@ -103,9 +120,6 @@ def load_located(path: Path, schema: type[M], prepare: Callable[[Node], Node] | 
     if found:
         raise InputError(_lines(path, found))
     return Document(value, path, root)
-
-
-_Found = tuple[Mark, str, str, object]
 
 
 def _lines(path: Path, found: list[_Found]) -> list[str]:
@@ -152,7 +166,9 @@ def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[
 
 
 def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
-    known = sorted({name for record in _records_at([schema], loc[:-1]) for name in _keys(record)})
+    names = {name for record in _records_at([schema], loc[:-1]) for name in _keys(record)}
+    # Another branch of a union may know the key.
+    known = sorted(names - {loc[-1]})
     return f"unknown key; {nearest(str(loc[-1]), known)}"
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
@@ -12,27 +12,46 @@ import drivers.mock
 from drivers.canopen_link import CanopenLink
 from drivers.cia402_servo import Cia402Servo
 from drivers.cia406 import Cia406Encoder
-from drivers.clock import RealClock
-from drivers.mock.bench import simulated_bench
+from drivers.clock import Clock, RealClock
+from drivers.dbc_link import DbcLink
+from drivers.dbc_servo import DbcServo
+from drivers.encoder_link import EncoderLink
+from drivers.epos_serial_link import EposSerialLink
+from drivers.interfaces import Encoder, Link, Servo
+from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.dbc_bench import simulated_dbc_bench
 from drivers.units import EncoderScales, ServoScales
-from rig.bench import Bench, Bus
+from rig.bench import Bench, Bus, EncoderSection, ServoSection
 from rig.configuration import Document
 from rig.cycle import Devices
+from rig.dbc import DbcServoSection, wire
 from rig.errors import InputError
+from rig.serial_bus import Amt21Section, SerialBus, amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
 DRIVE_EDS = _EDS / "drive.eds"
 ENCODER_EDS = _EDS / "encoder.eds"
 
+_ENCODER_NODES = (2, 3)
+"""Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
+_OPTIONS: Mapping[str, Mapping[str, object]] = {"slcan": {"timeout": 1e-4}}
+"""Of python-can's interfaces: by itself slcan waits a millisecond wherever nothing has come in."""
+
+Hang = Callable[[float], None]
+"""Hangs a mass in kg on the lever of a simulated machine."""
+Attach = Callable[[SimulatedBench], Clock]
+"""Called with a simulated bench before its bus is opened; returns the clock that the host is to see."""
+
 
 @contextmanager
-def connect(document: Document[Bench], seed: int, realtime: bool) -> Iterator[Devices]:
+def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach | None = None) -> Iterator[Devices]:
     """Open a bench's bus with its devices on it, and close it at the end. Nothing moves.
 
     Args:
         document: The bench.
         seed: Of the mock bench's noise.
         realtime: Hold the mock bench to real time.
+        attach: Tampers with a simulated bench.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -42,10 +61,27 @@ def connect(document: Document[Bench], seed: int, realtime: bool) -> Iterator[De
     if bench.bus is None:
         text = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
         raise InputError(document.problem(("bus",), text))
-    link, hang = _link(bench, bench.bus, seed)
-    drive_eds, encoder_eds = _eds(document, "servo", DRIVE_EDS), _eds(document, "encoder", ENCODER_EDS)
-    servo = Cia402Servo(link.add_node(bench.servo.node, drive_eds), link, servo_scales(bench))
-    encoder = Cia406Encoder(link.add_node(bench.encoder.node, encoder_eds), encoder_scales(bench))
+    twin: SimulatedBench | None = None
+    hang: Hang | None
+    link: Link
+    servo: Servo
+    if isinstance(bench.bus, SerialBus):
+        link, servo, twin = _epos(document, bench.bus, seed, attach)
+        hang = None if twin is None else twin.machine.hang
+    elif isinstance(bench.servo, DbcServoSection):
+        link, servo, hang = _dbc_servo(document, bench.servo, bench.bus, seed, attach)
+    else:
+        link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
+        hang = None if twin is None else twin.machine.hang
+        drive = link.add_node(bench.servo.node, _eds(document, "servo", DRIVE_EDS))
+        servo = Cia402Servo(drive, link, servo_scales(bench.servo, bench.machine.gear_ratio))
+    encoder: Encoder
+    if isinstance(bench.encoder, Amt21Section):
+        encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
+        link = EncoderLink(link, amt21)
+    elif isinstance(link, CanopenLink):
+        node = link.add_node(bench.encoder.node, _eds(document, "encoder", ENCODER_EDS))
+        encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     link.open()
     try:
         yield Devices(link, servo, encoder, hang, RealClock() if realtime and bench.simulated else None)
@@ -53,13 +89,63 @@ def connect(document: Document[Bench], seed: int, realtime: bool) -> Iterator[De
         link.close()
 
 
-def _link(bench: Bench, bus: Bus, seed: int) -> tuple[CanopenLink, Callable[[float], None] | None]:
-    """Return the link, and what hangs a weight on a simulated lever."""
+def _epos(
+    document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
+) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None]:
+    """Return the link of a drive on a serial line, the drive, and the bench where they are simulated."""
+    bench = document.value
+    assert isinstance(bench.servo, ServoSection)
+    twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
+    link = epos_link(bus, twin, clock)
+    drive = link.add_node(bench.servo.node, _eds(document, "servo", DRIVE_EDS))
+    return link, Cia402Servo(drive, link, servo_scales(bench.servo, bench.machine.gear_ratio)), twin
+
+
+def _twin(
+    bench: Bench, servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
+) -> tuple[SimulatedBench | None, Clock]:
+    """Return the simulated bench, if there is one, and the host's clock."""
+    if bench.mock is None or not bench.simulated:
+        return None, RealClock()
+    encoder_node = (
+        bench.encoder.node
+        if isinstance(bench.encoder, EncoderSection)
+        else _ENCODER_NODES[servo.node == _ENCODER_NODES[0]]
+    )
+    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node)
+    return twin, twin.clock if attach is None else attach(twin)
+
+
+def _link(
+    bench: Bench, servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
+) -> tuple[CanopenLink, SimulatedBench | None]:
+    """Return the link, and the bench behind it where that is simulated."""
+    twin, clock = _twin(bench, servo, bus.bitrate, seed, attach)
+    if twin is not None:
+        return CanopenLink(clock, lambda: twin.bus, name="simulated bus"), twin
+    return CanopenLink.on_interface(
+        clock, bus.interface, bus.channel or "", bus.bitrate, _OPTIONS.get(bus.interface)
+    ), None
+
+
+def _dbc_servo(
+    document: Document[Bench], servo: DbcServoSection, bus: Bus, seed: int, attach: Attach | None
+) -> tuple[DbcLink, DbcServo, Hang | None]:
+    """Return the link with a drive of its own frames on it, and what hangs a weight on a simulated lever."""
+    bench = document.value
+    wiring = wire(servo, document.path, bench.simulated, document.problem)
+    hang: Hang | None = None
     if bench.mock is not None and bench.simulated:
-        mock = simulated_bench(bench.mock, seed, bus.bitrate, bench.servo.node, bench.encoder.node)
-        return CanopenLink(mock.clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
-    link = CanopenLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
-    return link, None
+        if attach is not None:
+            text = "faults can only be injected on a bench with a CANopen servo; name another bench"
+            raise InputError(document.problem(("servo", "kind"), text))
+        assert isinstance(bench.encoder, EncoderSection)
+        mock = simulated_dbc_bench(bench.mock, seed, bus.bitrate, bench.encoder.node)
+        link, hang = DbcLink(mock.clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
+    else:
+        link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
+    drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
+    return link, DbcServo(link, link.add_channel(wiring, servo.name), drive), hang
 
 
 def _eds(document: Document[Bench], section: Literal["servo", "encoder"], simulated: Path) -> Path:
@@ -74,12 +160,11 @@ def _eds(document: Document[Bench], section: Literal["servo", "encoder"], simula
     return simulated
 
 
-def servo_scales(bench: Bench) -> ServoScales:
+def servo_scales(servo: ServoSection, gear_ratio: float) -> ServoScales:
     """Return the drive's scales in SI units."""
-    servo = bench.servo
     return ServoScales(
         counts_per_turn=servo.counts_per_motor_turn,
-        gear_ratio=bench.machine.gear_ratio,
+        gear_ratio=gear_ratio,
         rated_current_A=servo.rated_current_A,
         rated_torque_N_m=servo.rated_torque_N_m,
         sign=servo.sign,
@@ -92,9 +177,8 @@ def servo_scales(bench: Bench) -> ServoScales:
     )
 
 
-def encoder_scales(bench: Bench) -> EncoderScales:
+def encoder_scales(encoder: EncoderSection) -> EncoderScales:
     """Return the joint encoder's scales in SI units."""
-    encoder = bench.encoder
     return EncoderScales(
         counts_per_turn=encoder.counts_per_turn, sign=encoder.sign, offset_rad=math.radians(encoder.offset_deg)
     )

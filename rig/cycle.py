@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Protocol
 
-from drivers.clock import Clock
-from drivers.interfaces import Encoder, Link, Servo
+from drivers.clock import NS, Clock
+from drivers.interfaces import Encoder, Link, RawFrame, Servo
 from rig.operator import StopButton
-from rig.plan import Plan
-from rig.recorder import Recorder
-from rig.safety import Latch, Trip
+from rig.phases import Phase
+from rig.safety import Latch, Limits, Trip, check_stage_time
 from rig.sample import Sample
+from rig.timing import Timing
 
 PROGRESS_CYCLES = 100
 
@@ -27,6 +28,7 @@ class Devices:
         encoder: The joint encoder.
         hang: Puts a mass in kg on a simulated lever; None where a person does.
         pacer: Real clock that holds simulated time back to real time; None to run on the link's clock alone.
+        observer: Told the stage's name and every phase as it begins.
     """
 
     link: Link
@@ -34,10 +36,23 @@ class Devices:
     encoder: Encoder
     hang: Callable[[float], None] | None = None
     pacer: Clock | None = None
+    observer: Callable[[str, Phase], None] | None = None
 
 
 Progress = Callable[[str, int, Sample], None]
 """Called now and then with stage name, cycles since the last call and the latest sample."""
+
+
+class SampleSink(Protocol):
+    """Takes what each cycle leaves behind; a :class:`rig.recorder.Recorder` does."""
+
+    def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
+        """Keep one cycle.
+
+        Raises:
+            OSError: It cannot be kept.
+        """
+        ...
 
 
 class TripError(Exception):
@@ -57,29 +72,48 @@ class Cycle:
 
     A cycle that starts more than a period late moves the following ones back rather than rushing to catch up.
 
+    Args:
+        limits: Checked on every sample, until :meth:`use` changes them.
+        cycle_ns: Control cycle, ns.
+        devices: What to move.
+        recorder: Takes every sample.
+        stop: Looked at every cycle.
+        progress: Told how it goes.
+
     Attributes:
         overruns: Cycles that started more than a period late.
         stale: Cycles in which a part of the answer was missing.
         count: Cycles so far.
+        timing: How punctual they were.
     """
 
-    def __init__(self, plan: Plan, devices: Devices, recorder: Recorder, stop: StopButton, progress: Progress) -> None:
+    def __init__(
+        self,
+        limits: Limits,
+        cycle_ns: int,
+        devices: Devices,
+        recorder: SampleSink,
+        stop: StopButton,
+        progress: Progress,
+    ) -> None:
         self._link, self._servo, self._encoder = devices.link, devices.servo, devices.encoder
         self._clock = devices.link.clock
         self._pacer = devices.pacer
         self._recorder = recorder
         self._stop = stop
         self._progress = progress
-        self._limits = plan.limits
-        self._period_ns = plan.cycle_ns
+        self._limits = limits
+        self._period_ns = cycle_ns
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
-        self._next_ns = self._fresh_ns = self._start_ns
-        self._age_s = self._target = 0.0
+        self._next_ns = self._fresh_ns = self._powered_ns = self._start_ns
+        self._deadline_ns: int | None = None
+        self._age_s = self._late_s = self._target = 0.0
         self._pacer_offset_ns = 0
         self.count = 0
         self.overruns = 0
         self.stale = 0
+        self.timing = Timing()
 
     @property
     def now_ns(self) -> int:
@@ -91,23 +125,53 @@ class Cycle:
         """Run time at which the next cycle starts, s."""
         return (self._next_ns - self._start_ns) * 1e-9
 
-    def begin(self, target: float) -> None:
+    def ask_reset(self) -> None:
+        """Note that the operator asks for the safety latch to be reset at the next :meth:`begin`."""
+        self._latch.ask()
+
+    def end(self) -> None:
+        """Open the safety latch at an orderly end."""
+        self._latch.open()
+
+    def use(self, limits: Limits) -> None:
+        """Check samples against these limits from now on."""
+        self._limits = limits
+
+    def begin(self, target: float, time_limit_s: float | None = None) -> None:
         """Start cycling afresh after a pause, at rest on ``target``, and reset the safety latch with the first sample.
 
+        Args:
+            target: Present joint angle, rad.
+            time_limit_s: How long commands may be followed from now on, s; None for ever.
+
         Raises:
-            TripError: That sample is outside a limit; nothing has been commanded to move.
+            TripError: That sample is outside a limit, or nobody asked for the reset; nothing was commanded to move.
         """
-        self._next_ns = self._fresh_ns = self._clock.now_ns()
-        if self._pacer is not None:
-            self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
+        self.resume()
+        self._powered_ns = self._next_ns
+        self._deadline_ns = None if time_limit_s is None else self._next_ns + round(time_limit_s * NS)
         self._servo.set_target(target)
         sample = self._exchange(target, 0)
-        trip = self._latch.reset(sample, self._age_s, self._limits)
+        trip = self._latch.reset(sample, self._age_s, self._late_s, self._limits)
         if trip is not None:
             raise TripError(trip)
 
-    def follow(self, targets: Sequence[float], segment: int, stage: str) -> None:
+    def resume(self) -> None:
+        """Go on after work that took longer than a cycle and is no sign of lateness."""
+        self._next_ns = self._fresh_ns = self._clock.now_ns()
+        if self._pacer is not None:
+            self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
+
+    def follow(
+        self, targets: Sequence[float], segment: int, stage: str, keep: Callable[[Sample], object] | None = None
+    ) -> None:
         """Command one joint angle in rad a cycle; each sample is judged before the next command goes out.
+
+        Args:
+            targets: Joint angles, rad.
+            segment: Number of the excitation, 0 for none.
+            stage: Name for the progress display.
+            keep: Called with every sample that passed.
 
         Raises:
             TripError: A sample broke a limit.
@@ -117,15 +181,20 @@ class Cycle:
         """
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
+        deadline_ns = self._deadline_ns
         since = 0
         for target in targets:
             if stop.pressed:
                 stop.check()
+            if deadline_ns is not None and self._next_ns > deadline_ns:
+                self._check_time(deadline_ns)
             set_target(target)
             sample = self._exchange(target, segment)
-            trip = judge(sample, self._age_s, limits)
+            trip = judge(sample, self._age_s, self._late_s, limits)
             if trip is not None:
                 raise TripError(trip)
+            if keep is not None:
+                keep(sample)
             since += 1
             if since == PROGRESS_CYCLES:
                 self._progress(stage, since, sample)
@@ -142,17 +211,27 @@ class Cycle:
         with suppress(OSError):
             self._exchange(self._target, 0)
 
+    def _check_time(self, deadline_ns: int) -> None:
+        elapsed_s, limit_s = ((at - self._powered_ns) / NS for at in (self._next_ns, deadline_ns))
+        trip = check_stage_time(elapsed_s, limit_s, self.next_s)
+        if trip is not None:
+            raise TripError(trip)
+
     def _exchange(self, target: float, segment: int) -> Sample:
         """Wait for the cycle's start, send what is staged, collect and record the answer."""
         link, clock = self._link, self._clock
         self._target = target
         begin_ns = self._next_ns
         if self._pacer is not None:
-            self._pacer.sleep_until_ns(begin_ns + self._pacer_offset_ns)
+            self._pace(self._pacer, begin_ns)
         clock.sleep_until_ns(begin_ns)
         late_ns = clock.now_ns() - begin_ns
+        timing = self.timing
+        if self._pacer is None:
+            timing.lateness.note(late_ns)
+        self._late_s = late_ns * 1e-9
         if late_ns > self._period_ns:
-            self.overruns += 1
+            self._overrun(late_ns)
             begin_ns += late_ns
         link.exchange()
         servo, encoder = self._servo.sample(), self._encoder.sample()
@@ -178,10 +257,32 @@ class Cycle:
         )
         if fresh:
             self._fresh_ns = begin_ns
+            self._age_s = 0.0
         else:
-            self.stale += 1
-        self._age_s = (begin_ns - self._fresh_ns) * 1e-9
+            self._lost(begin_ns, servo.fresh, encoder.fresh)
+        timing.answer.note(clock.now_ns() - begin_ns)
         self.count += 1
         self._next_ns = begin_ns + self._period_ns
         self._recorder.sample(time_ns, sample, link.take_frames())
         return sample
+
+    def _pace(self, pacer: Clock, begin_ns: int) -> None:
+        """Hold simulated time back to real time. The simulated bench cannot be late; lateness is this computer's."""
+        due_ns = begin_ns + self._pacer_offset_ns
+        pacer.sleep_until_ns(due_ns)
+        late_ns = pacer.now_ns() - due_ns
+        self.timing.lateness.note(late_ns)
+        if late_ns > self._period_ns:
+            self._overrun(late_ns)
+            self._pacer_offset_ns += late_ns
+
+    def _overrun(self, late_ns: int) -> None:
+        self.overruns += 1
+        self.timing.missed_syncs += late_ns // self._period_ns
+
+    def _lost(self, begin_ns: int, servo_fresh: bool, encoder_fresh: bool) -> None:
+        self.stale += 1
+        self.timing.lost_servo += not servo_fresh
+        self.timing.lost_encoder += not encoder_fresh
+        self._age_s = (begin_ns - self._fresh_ns) * 1e-9
+        self.timing.oldest_s = max(self.timing.oldest_s, self._age_s)

@@ -16,6 +16,7 @@ from identification.estimate.paper import identify_paper
 from identification.estimate.result import Identification
 from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
+from rig.label_check import comparable, off_label
 from rig.results import Provenance
 from rig.run import RUN_FILE
 from rig.sources import load_source
@@ -78,6 +79,7 @@ def identify_source(
     progress("reading", 0.0)
     dataset = load_source(source)
     described_by = source / RUN_FILE if source.is_dir() else source
+    off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
     results = []
     for method in methods:
         begun = time.perf_counter()
@@ -90,6 +92,7 @@ def identify_source(
             result = METHODS[method](dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
         except RecordingError as error:
             raise InputError(f"{source}: {error}") from error
-        results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun))
+        warnings = (*result.warnings, *off)
+        results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings))
     provenance = Provenance.of(seed, dataset.recordings, time.perf_counter() - started, described_by)
     return Outcome(dataset, tuple(results), provenance)

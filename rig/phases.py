@@ -12,11 +12,14 @@ class Phase(Enum):
     LOAD = "load"
     PREPARE = "prepare"
     ENABLE = "enable"
+    FIRST_PASS = "first pass"
+    WEIGH = "weight check"
     APPROACH = "approach"
     SETTLE = "settle"
     EXCITE = "excite"
     HOLD = "hold"
     RELEASE = "release"
+    BOUNDARY = "between stages"
     FINISHED = "finished"
 
 
@@ -24,21 +27,29 @@ class Event(Enum):
     """How a phase ended."""
 
     DONE = "done"
+    FIRST_PASS = "first pass"
     NEXT_REPEAT = "next repeat"
     NEXT_STAGE = "next stage"
+    REPEAT_STAGE = "repeat stage"
 
 
 TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
     (Phase.LOAD, Event.DONE): Phase.PREPARE,
+    (Phase.LOAD, Event.REPEAT_STAGE): Phase.LOAD,
     (Phase.PREPARE, Event.DONE): Phase.ENABLE,
     (Phase.ENABLE, Event.DONE): Phase.APPROACH,
+    (Phase.ENABLE, Event.FIRST_PASS): Phase.FIRST_PASS,
+    (Phase.FIRST_PASS, Event.DONE): Phase.WEIGH,
+    (Phase.WEIGH, Event.DONE): Phase.APPROACH,
     (Phase.APPROACH, Event.DONE): Phase.SETTLE,
     (Phase.SETTLE, Event.DONE): Phase.EXCITE,
     (Phase.EXCITE, Event.DONE): Phase.HOLD,
     (Phase.HOLD, Event.NEXT_REPEAT): Phase.APPROACH,
     (Phase.HOLD, Event.DONE): Phase.RELEASE,
-    (Phase.RELEASE, Event.NEXT_STAGE): Phase.LOAD,
-    (Phase.RELEASE, Event.DONE): Phase.FINISHED,
+    (Phase.RELEASE, Event.DONE): Phase.BOUNDARY,
+    (Phase.BOUNDARY, Event.NEXT_STAGE): Phase.LOAD,
+    (Phase.BOUNDARY, Event.REPEAT_STAGE): Phase.LOAD,
+    (Phase.BOUNDARY, Event.DONE): Phase.FINISHED,
 }
 
 

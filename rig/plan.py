@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -13,8 +14,9 @@ from drivers.interfaces import ServoLimits
 from rig.bench import Bench
 from rig.configuration import Document
 from rig.errors import InputError
+from rig.first_pass import PlannedPass, plan_pass
 from rig.safety import Limits
-from rig.sequence import Array, Sequence, StageSection, excitation
+from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
 
 SAMPLES_PER_PERIOD = 20
 """Fewest control cycles in a period of a tone; fewer make a staircase rather than a sine."""
@@ -31,8 +33,14 @@ _LIMIT_NAMES = (
     "following_error_deg",
     "encoder_disagreement_deg",
     "temperature_C",
+    "supply_min_V",
+    "supply_max_V",
     "sample_age_ms",
+    "lateness_ms",
 )
+_LOWER_BOUNDS = frozenset({"angle_min_deg", "supply_min_V"})
+TIME_LIMIT_SHARE = 1.5
+"""Longest time under power in a stage over what the plan needs, where the sequence gives none."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +57,8 @@ class PlannedStage:
     duration_s: float
     peak_speed_rad_s: float
     peak_angle_rad: float
+    time_limit_s: float
+    first_pass: PlannedPass | None = None
 
 
 @dataclass(frozen=True)
@@ -79,11 +89,22 @@ class Plan:
     @property
     def duration_s(self) -> float:
         """Time in motion and at rest, without moves to the start, s."""
-        return sum(s.repeats * (s.duration_s + s.settle_s) + HOLD_S for s in self.stages)
+        return sum(_under_power_s(s) for s in self.stages)
 
 
-def make_plan(sequence: Document[Sequence], bench: Document[Bench]) -> Plan:
+def _under_power_s(stage: PlannedStage) -> float:
+    first = stage.first_pass
+    before = 0.0 if first is None else first.duration_s + stage.settle_s
+    return before + stage.repeats * (stage.duration_s + stage.settle_s) + HOLD_S
+
+
+def make_plan(sequence: Document[Sequence], bench: Document[Bench], first_pass: bool | None = None) -> Plan:
     """Compute all targets and check them against the bench.
+
+    Args:
+        sequence: What to do.
+        bench: On which bench.
+        first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
 
     Raises:
         InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all.
@@ -91,8 +112,9 @@ def make_plan(sequence: Document[Sequence], bench: Document[Bench]) -> Plan:
     values, problems = _tighten(sequence, bench.value)
     limits = _limits(values, bench.value)
     stages = []
+    low = _first_pass(sequence.value, bench.value, first_pass)
     for index, section in enumerate(sequence.value.stages):
-        stage = _plan_stage(section, bench.value)
+        stage = _plan_stage(section, bench.value, limits, low)
         stages.append(stage)
         problems.extend(
             sequence.problem(("stages", index, *key), text, value)
@@ -115,10 +137,18 @@ def bench_limits(bench: Bench) -> Limits:
     return _limits({name: getattr(bench.limits, name) for name in _LIMIT_NAMES}, bench)
 
 
-def _plan_stage(section: StageSection, bench: Bench) -> PlannedStage:
+def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPass | None:
+    """Return how the first passes are made, or None for none."""
+    stated = sequence.first_pass
+    described = stated if isinstance(stated, FirstPass) else None
+    wanted = asked if asked is not None else described is not None or (stated == "auto" and not bench.simulated)
+    return (described or FirstPass()) if wanted else None
+
+
+def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstPass | None) -> PlannedStage:
     targets = excitation(section, bench.cycle_s)
     steps = np.diff(targets)
-    return PlannedStage(
+    stage = PlannedStage(
         name=section.name,
         stage=section.stage,
         weight_kg=section.weight_kg,
@@ -129,7 +159,13 @@ def _plan_stage(section: StageSection, bench: Bench) -> PlannedStage:
         duration_s=len(targets) * bench.cycle_s,
         peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
+        time_limit_s=0.0,
+        first_pass=None if low is None else plan_pass(section, low, limits, bench.cycle_s),
     )
+    across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
+    moves_s = across_s * (stage.repeats + (low is not None))
+    longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage) + moves_s)
+    return dataclasses.replace(stage, time_limit_s=longest_s)
 
 
 _Objection = tuple[tuple[str | int, ...], str, object]
@@ -140,6 +176,9 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
     if len(stage.targets) < 2:
         yield ("duration_s",), f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms", section.duration_s
         return
+    if section.time_limit_s is not None and section.time_limit_s < _under_power_s(stage):
+        text = f"below the {_under_power_s(stage):.4g} s that this stage takes by itself; raise it"
+        yield ("time_limit_s",), text, section.time_limit_s
     if section.weight_kg > bench.limits.weight_kg:
         text = f"above the bench limit weight_kg {bench.limits.weight_kg:g} kg; use less weight"
         yield ("weight_kg",), text, section.weight_kg
@@ -180,11 +219,14 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
         allowed: float = getattr(bench.limits, name)
         asked: float | None = getattr(sequence.value.limits, name)
         values[name] = allowed if asked is None else asked
-        if asked is not None and (asked < allowed if name == "angle_min_deg" else asked > allowed):
+        if asked is not None and (asked < allowed if name in _LOWER_BOUNDS else asked > allowed):
             text = f"looser than the bench's {allowed:g}; a sequence may only tighten a limit"
             problems.append(sequence.problem(("limits", name), text, asked))
     if values["angle_min_deg"] >= values["angle_max_deg"]:
         text = f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is empty; swap or widen it"
+        problems.append(sequence.problem(("limits",), text))
+    if values["supply_min_V"] >= values["supply_max_V"]:
+        text = f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; swap or widen it"
         problems.append(sequence.problem(("limits",), text))
     return values, problems
 
@@ -199,7 +241,10 @@ def _limits(values: dict[str, float], bench: Bench) -> Limits:
         following_error=math.radians(values["following_error_deg"]),
         encoder_disagreement=math.radians(values["encoder_disagreement_deg"]),
         temperature=values["temperature_C"],
+        supply_min=values["supply_min_V"],
+        supply_max=values["supply_max_V"],
         sample_age=values["sample_age_ms"] * 1e-3,
+        lateness=values["lateness_ms"] * 1e-3,
         torque_per_ampere=bench.machine.torque_constant_N_m_A * bench.machine.gear_ratio,
         gear_ratio=bench.machine.gear_ratio,
     )

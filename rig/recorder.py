@@ -31,6 +31,8 @@ FLUSH_NS = 100_000_000
 class Recorder:
     """An open recording. Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
 
+    They never go back: what comes from a clock that was set back keeps the latest time before it.
+
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.
     """
@@ -39,6 +41,7 @@ class Recorder:
         self._stream = stream
         self._writer = writer = McapWriter(stream)
         self._flushed_ns = 0
+        self._latest_ns = 0
         self._broken = False
         sample = writer.schema(SAMPLE_SCHEMA, "protobuf", sample_descriptor())
         event = writer.schema("loadrig.Event", "jsonschema", EVENT_JSON_SCHEMA)
@@ -55,6 +58,9 @@ class Recorder:
         # Spelled out, not `with self._writing()`: this runs every cycle.
         if self._broken:
             raise _broken_before()
+        if time_ns < self._latest_ns:
+            time_ns = self._latest_ns
+        self._latest_ns = time_ns
         try:
             self._writer.message(self._sample, time_ns, encode_sample(sample))
             if frames:
@@ -72,6 +78,7 @@ class Recorder:
         Raises:
             OSError: It cannot be written.
         """
+        time_ns = self._latest_ns = max(time_ns, self._latest_ns)
         record = {"time": time_ns / 1e9, "event": event, **details}
         with self._writing():
             self._writer.message(self._event, time_ns, json.dumps(record).encode())
@@ -84,6 +91,7 @@ class Recorder:
             OSError: They cannot be written.
         """
         if frames:
+            time_ns = self._latest_ns = max(time_ns, self._latest_ns)
             with self._writing():
                 self._writer.message(self._frames, time_ns, encode_frames(frames))
 

@@ -6,7 +6,7 @@ import dataclasses
 import heapq
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,15 +18,13 @@ from rig.run import (
     RECORDING_FILE,
     RUN_FILE,
     RunRecord,
-    SegmentRecord,
-    StageRecord,
+    discard,
     read_log,
     read_record,
     write_json,
 )
 from rig.sequencer import Ending
 
-DAMAGED_FILE = "recording.damaged.mcap"
 _ENDINGS = {ending.value for ending in Ending}
 _MEDIA = {".json": "application/json", ".yaml": "application/yaml"}
 
@@ -36,39 +34,62 @@ class Recovery:
     """What was done.
 
     Attributes:
-        damage: What was wrong with the recording, or None.
+        damage: What was wrong with each recording that was damaged, beginning with its name.
         samples: How many samples there are now.
         record: ``run.json`` as it stands now.
     """
 
-    damage: str | None
+    damage: tuple[str, ...]
     samples: int
     record: RunRecord
 
 
 def recover(folder: Path) -> Recovery:
-    """Rewrite a damaged recording, keeping the damaged file, and complete ``run.json``. A whole run is left alone.
+    """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``. A whole run is left alone.
 
     Raises:
         InputError: There is no readable recording, or an earlier recovery is in the way.
         OSError: The folder cannot be written.
     """
-    path = folder / RECORDING_FILE
-    log = read_log(path)
-    record = _record(folder, log)
-    if log.damage is not None:
-        damaged = folder / DAMAGED_FILE
-        if damaged.exists():
-            raise InputError(f"{damaged}: is there from an earlier recovery; move it away first")
-        clean = folder / ".recording.new.mcap"
-        clean.unlink(missing_ok=True)
-        _copy(log, open_recorder(clean))
-        os.replace(path, damaged)
-        os.replace(clean, path)
-    if log.damage is not None or record.state == "running":
-        _complete(record, log)
+    first = read_log(folder / RECORDING_FILE)
+    record = _record(folder, first)
+    while len(record.parts) > 1 and _never_begun(folder / record.parts[-1].file):
+        record.parts.pop()
+    logs = [first, *(read_log(folder / part.file) for part in record.parts[1:])]
+    damage = []
+    for part, log in zip(record.parts, logs, strict=True):
+        if log.damage is not None:
+            damage.append(f"{part.file}: {log.damage}")
+            _mend(folder / part.file, log)
+    if damage or record.state == "running":
+        _complete(record, logs)
         write_json(folder / RUN_FILE, dataclasses.asdict(record))
-    return Recovery(log.damage, len(log.samples["time"]), record)
+    return Recovery(tuple(damage), sum(len(log.samples["time"]) for log in logs), record)
+
+
+def damaged_name(file: str) -> str:
+    """Return under what name the damaged form of a recording is kept."""
+    return f"{Path(file).stem}.damaged.mcap"
+
+
+def _never_begun(path: Path) -> bool:
+    """Whether a recording died before its first byte; an empty file is removed."""
+    if path.exists() and path.stat().st_size:
+        return False
+    path.unlink(missing_ok=True)
+    return True
+
+
+def _mend(path: Path, log: Log) -> None:
+    """Put a clean recording in the place of a damaged one."""
+    damaged = path.with_name(damaged_name(path.name))
+    if damaged.exists():
+        raise InputError(f"{damaged}: is there from an earlier recovery; move it away first")
+    clean = path.with_name(f".{path.stem}.new.mcap")
+    clean.unlink(missing_ok=True)
+    _copy(log, open_recorder(clean))
+    os.replace(path, damaged)
+    os.replace(clean, path)
 
 
 def _record(folder: Path, log: Log) -> RunRecord:
@@ -98,31 +119,36 @@ def _copy(log: Log, recorder: Recorder) -> None:
         recorder.close()
 
 
-def _complete(record: RunRecord, log: Log) -> None:
-    """Work out from the samples which excitations were finished, and from the events how the run ended."""
-    record.segments = list(_segments(record.stages, log, record.cycle_s))
-    finished = {segment.index for segment in record.segments if segment.end is not None}
-    index = 0
-    for stage in record.stages:
-        numbers = range(index + 1, index + stage.repeats + 1)
-        index += stage.repeats
-        stage.state = "done" if finished.issuperset(numbers) else stage.state if stage.state == "planned" else "running"
-    last = next((e for e in reversed(log.events) if e["event"] in _ENDINGS), None)
+def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
+    """Work out from events and samples which excitations were finished, and how the run ended."""
+    record.segments = []
+    for number, log in enumerate(logs, start=1):
+        _add_segments(record, number, log)
+    for index, stage in enumerate(record.stages):
+        mine = [segment for segment in record.segments if segment.stage_index == index and segment.kept]
+        if len(mine) == stage.repeats and all(segment.end is not None for segment in mine):
+            stage.state = "done"
+        elif stage.state == "done":
+            stage.state = "running"
+    for part, log in zip(record.parts, logs, strict=True):
+        part.cycles = len(log.samples["time"])
+    last = next((e for e in reversed(logs[-1].events) if e["event"] in _ENDINGS), None)
+    record.cycles = sum(part.cycles for part in record.parts)
     record.state = last["event"] if last else Ending.FAILED.value
-    record.message = last["message"] if last else f"the writer died; {len(log.samples['time'])} samples recovered"
-    record.cycles = len(log.samples["time"])
+    record.message = last["message"] if last else f"the writer died; {record.cycles} samples recovered"
+    record.parts[-1].state = record.state
 
 
-def _segments(stages: list[StageRecord], log: Log, cycle_s: float) -> Iterator[SegmentRecord]:
-    """Yield the excitations that have samples; one short of samples has no end."""
-    index = 0
-    for stage in stages:
-        for repeat in range(1, stage.repeats + 1):
-            index += 1
-            times = log.samples["time"][log.samples["segment"] == index]
-            if not len(times):
-                continue
-            segment = stage.segment(index, repeat, float(times[0]))
+def _add_segments(record: RunRecord, part: int, log: Log) -> None:
+    """Add the excitations that one recording saw begin; one short of samples has no end."""
+    for event in log.events:
+        if event["event"] == "prompt":
+            discard(record, event["index"])
+        elif event["event"] == "segment":
+            stage = record.stages[event["index"]]
+            times = log.samples["time"][log.samples["segment"] == event["number"]]
+            start = float(times[0]) if len(times) else float(event["time"])
+            segment = stage.segment(event["number"], event["index"], event["repeat"], start, part)
             if len(times) == stage.samples:
-                segment.end = float(times[-1]) + cycle_s
-            yield segment
+                segment.end = float(times[-1]) + record.cycle_s
+            record.segments.append(segment)

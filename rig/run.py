@@ -19,6 +19,7 @@ from rig.errors import InputError
 from rig.mcap_reader import Log, NotARecordingError, read_run
 from rig.plan import Plan
 from rig.provenance import sha256_file
+from rig.weight_check import Weighing
 
 SCHEMA = "loadrig.run/1"
 RUN_FILE = "run.json"
@@ -38,16 +39,26 @@ class StageRecord:
     repeats: int
     samples: int
     state: str = "planned"
+    confirmed_kg: float | None = None
 
-    def segment(self, index: int, repeat: int, start: float) -> SegmentRecord:
+    def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
         """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
         name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
-        return SegmentRecord(index, name, self.stage, self.weight_kg, start, self.samples)
+        return SegmentRecord(
+            index, name, self.stage, self.weight_kg, start, self.samples, stage_index=stage_index, part=part
+        )
 
 
 @dataclass
 class SegmentRecord:
-    """One excitation: which stage it belongs to, and when it ran, s since the start of the run."""
+    """One excitation: which stage it belongs to, and when it ran, s since the start of its recording.
+
+    Attributes:
+        index: From 1, unique in the run; the samples carry it.
+        stage_index: Which stage.
+        part: Which recording, from 1.
+        kept: False once its stage was begun again.
+    """
 
     index: int
     name: str
@@ -56,6 +67,25 @@ class SegmentRecord:
     start: float
     samples: int
     end: float | None = None
+    stage_index: int = 0
+    part: int = 1
+    kept: bool = True
+
+
+@dataclass
+class PartRecord:
+    """One recording of a run: the first, or that of a ``rig resume``."""
+
+    file: str
+    created: str
+    seed: int
+    operator: str | None
+    versions: Mapping[str, str]
+    devices: Mapping[str, Any] = field(default_factory=dict)
+    state: str = "running"
+    cycles: int = 0
+    seconds: float = 0.0
+    timing: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass
@@ -73,6 +103,11 @@ class RunRecord:
     bench: Mapping[str, Any]
     stages: list[StageRecord]
     segments: list[SegmentRecord] = field(default_factory=list)
+    parts: list[PartRecord] = field(default_factory=list)
+    operator: str | None = None
+    calibrations: list[Mapping[str, Any]] = field(default_factory=list)
+    weights: list[Mapping[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
     state: str = "running"
     message: str = ""
     trip: Mapping[str, Any] | None = None
@@ -98,8 +133,8 @@ class RunFolder:
 
     @property
     def recording(self) -> Path:
-        """The recording's file."""
-        return self.path / RECORDING_FILE
+        """The file of the recording being written."""
+        return self.path / self.record.parts[-1].file
 
     def save(self) -> None:
         """Replace ``run.json`` as a whole, so that no reader ever sees half of it.
@@ -110,25 +145,51 @@ class RunFolder:
         write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
 
     def stage_started(self, index: int) -> None:
-        """Note that a stage begins."""
+        """Note that a stage begins; what it left behind before is not used any more."""
+        discard(self.record, index)
         self.record.stages[index].state = "running"
         self.save()
+
+    def weight_confirmed(self, index: int, weight_kg: float) -> None:
+        """Note the mass that the operator confirmed."""
+        self.record.stages[index].confirmed_kg = weight_kg
+
+    def weighed(self, weighing: Weighing) -> None:
+        """Note a weight check."""
+        self.record.weights.append({**dataclasses.asdict(weighing), "verdict": weighing.verdict.value})
 
     def stage_finished(self, index: int) -> None:
         """Note that a stage is complete and the drive de-energised."""
         self.record.stages[index].state = "done"
         self.save()
 
-    def segment_started(self, stage: int, segment: int, time: float) -> None:
-        """Note that an excitation begins at ``time`` s of the run."""
-        repeat = segment - sum(s.repeats for s in self.record.stages[:stage])
-        self.record.segments.append(self.record.stages[stage].segment(segment, repeat, time))
+    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
+        """Note that an excitation begins at ``time`` s of the recording."""
+        record = self.record
+        record.segments.append(record.stages[stage].segment(segment, stage, repeat, time, len(record.parts)))
         self.save()
 
     def segment_finished(self, segment: int, time: float) -> None:
         """Note that it is complete."""
         self.record.segments[segment - 1].end = time
         self.save()
+
+
+def discard(record: RunRecord, stage: int) -> None:
+    """Mark what a stage left behind so far as not to be used."""
+    for segment in record.segments:
+        if segment.stage_index == stage:
+            segment.kept = False
+
+
+def first_unfinished(record: RunRecord) -> int | None:
+    """Return the index of the first stage that is not done, or None."""
+    return next((index for index, stage in enumerate(record.stages) if stage.state != "done"), None)
+
+
+def part_file(number: int) -> str:
+    """Return the file name of a run's recording, from 1."""
+    return RECORDING_FILE if number == 1 else f"recording-{number}.mcap"
 
 
 def stage_records(plan: Plan) -> list[StageRecord]:
@@ -207,7 +268,8 @@ def read_record(folder: Path) -> RunRecord:
     try:
         stages = [StageRecord(**item) for item in raw.pop("stages")]
         segments = [SegmentRecord(**item) for item in raw.pop("segments")]
-        return RunRecord(stages=stages, segments=segments, **raw)
+        parts = [PartRecord(**item) for item in raw.pop("parts")]
+        return RunRecord(stages=stages, segments=segments, parts=parts, **raw)
     except (TypeError, KeyError) as error:
         raise InputError(f"{path}: damaged: {error}; `rig recover` rebuilds it from the recording") from error
 
@@ -215,25 +277,32 @@ def read_record(folder: Path) -> RunRecord:
 def load_run(folder: Path) -> Dataset:
     """Read a run folder for identification: one recording per finished excitation.
 
-    Samples whose answer was incomplete are left out, and the recording says so.
+    Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was done more than
+    once, the last counts.
 
     Raises:
         InputError: The folder is not a run, its recording is unreadable, or no stage was finished.
     """
     record = read_record(folder)
-    path = folder / RECORDING_FILE
-    log = read_log(path)
-    if log.damage is not None and record.state == "done":
-        raise InputError(f"{path}: damaged though the run was finished: {log.damage}; use `rig recover {folder}`")
-    finished = [segment for segment in record.segments if segment.end is not None]
+    finished = [segment for segment in record.segments if segment.kept and segment.end is not None]
     if not finished:
+        # A recording that cannot be read at all is the better explanation.
+        read_log(folder / RECORDING_FILE)
         raise InputError(f"{folder}: no stage was finished (state {record.state}: {record.message or 'writer died'})")
     bench = BenchConstants(**record.bench)
-    digest = sha256_file(path)
-    try:
-        return Dataset(tuple(_recording(segment, log, bench, path, digest) for segment in finished))
-    except RecordingError as error:
-        raise InputError(f"{path}: {error}") from error
+    recordings: list[Recording] = []
+    for number in sorted({segment.part for segment in finished}):
+        part = record.parts[number - 1]
+        path = folder / part.file
+        log = read_log(path)
+        if log.damage is not None and part.state == "done":
+            raise InputError(f"{path}: damaged though the run was finished: {log.damage}; use `rig recover {folder}`")
+        digest = sha256_file(path)
+        try:
+            recordings += [_recording(s, log, bench, path, digest) for s in finished if s.part == number]
+        except RecordingError as error:
+            raise InputError(f"{path}: {error}") from error
+    return Dataset(tuple(recordings))
 
 
 def read_log(path: Path) -> Log:

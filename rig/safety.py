@@ -29,10 +29,13 @@ class Check(Enum):
     FOLLOWING_ERROR = "following error"
     DISAGREEMENT = "encoder against drive"
     TEMPERATURE = "motor temperature"
+    SUPPLY = "DC link voltage"
+    LATENESS = "lateness of the control cycle"
+    STAGE_TIME = "time under power in this stage"
 
 
 _REMEDY = {
-    Check.NOT_RESET: "reset the latch with all inputs good",
+    Check.NOT_RESET: "confirm the weight at the prompt",
     Check.SAMPLE_AGE: "check the bus cabling, termination and load, then run again",
     Check.DRIVE_STATE: "read the drive's error code (603Fh), remove its cause, then run again",
     Check.ANGLE: "reduce the amplitude or the centre, or check the encoder offset",
@@ -42,6 +45,9 @@ _REMEDY = {
     Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",
     Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
     Check.TEMPERATURE: "let the motor cool, then run again",
+    Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run again",
+    Check.LATENESS: "close what else runs on this computer, or lower cycle_Hz, then run again",
+    Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
 }
 
 
@@ -60,7 +66,10 @@ class Limits:
     following_error: float
     encoder_disagreement: float
     temperature: float
+    supply_min: float
+    supply_max: float
     sample_age: float
+    lateness: float
     torque_per_ampere: float
     gear_ratio: float
 
@@ -89,7 +98,7 @@ class Trip:
         if self.check is Check.DRIVE_STATE:
             found = f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
         elif self.check is Check.NOT_RESET:
-            found = "the safety latch has not been reset"
+            found = "the safety latch is open: nobody has asked for its reset"
         else:
             found = (
                 f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit {_show(self.limit, self.unit)}"
@@ -97,7 +106,7 @@ class Trip:
         return f"{found} at {self.time:.3f} s; {_REMEDY[self.check]}"
 
 
-def check(sample: Sample, age: float, limits: Limits) -> Trip | None:
+def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
     """Compare one sample with the limits.
 
     Written as "inside", so that a value that is not a number trips.
@@ -105,12 +114,15 @@ def check(sample: Sample, age: float, limits: Limits) -> Trip | None:
     Args:
         sample: The sample just received.
         age: Time since the last fresh sample, s.
+        late: How late the cycle started, s.
         limits: The limits of this run.
 
     Returns:
         The first limit broken, or None.
     """
     time = sample.time
+    if not late <= limits.lateness:
+        return Trip(Check.LATENESS, late, limits.lateness, "s", time)
     if not age <= limits.sample_age:
         return Trip(Check.SAMPLE_AGE, age, limits.sample_age, "s", time)
     if sample.statusword & RUNNING_MASK != RUNNING:
@@ -133,34 +145,66 @@ def check(sample: Sample, age: float, limits: Limits) -> Trip | None:
         return Trip(Check.DISAGREEMENT, disagreement, limits.encoder_disagreement, "rad", time)
     if not sample.temperature <= limits.temperature:
         return Trip(Check.TEMPERATURE, sample.temperature, limits.temperature, "deg C", time)
+    supply = sample.supply_voltage
+    if not limits.supply_min <= supply <= limits.supply_max:
+        bound = limits.supply_min if supply < limits.supply_min else limits.supply_max
+        return Trip(Check.SUPPLY, supply, bound, "V", time)
+    return None
+
+
+def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
+    """Compare how long a stage has been under power with its limit; all in s."""
+    if not elapsed <= limit:
+        return Trip(Check.STAGE_TIME, elapsed, limit, "s", time)
     return None
 
 
 class Latch:
-    """Remembers the first trip. Starts tripped; only :meth:`reset` closes it."""
+    """Remembers the first trip. Starts tripped.
+
+    Closing it takes two things: that the operator asks (:meth:`ask`), and a sample inside every limit (:meth:`reset`).
+    Asking is good for one reset. Neither moves anything.
+    """
 
     def __init__(self) -> None:
-        self._trip: Trip | None = Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
+        self._trip: Trip | None = _NOT_RESET
+        self._asked = False
 
     @property
     def trip(self) -> Trip | None:
         """The trip that holds the latch open, or None when it is closed."""
         return self._trip
 
-    def reset(self, sample: Sample, age: float, limits: Limits) -> Trip | None:
-        """Close the latch if the sample is inside every limit; else hold that trip.
+    def open(self) -> None:
+        """Open the latch at an orderly end, and forget what was asked."""
+        self._trip = _NOT_RESET
+        self._asked = False
+
+    def ask(self) -> None:
+        """Note that the operator asks for the next reset."""
+        self._asked = True
+
+    def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
+        """Close the latch if it was asked for and the sample is inside every limit; else hold the reason why not.
 
         Returns:
             None when the latch is now closed.
         """
-        self._trip = check(sample, age, limits)
+        if self._asked:
+            self._trip = check(sample, age, late, limits)
+            self._asked = False
+        elif self._trip is None:
+            self._trip = _NOT_RESET
         return self._trip
 
-    def judge(self, sample: Sample, age: float, limits: Limits) -> Trip | None:
+    def judge(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
         """Check a sample. Once open, the latch stays open whatever the later samples say."""
         if self._trip is None:
-            self._trip = check(sample, age, limits)
+            self._trip = check(sample, age, late, limits)
         return self._trip
+
+
+_NOT_RESET = Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
 
 
 def _show(value: float, unit: str) -> str:

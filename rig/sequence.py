@@ -29,6 +29,7 @@ class StageSection(Schema):
     """One stage: a weight on the lever and an excitation of the joint.
 
     The ramps lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before each repeat.
+    ``time_limit_s`` is the longest the drive may be under power in this stage; a bound from the plan unless given.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
@@ -41,6 +42,7 @@ class StageSection(Schema):
     repeats: Annotated[int, Field(ge=1, le=1000)] = 1
     center_deg: float = 0.0
     settle_s: Annotated[float, Field(ge=0, le=600)] = 0.2
+    time_limit_s: Positive | None = None
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -67,16 +69,35 @@ class SequenceLimits(Schema):
     following_error_deg: Positive | None = None
     encoder_disagreement_deg: Positive | None = None
     temperature_C: float | None = None
+    supply_min_V: NonNegative | None = None
+    supply_max_V: Positive | None = None
     sample_age_ms: Positive | None = None
+    lateness_ms: Positive | None = None
+
+
+class FirstPass(Schema):
+    """A short pass at low amplitude before each stage, under tighter limits.
+
+    ``amplitude`` is a share of the stage's own; ``duration_s`` one period of its slowest tone and the ramps unless
+    given; ``limit_share`` the share of the limits on speed and following error that is allowed meanwhile.
+    """
+
+    amplitude: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    duration_s: Annotated[float, Field(gt=0, le=600)] | None = None
+    limit_share: Annotated[float, Field(gt=0, le=1)] = 0.5
 
 
 class Sequence(Schema):
-    """One sequence, as written in its file."""
+    """One sequence, as written in its file.
+
+    ``first_pass: auto`` makes one on a real bench and none on a simulated one.
+    """
 
     sequence: Literal[1]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
     stages: Annotated[tuple[StageSection, ...], Field(min_length=1)]
     limits: SequenceLimits = SequenceLimits()
+    first_pass: FirstPass | Literal["auto", "never"] = "auto"
 
     @field_validator("stages")
     @classmethod

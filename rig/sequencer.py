@@ -8,14 +8,19 @@ from enum import Enum
 from typing import Protocol
 
 from drivers.errors import DeviceError, StateError
+from drivers.interfaces import ServoLimits
 from rig.cycle import Cycle, Devices, Progress, TripError
-from rig.operator import Operator, OperatorStopError, StopButton
+from rig.drive_limits import require_held, require_within_own
+from rig.operator import Operator, OperatorStopError, StopButton, Verb
 from rig.phases import Event, Phase, next_phase
-from rig.plan import HOLD_S, Plan, PlannedStage
+from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
 from rig.recorder import Recorder
 from rig.safety import Check, Trip
+from rig.sample import Sample
+from rig.scale import Scale
 from rig.sequence import approach
-from rig.teardown import SafeState, make_safe
+from rig.teardown import SafeState, give_back, make_safe
+from rig.weight_check import Verdict, Weighing
 
 
 class Ending(Enum):
@@ -37,6 +42,10 @@ class Outcome:
     trip: Trip | None = None
 
 
+class WeightError(Exception):
+    """The friction of a stage is not that of the confirmed mass."""
+
+
 class Journal(Protocol):
     """Keeps the state of the run on disk."""
 
@@ -48,13 +57,25 @@ class Journal(Protocol):
         """Stage ``index`` is complete and de-energised."""
         ...
 
-    def segment_started(self, stage: int, segment: int, time: float) -> None:
-        """The excitation numbered ``segment`` begins at ``time`` s of the run."""
+    def weight_confirmed(self, index: int, weight_kg: float) -> None:
+        """The operator confirmed a mass for stage ``index``."""
+        ...
+
+    def weighed(self, weighing: Weighing) -> None:
+        """The weight of a stage was checked."""
+        ...
+
+    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
+        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of the recording."""
         ...
 
     def segment_finished(self, segment: int, time: float) -> None:
         """It is complete."""
         ...
+
+
+_FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
+"""Trips that say that a device, the bus or this computer failed, rather than that the bench went too far."""
 
 
 class Sequencer:
@@ -68,6 +89,9 @@ class Sequencer:
         journal: State on disk.
         stop: Looked at every cycle.
         progress: Told how it goes.
+        scale: Checks the weights.
+        start: Index of the stage to begin with.
+        segment: Number of the last excitation of an earlier part of the run.
     """
 
     def __init__(
@@ -79,27 +103,36 @@ class Sequencer:
         journal: Journal,
         stop: StopButton,
         progress: Progress,
+        scale: Scale,
+        start: int = 0,
+        segment: int = 0,
     ) -> None:
         self._plan = plan
+        self._scale = scale
         self._devices = devices
         self._operator = operator
         self._recorder = recorder
         self._journal = journal
         self._stop = stop
-        self._cycle = Cycle(plan, devices, recorder, stop, progress)
+        self._cycle = Cycle(plan.limits, plan.cycle_ns, devices, recorder, stop, progress)
         self._handlers: Mapping[Phase, Callable[[], Event]] = {
             Phase.LOAD: self._load,
             Phase.PREPARE: self._prepare,
             Phase.ENABLE: self._enable,
+            Phase.FIRST_PASS: self._first_pass,
+            Phase.WEIGH: self._weigh,
             Phase.APPROACH: self._approach,
             Phase.SETTLE: self._settle,
             Phase.EXCITE: self._excite,
             Phase.HOLD: self._hold,
             Phase.RELEASE: self._release,
+            Phase.BOUNDARY: self._boundary,
         }
-        self._stage_index = 0
+        self._stage_index = start
         self._repeat = 0
-        self._segment = 0
+        self._segment = segment
+        self._first_samples: list[Sample] = []
+        self._own_limits: ServoLimits | None = None
         self._target = 0.0
         self.phase = Phase.LOAD
 
@@ -123,9 +156,18 @@ class Sequencer:
             ending, message, trip = self._attempt()
         finally:
             brake = ending is not Ending.DONE
-            safe = make_safe(self._devices.servo, self._cycle.watch, self._plan.cycle_ns, brake=brake)
+            presses = self._stop.presses
+            safe = make_safe(
+                self._devices.servo,
+                self._cycle.watch,
+                self._plan.cycle_ns,
+                brake=brake,
+                hurry=lambda: self._stop.presses > presses,
+            )
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
+        if self._own_limits is not None:
+            give_back(self._devices.servo, self._own_limits, safe)
         outcome = Outcome(ending, f"{message}; {safe.message}", safe, trip)
         return self._note_end(outcome)
 
@@ -133,10 +175,14 @@ class Sequencer:
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
+                if self._devices.observer is not None:
+                    self._devices.observer(self._stage.name, self.phase)
                 self.phase = next_phase(self.phase, self._handlers[self.phase]())
         except TripError as error:
-            ending = Ending.FAILED if error.trip.check in (Check.SAMPLE_AGE, Check.DRIVE_STATE) else Ending.TRIPPED
+            ending = Ending.FAILED if error.trip.check in _FAILURES else Ending.TRIPPED
             return ending, self._where(str(error)), error.trip
+        except WeightError as error:
+            return Ending.TRIPPED, self._where(str(error)), None
         except OperatorStopError as error:
             return Ending.STOPPED, self._where(str(error)), None
         except KeyboardInterrupt:
@@ -174,19 +220,39 @@ class Sequencer:
         if state.energised:
             raise StateError(f"the drive is in {state.value!r} before the weight prompt; it must be de-energised")
         self._journal.stage_started(self._stage_index)
-        self._recorder.event(self._cycle.now_ns, "prompt", stage=stage.name, weight_kg=stage.weight_kg)
+        self._recorder.event(
+            self._cycle.now_ns, "prompt", stage=stage.name, index=self._stage_index, weight_kg=stage.weight_kg
+        )
         with self._stop.interruptible():
             confirmed = self._operator.confirm_weight(stage.name, stage.weight_kg)
+        if isinstance(confirmed, Verb):
+            return self._go_back()
         self._recorder.event(self._cycle.now_ns, "answer", stage=stage.name, weight_kg=confirmed)
+        self._journal.weight_confirmed(self._stage_index, confirmed)
+        # Having confirmed the weight, the operator asks for the drive to be enabled, and so for the latch's reset.
+        self._cycle.ask_reset()
         if devices.hang is not None:
-            devices.hang(stage.weight_kg)
+            devices.hang(self._operator.hangs(stage.name, stage.weight_kg))
         return Event.DONE
+
+    def _go_back(self) -> Event:
+        if self._stage_index:
+            self._stage_index -= 1
+            self._recorder.event(self._cycle.now_ns, "repeat", stage=self._stage.name)
+        else:
+            self._operator.tell("there is no stage before this one")
+        return Event.REPEAT_STAGE
 
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
         devices.servo.prepare(plan.cycle_s)
         devices.encoder.prepare(plan.cycle_s)
+        if self._own_limits is None:
+            own = devices.servo.read_limits()
+            require_within_own(plan.servo_limits, own)
+            self._own_limits = own
         devices.servo.write_limits(plan.servo_limits)
+        require_held(devices.servo.read_limits(), plan.servo_limits)
         self._recorder.event(self._cycle.now_ns, "stage start", stage=self._stage.name)
         return Event.DONE
 
@@ -195,7 +261,45 @@ class Sequencer:
         servo.enable()
         self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
         self._target = servo.sample().motor_angle_rad / self._plan.limits.gear_ratio
-        self._cycle.begin(self._target)
+        self._cycle.begin(self._target, self._stage.time_limit_s)
+        return Event.DONE if self._stage.first_pass is None else Event.FIRST_PASS
+
+    def _first_pass(self) -> Event:
+        planned = self._stage.first_pass
+        assert planned is not None
+        cycle, plan = self._cycle, self._plan
+        self._recorder.event(cycle.now_ns, "first pass", stage=self._stage.name, amplitude=planned.amplitude)
+        cycle.use(planned.move_limits)
+        speed = min(plan.approach_speed, APPROACH_SPEED_SHARE * planned.move_limits.speed)
+        self._follow(approach(self._target, float(planned.targets[0]), speed, plan.cycle_s).tolist())
+        self._rest(self._stage.settle_s)
+        cycle.use(planned.limits)
+        self._first_samples = []
+        self._follow(planned.targets.tolist(), keep=self._first_samples.append)
+        cycle.use(plan.limits)
+        return Event.DONE
+
+    def _weigh(self) -> Event:
+        """Compare the friction met at low amplitude with the confirmed mass, while the drive holds still.
+
+        That takes milliseconds, far less than its heartbeat watch allows.
+        """
+        weighing = self._scale.weigh(self._stage, self._first_samples, self._plan)
+        self._first_samples = []
+        self._recorder.event(
+            self._cycle.now_ns,
+            "weight check",
+            stage=self._stage.name,
+            verdict=weighing.verdict.value,
+            measured_kg=weighing.measured_kg,
+            message=weighing.message,
+        )
+        self._journal.weighed(weighing)
+        self._cycle.resume()
+        if weighing.verdict is Verdict.WRONG:
+            raise WeightError(weighing.message)
+        if weighing.verdict is Verdict.UNCHECKED:
+            self._operator.tell(weighing.message)
         return Event.DONE
 
     def _approach(self) -> Event:
@@ -209,7 +313,9 @@ class Sequencer:
 
     def _excite(self) -> Event:
         self._segment += 1
-        self._journal.segment_started(self._stage_index, self._segment, self._cycle.next_s)
+        start = {"stage": self._stage.name, "index": self._stage_index, "repeat": self._repeat + 1}
+        self._recorder.event(self._cycle.now_ns, "segment", number=self._segment, **start)
+        self._journal.segment_started(self._stage_index, self._repeat + 1, self._segment, self._cycle.next_s)
         self._follow(self._stage.targets.tolist(), self._segment)
         self._journal.segment_finished(self._segment, self._cycle.next_s)
         return Event.DONE
@@ -221,19 +327,34 @@ class Sequencer:
 
     def _release(self) -> Event:
         self._devices.servo.disable()
+        self._cycle.end()
         self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
         self._recorder.event(self._cycle.now_ns, "stage end", stage=self._stage.name)
         self._journal.stage_finished(self._stage_index)
+        self._repeat = 0
+        return Event.DONE
+
+    def _boundary(self) -> Event:
+        """Pause between two stages, or after the last, if that was asked for; the drive is de-energised."""
+        verb = Verb.GO_ON
+        if self._stop.pausing:
+            self._recorder.event(self._cycle.now_ns, "paused", stage=self._stage.name)
+            with self._stop.interruptible():
+                verb = self._operator.paused(self._stage.name, self._stop)
+            self._recorder.event(self._cycle.now_ns, verb.value, stage=self._stage.name)
+        if verb is Verb.ABORT:
+            raise OperatorStopError("aborted by the operator between stages")
+        if verb is Verb.REPEAT:
+            return Event.REPEAT_STAGE
         if self._stage_index + 1 == len(self._plan.stages):
             return Event.DONE
         self._stage_index += 1
-        self._repeat = 0
         return Event.NEXT_STAGE
 
     def _rest(self, duration_s: float) -> None:
         self._follow([self._target] * round(duration_s / self._plan.cycle_s))
 
-    def _follow(self, targets: list[float], segment: int = 0) -> None:
-        self._cycle.follow(targets, segment, self._stage.name)
+    def _follow(self, targets: list[float], segment: int = 0, keep: Callable[[Sample], object] | None = None) -> None:
+        self._cycle.follow(targets, segment, self._stage.name, keep)
         if targets:
             self._target = targets[-1]

@@ -5,28 +5,36 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from drivers.clock import NS, RealClock
 from rig.bench import Bench
+from rig.calibration import calibration_records, overdue
 from rig.configuration import Document
-from rig.cycle import Devices, Progress
+from rig.cycle import Cycle, Devices, Progress
 from rig.operator import Operator, StopButton
 from rig.plan import Plan
 from rig.provenance import sha256, utc_now, versions
 from rig.recorder import Recorder, open_recorder
+from rig.reference import Reference
 from rig.run import (
     BENCH_ATTACHMENT,
     SEQUENCE_ATTACHMENT,
+    PartRecord,
     RunFolder,
     RunRecord,
     bench_constants,
+    first_unfinished,
+    part_file,
     stage_records,
 )
+from rig.scale import Scale
 from rig.sequence import Sequence
 from rig.sequencer import Ending, Outcome, Sequencer
+from rig.serial_bus import NO_WATCHDOG
 
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
@@ -34,12 +42,23 @@ MEDIA_JSON = "application/json"
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a run was asked for: the two files, validated, and the seed."""
+    """What a run was asked for.
+
+    Attributes:
+        bench: The bench file, validated.
+        sequence: The sequence file, validated.
+        seed: Of a simulated bench's noise.
+        realtime: Whether a simulated bench is held to real time.
+        operator: Who runs it, as given.
+        reference: An accepted identification of the bench, to check the weights by.
+    """
 
     bench: Document[Bench]
     sequence: Document[Sequence]
     seed: int
     realtime: bool
+    operator: str | None = None
+    reference: Reference | None = None
 
     def files(self) -> dict[str, bytes]:
         """Return attachment name to content of both files."""
@@ -52,6 +71,7 @@ class Inputs:
 def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
     """Return ``run.json`` as it stands before anything moves."""
     paths = (inputs.bench.path, inputs.sequence.path)
+    calibrations = calibration_records(inputs.bench.value, utc_now().date())
     return RunRecord(
         name=plan.name,
         created=utc_now().isoformat(timespec="seconds"),
@@ -66,13 +86,35 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
         },
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
+        operator=inputs.operator,
+        calibrations=calibrations,
+        warnings=[f"{warning}; the results rest on it" for warning in overdue(calibrations)],
     )
 
 
 def execute(
-    inputs: Inputs, plan: Plan, devices: Devices, path: Path, operator: Operator, stop: StopButton, progress: Progress
+    inputs: Inputs,
+    plan: Plan,
+    devices: Devices,
+    path: Path,
+    operator: Operator,
+    stop: StopButton,
+    progress: Progress,
+    start_recording: Callable[[Path], Recorder] = open_recorder,
+    record: RunRecord | None = None,
 ) -> tuple[RunFolder, Outcome]:
-    """Run a plan into an empty folder. The link is open on entry and left open.
+    """Run a plan into an empty folder, or go on with a run. The link is open on entry and left open.
+
+    Args:
+        inputs: What was asked for.
+        plan: Computed from it.
+        devices: What to move.
+        path: The run folder.
+        operator: Who hangs the weights.
+        stop: Looked at every cycle.
+        progress: Told how it goes.
+        start_recording: Creates the recording.
+        record: ``run.json`` of a run that stopped, to go on at its first unfinished stage.
 
     Raises:
         DeviceError: A device cannot even be identified; nothing was energised.
@@ -80,25 +122,64 @@ def execute(
     """
     wall = RealClock()
     began_ns = wall.now_ns()
-    folder = RunFolder(path, new_record(inputs, plan))
+    record = record or new_record(inputs, plan)
     identities = describe_devices(devices)
+    part = _begin_part(record, inputs, identities)
+    if not devices.link.has_watchdog:
+        operator.tell(NO_WATCHDOG)
+        if NO_WATCHDOG not in record.warnings:
+            record.warnings.append(NO_WATCHDOG)
+    folder = RunFolder(path, record)
     folder.save()
-    recorder = open_recorder(folder.recording)
+    recorder = start_recording(folder.recording)
     outcome = None
     try:
-        _head(recorder, inputs, folder.record, identities)
-        sequencer = Sequencer(plan, devices, operator, recorder, folder, stop, progress)
+        _head(recorder, inputs, record, identities)
+        sequencer = Sequencer(
+            plan,
+            devices,
+            operator,
+            recorder,
+            folder,
+            stop,
+            progress,
+            Scale(inputs.reference),
+            start=first_unfinished(record) or 0,
+            segment=len(record.segments),
+        )
         try:
             outcome = sequencer.run()
         finally:
-            cycle = sequencer.cycle
-            folder.record.cycles, folder.record.overruns, folder.record.stale = cycle.count, cycle.overruns, cycle.stale
+            _count(record, part, sequencer.cycle)
     finally:
         outcome = _close(recorder, outcome)
-        _finish(folder.record, outcome, (wall.now_ns() - began_ns) / NS)
+        part.seconds = (wall.now_ns() - began_ns) / NS
+        _finish(record, part, outcome)
         outcome = _save(folder, outcome)
     assert outcome is not None
     return folder, outcome
+
+
+def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
+    """Add a recording to the record of a run."""
+    record.state, record.message, record.trip, record.de_energised = "running", "", None, None
+    part = PartRecord(
+        file=part_file(len(record.parts) + 1),
+        created=utc_now().isoformat(timespec="seconds"),
+        seed=inputs.seed,
+        operator=inputs.operator,
+        versions=versions(),
+        devices=identities,
+    )
+    record.parts.append(part)
+    return part
+
+
+def _count(record: RunRecord, part: PartRecord, cycle: Cycle) -> None:
+    part.cycles, part.timing = cycle.count, cycle.timing.record()
+    record.cycles += cycle.count
+    record.overruns += cycle.overruns
+    record.stale += cycle.stale
 
 
 def describe_devices(devices: Devices) -> dict[str, Any]:
@@ -116,8 +197,15 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
 
 def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]) -> None:
     """Put everything that explains the samples at the front, where even a torn file keeps it."""
-    recorder.metadata("run", {"name": record.name, "created": record.created, "seed": str(record.seed)})
-    recorder.metadata("versions", record.versions)
+    part = record.parts[-1]
+    run = {"name": record.name, "created": part.created, "seed": str(part.seed), "operator": part.operator or ""}
+    recorder.metadata("run", {**run, "part": str(len(record.parts))})
+    recorder.metadata("versions", part.versions)
+    recorder.metadata("sha256", {name: entry["sha256"] for name, entry in record.inputs.items()})
+    for role in ("servo", "encoder"):
+        recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
+    if record.calibrations:
+        recorder.metadata("calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations})
     for name, content in inputs.files().items():
         recorder.attach(name, MEDIA_YAML, content)
     recorder.attach("devices.json", MEDIA_JSON, json.dumps(identities, indent=1).encode())
@@ -148,13 +236,15 @@ def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
     return dataclasses.replace(outcome, ending=Ending.FAILED, message=f"{outcome.message}; {problem}")
 
 
-def _finish(record: RunRecord, outcome: Outcome | None, seconds: float) -> None:
+def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> None:
     """Write the ending into the record; without an outcome the program itself broke down."""
-    record.seconds = seconds
+    record.seconds += part.seconds
     if outcome is None:
         record.state, record.message = Ending.FAILED.value, "the program broke down; see its traceback"
+        part.state = record.state
         return
     record.state, record.message = outcome.ending.value, outcome.message
+    part.state = record.state
     record.de_energised = outcome.safe.verified
     if outcome.trip is not None:
         trip = outcome.trip

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 from drivers.errors import DeviceError
-from drivers.interfaces import Servo, ServoState
+from drivers.interfaces import Servo, ServoLimits, ServoState
 
 BRAKING_TIMEOUT_S = 1.0
 STATE_CYCLES = 20
@@ -38,8 +39,12 @@ class SafeState:
         )
 
 
-def make_safe(servo: Servo, watch: Callable[[], None], cycle_ns: int, *, brake: bool) -> SafeState:
+def make_safe(
+    servo: Servo, watch: Callable[[], None], cycle_ns: int, *, brake: bool, hurry: Callable[[], bool]
+) -> SafeState:
     """Brake if asked to, take the power off and read the state back. Never raises a device error.
+
+    Every step has a time-out of its own; none is skipped because one before it failed.
 
     Args:
         servo: The drive.
@@ -47,11 +52,12 @@ def make_safe(servo: Servo, watch: Callable[[], None], cycle_ns: int, *, brake: 
             short, and so that the recording shows the shaft stopping.
         cycle_ns: Control cycle, ns.
         brake: Start with a quick stop: after anything but an orderly end.
+        hurry: Whether the operator asks again: then the power goes off without waiting for the end of the ramp.
     """
     problems: list[str] = []
     if brake:
         _attempt(servo.quick_stop, problems)
-        _attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns), problems)
+        _attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry), problems)
     if brake or _state(servo, []) is not ServoState.SWITCH_ON_DISABLED:
         _attempt(servo.disable, problems)
     state = _state(servo, problems)
@@ -60,12 +66,24 @@ def make_safe(servo: Servo, watch: Callable[[], None], cycle_ns: int, *, brake: 
     return SafeState(not state.energised, state.value, tuple(problems))
 
 
-def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int) -> None:
-    """Keep the bus alive until the drive has braked, or for the time-out."""
+def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]) -> None:
+    """Keep the bus alive until the drive has braked, or for the time-out, or until the operator cannot wait."""
     for cycle in range(round(BRAKING_TIMEOUT_S * 1e9 / cycle_ns)):
+        if hurry():
+            return
         if cycle % STATE_CYCLES == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
             return
         watch()
+
+
+def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> None:
+    """Write the drive's own limits back, so that the tighter ones of a run do not stand in the way of the next.
+
+    Only into a drive that is verified off. A drive that does not take them keeps the tighter ones, which is safe.
+    """
+    if safe.verified:
+        with suppress(DeviceError, KeyboardInterrupt):
+            servo.write_limits(own)
 
 
 def _attempt(action: Callable[[], None], problems: list[str]) -> None:

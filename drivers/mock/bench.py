@@ -28,6 +28,7 @@ class SimulatedBench:
     machine: SimulatedMachine
     drive: SimulatedDrive
     encoder: SimulatedEncoder
+    sampler: Sampler
 
 
 def simulated_bench(
@@ -58,4 +59,4 @@ def simulated_bench(
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
     drive.boot()
     encoder.boot()
-    return SimulatedBench(clock, bus, plant, drive, encoder)
+    return SimulatedBench(clock, bus, plant, drive, encoder, sampler)

@@ -56,7 +56,7 @@ class SimulatedBus(can.BusABC):
 
     Attributes:
         frame_filters: Hooks for fault injection, applied in order to every frame on the wire.
-        down: True when the controller is bus-off; sending then fails.
+        down: True while the host's controller is bus-off; sending then fails, and it hears nothing.
     """
 
     def __init__(self, clock: SimulatedClock, bitrate: int = 1_000_000) -> None:
@@ -116,7 +116,7 @@ class SimulatedBus(can.BusABC):
                 for port, handler in self._routes.get(identifier, ()):
                     if port is not sender:
                         handler(data)
-                if sender is not self._host:
+                if sender is not self._host and not self.down:
                     self._received.append(raw_frame((now, identifier, data, False)))
             # Receivers have queued their answers by now, so that all of them take part in the next arbitration.
             if not contenders:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import IntEnum
 from pathlib import Path
 from typing import Final
@@ -75,6 +76,7 @@ class SimulatedDrive(SimulatedNode):
 
     Attributes:
         power_state: State of the power drive system.
+        entered: Told every state as it is entered, in the instant of the change.
     """
 
     def __init__(
@@ -82,6 +84,7 @@ class SimulatedDrive(SimulatedNode):
     ) -> None:
         super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
         self.power_state = State.SWITCH_ON_DISABLED
+        self.entered: list[Callable[[State], None]] = []
         self._sampler = sampler
         self._machine = sampler.machine
         self._motor = self._machine.constants.motor
@@ -127,6 +130,13 @@ class SimulatedDrive(SimulatedNode):
         """Sample everything at a SYNC, end the averaging period, and watch the following error."""
         reading = self._sampler.latch(self._clock.now_ns())
         self._measure(reading)
+        self._watch_following(reading)
+
+    def supervise(self) -> None:
+        """Watch the following error where no SYNC comes."""
+        self._watch_following(self._sampler.peek(self._clock.now_ns()))
+
+    def _watch_following(self, reading: Reading) -> None:
         window = self._values[_WINDOW]
         if (
             window != _WINDOW_OFF
@@ -143,6 +153,11 @@ class SimulatedDrive(SimulatedNode):
             self._obey(word)
         if self.power_state is State.OPERATION_ENABLED:
             self._follow()
+        self._show_status()
+
+    def fail(self, code: int) -> None:
+        """Detect a fault of its own: EMCY, then the reaction that 605Eh asks for."""
+        self._fault(code, PROFILE)
         self._show_status()
 
     def connection_lost(self, code: int) -> None:
@@ -194,6 +209,8 @@ class SimulatedDrive(SimulatedNode):
         self._sampler.advance(self._clock.now_ns())
         was = self.power_state
         self.power_state = state
+        for told in self.entered:
+            told(state)
         self._flags &= ~_TARGET_REACHED
         if state is State.OPERATION_ENABLED:
             self._machine.power(True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -24,7 +25,11 @@ _TURNS: Final = 4096
 
 
 class SimulatedEncoder(SimulatedNode):
-    """A multi-turn encoder: 6004h = (direction x joint counts, scaled, + preset offset) modulo 6002h."""
+    """A multi-turn encoder: 6004h = (direction x joint counts, scaled, + preset offset) modulo 6002h.
+
+    Attributes:
+        distort: What a faulty sensor makes of the joint counts; None for a good one.
+    """
 
     def __init__(
         self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, sampler: Sampler, clock_offset_us: int = 0
@@ -32,6 +37,7 @@ class SimulatedEncoder(SimulatedNode):
         super().__init__(bus, clock, node_id, ENCODER_EDS, clock_offset_us)
         self._sampler = sampler
         self._resolution = sampler.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
+        self.distort: Callable[[int], int] | None = None
         self._offset = 0
         self._before: tuple[int, int] | None = None
         for index in (0x6000, 0x6001, 0x6002):
@@ -50,11 +56,11 @@ class SimulatedEncoder(SimulatedNode):
     def refresh(self) -> None:
         """Update the position for an SDO upload."""
         self.stamp(self._clock.now_ns())
-        self._values[_POSITION] = self._position(self._sampler.peek(self._clock.now_ns()).joint_counts)
+        self._values[_POSITION] = self._position(self._counts())
 
     def latch(self) -> None:
         """Sample position, speed and time at a SYNC."""
-        counts = self._sampler.peek(self._clock.now_ns()).joint_counts
+        counts = self._counts()
         now = self._sampler.time_ns
         self.stamp(now)
         self._values[_POSITION] = self._position(counts)
@@ -62,6 +68,10 @@ class SimulatedEncoder(SimulatedNode):
             moved = (counts - self._before[0]) * self._factor * self._units / self._resolution
             self._values[_SPEED] = clamp_i16(round(moved * NS / (now - self._before[1])))
         self._before = (counts, now)
+
+    def _counts(self) -> int:
+        counts = self._sampler.peek(self._clock.now_ns()).joint_counts
+        return counts if self.distort is None else self.distort(counts)
 
     def _configure(self) -> None:
         operating = self.objects.integer(0x6000)
@@ -77,4 +87,4 @@ class SimulatedEncoder(SimulatedNode):
 
     def _preset(self, value: int) -> None:
         self._offset = 0
-        self._offset = value - self._position(self._sampler.peek(self._clock.now_ns()).joint_counts)
+        self._offset = value - self._position(self._counts())

@@ -9,14 +9,18 @@ from typing import Any
 
 import click
 
+from drivers.interfaces import ServoLimits
 from rig.bench import Bench, load_bench
+from rig.calibration import calibration_records, overdue
 from rig.cli import BAD_VERDICT, DONE
 from rig.configuration import Document
 from rig.connect import connect
 from rig.cycle import Devices
+from rig.drive_limits import loosened, show
 from rig.plan import bench_limits, servo_limits
 from rig.provenance import sha256_file, utc_now, versions
 from rig.run import write_json
+from rig.serial_bus import NO_WATCHDOG
 from rig.session import describe_devices
 from rig.tables import table
 
@@ -32,7 +36,9 @@ _UNSET_RAD = 2000.0 * math.pi
 def command(bench: str, seed: int, json_file: Path | None) -> int:
     """Connect to BENCH, read identities, state and limits back. Nothing moves and nothing is energised.
 
-    Exits with 1 when the drive is energised or in fault: then something else controls it, or a cause must be removed.
+    The bench file's limits are held against the drive's own, which a run would refuse to loosen. Exits with 1 when
+    they are looser, a calibration is overdue, or the drive is energised or in fault: then something else controls it,
+    or a cause must be removed.
 
     \b
     Example:
@@ -54,6 +60,16 @@ def examine(document: Document[Bench], devices: Devices, seed: int) -> dict[str,
         DeviceError: A device does not answer.
     """
     state = devices.servo.state()
+    described = describe_devices(devices)
+    wanted = servo_limits(bench_limits(document.value), document.value)
+    calibrations = calibration_records(document.value, utc_now().date())
+    problems = overdue(calibrations) + [
+        f"{row.name} ({row.objects}): the bench file's {show(row.field, row.first)} is looser than the drive's own "
+        f"{show(row.field, row.second)}; a run would refuse"
+        for row in loosened(wanted, ServoLimits(**described["limits"]))
+    ]
+    if state.energised or "fault" in state.value:
+        problems.append(f"the drive is in state '{state.value}'")
     return {
         "schema": SCHEMA,
         "created": utc_now().isoformat(timespec="seconds"),
@@ -62,9 +78,12 @@ def examine(document: Document[Bench], devices: Devices, seed: int) -> dict[str,
         "inputs": [{"file": str(document.path), "sha256": sha256_file(document.path)}],
         "bench": document.value.name,
         "state": state.value,
-        "good": not state.energised and "fault" not in state.value,
-        **describe_devices(devices),
-        "bench_limits": dataclasses.asdict(servo_limits(bench_limits(document.value), document.value)),
+        "good": not problems,
+        "problems": problems,
+        "has_watchdog": devices.link.has_watchdog,
+        "calibrations": calibrations,
+        **described,
+        "bench_limits": dataclasses.asdict(wanted),
     }
 
 
@@ -97,8 +116,10 @@ def describe(findings: dict[str, Any]) -> str:
         right=[1, 2],
     )
     verdict = "good" if findings["good"] else "NOT good: remove the cause before a run"
-    state = f"state: {findings['state']} ({verdict}); a run writes the bench's limits into the drive"
-    return f"{devices}\n\n{limits}\n\n{state}"
+    state = f"state: {findings['state']} ({verdict}); a run writes the bench's limits into the drive, and its own back"
+    watch = "" if findings["has_watchdog"] else f"\n{NO_WATCHDOG}"
+    problems = "".join(f"\nproblem: {problem}" for problem in findings["problems"])
+    return f"{devices}\n\n{limits}\n\n{state}{watch}{problems}"
 
 
 def _angular(name: str) -> bool:

@@ -9,7 +9,7 @@ import click
 
 from rig.cli import DONE
 from rig.errors import InputError
-from rig.recover import DAMAGED_FILE, recover
+from rig.recover import damaged_name, recover
 from rig.run import write_json
 from rig.tables import table
 
@@ -30,10 +30,11 @@ def command(run: Path, json_file: Path | None) -> int:
         recovery = recover(run)
     except OSError as error:
         raise InputError(f"{run}: cannot be written: {error.strerror}") from error
-    if recovery.damage is None:
+    if not recovery.damage:
         click.echo(f"recording whole: {recovery.samples} samples")
-    else:
-        click.echo(f"{recovery.damage}; the damaged file is kept as {DAMAGED_FILE}")
+    for problem in recovery.damage:
+        kept = damaged_name(problem.partition(":")[0])
+        click.echo(f"{problem}; the damaged file is kept as {kept}")
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in recovery.record.stages]
     click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
     if json_file is not None:

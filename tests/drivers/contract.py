@@ -101,7 +101,8 @@ class ServoContract:
         live.cycles(50)
         clock = live.link.clock
         clock.sleep_until_ns(clock.now_ns() + 300_000_000)
-        assert not live.servo.state().energised
+        # A transport either has a watchdog that works, or says that it has none.
+        assert live.servo.state().energised is not live.link.has_watchdog
 
     def test_frames_are_kept_in_order_until_taken(self, live: Rig) -> None:
         live.link.take_frames()

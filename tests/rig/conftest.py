@@ -102,7 +102,7 @@ class FakeBench(Link, Servo, Encoder):
         return self.drive_state
 
     def read_limits(self) -> ServoLimits:
-        return self.limits or ServoLimits(-1.0, 1.0, 2.0, 75.0, 25.0, None, 2, 10.0)
+        return self.limits or ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, None, 2, 10.0)
 
     def write_limits(self, limits: ServoLimits) -> None:
         self._call("write_limits")

@@ -29,9 +29,9 @@ def announce(phase, event):
     print("phase", following.value, flush=True)
     return following
 
-def count(self, targets, segment, stage):
+def count(self, targets, segment, stage, keep=None):
     self._progress = lambda stage, cycles, sample: print("cycles", segment, flush=True)
-    follow(self, targets, segment, stage)
+    follow(self, targets, segment, stage, keep)
 
 def brake(self):
     quick_stop(self)
@@ -125,7 +125,7 @@ def test_while_the_motion_fades_out(tmp_path: Path) -> None:
         assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
 
 
-def test_a_second_one_while_braking_skips_nothing(tmp_path: Path) -> None:
+def test_a_second_one_while_braking_takes_the_power_off_at_once(tmp_path: Path) -> None:
     with running(tmp_path, "--yes", hold=True) as child:
         wait_for(child, "cycles 1\n")
         child.send_signal(signal.SIGINT)
@@ -135,3 +135,6 @@ def test_a_second_one_while_braking_skips_nothing(tmp_path: Path) -> None:
         child.stdin.write("\n")
         child.stdin.flush()
         assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
+    samples = read_run(tmp_path / "out/recording.mcap").samples
+    # The ramp was cut short: nothing was recorded after the second one, and the drive is verified off.
+    assert samples["segment"][-1] == 1

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.safety import Check, Latch, Limits, check
+from rig.safety import Check, Latch, Limits, Trip, check, check_stage_time
 from rig.sample import Sample
 
 LIMITS = Limits(
@@ -21,7 +21,10 @@ LIMITS = Limits(
     following_error=0.03,
     encoder_disagreement=0.01,
     temperature=80.0,
+    supply_min=48.0,
+    supply_max=72.0,
     sample_age=0.005,
+    lateness=0.02,
     torque_per_ampere=3.0,
     gear_ratio=100.0,
 )
@@ -34,6 +37,7 @@ def sample(**changes: float) -> Sample:
         "angle": angle,
         "motor_angle": angle * 100.0,
         "temperature": 25.0,
+        "supply_voltage": 60.0,
         "statusword": 0x0637,
         "fresh": True,
     }
@@ -44,8 +48,12 @@ def above(value: float) -> float:
     return math.nextafter(value, math.inf)
 
 
+def below(value: float) -> float:
+    return math.nextafter(value, -math.inf)
+
+
 def test_a_good_sample_passes() -> None:
-    assert check(sample(), 0.0, LIMITS) is None
+    assert check(sample(), 0.0, 0.0, LIMITS) is None
 
 
 @pytest.mark.parametrize(
@@ -62,84 +70,253 @@ def test_a_good_sample_passes() -> None:
         (Check.DISAGREEMENT, {"motor_angle": 10.99}, {"motor_angle": 11.01}, 0.01),
         (Check.DISAGREEMENT, {"motor_angle": 9.01}, {"motor_angle": 8.99}, 0.01),
         (Check.TEMPERATURE, {"temperature": 80.0}, {"temperature": above(80.0)}, 80.0),
+        (Check.SUPPLY, {"supply_voltage": 48.0}, {"supply_voltage": below(48.0)}, 48.0),
+        (Check.SUPPLY, {"supply_voltage": 72.0}, {"supply_voltage": above(72.0)}, 72.0),
         (Check.DRIVE_STATE, {"statusword": 0x0637}, {"statusword": 0x0618}, 0x27),
         (Check.DRIVE_STATE, {"statusword": 0x0027}, {"statusword": 0x0007}, 0x27),
     ],
 )
 def test_both_sides_of_a_limit(kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float) -> None:
-    assert check(sample(**inside), 0.0, LIMITS) is None
-    trip = check(sample(**outside), 0.0, LIMITS)
+    assert check(sample(**inside), 0.0, 0.0, LIMITS) is None
+    trip = check(sample(**outside), 0.0, 0.0, LIMITS)
     assert trip is not None
     assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
 
 
 def test_current_limit_below_the_torque_limit() -> None:
     limits = dataclasses.replace(LIMITS, current=10.0)
-    assert check(sample(current=10.0), 0.0, limits) is None
-    trip = check(sample(current=-above(10.0)), 0.0, limits)
+    assert check(sample(current=10.0), 0.0, 0.0, limits) is None
+    trip = check(sample(current=-above(10.0)), 0.0, 0.0, limits)
     assert trip is not None
     assert (trip.check, trip.limit) == (Check.CURRENT, 10.0)
 
 
 def test_sample_age() -> None:
-    assert check(sample(), 0.005, LIMITS) is None
-    trip = check(sample(), above(0.005), LIMITS)
+    assert check(sample(), 0.005, 0.0, LIMITS) is None
+    trip = check(sample(), above(0.005), 0.0, LIMITS)
     assert trip is not None
     assert trip.check is Check.SAMPLE_AGE
 
 
-@pytest.mark.parametrize("name", ["angle", "velocity", "current", "following_error", "motor_angle", "temperature"])
+@pytest.mark.parametrize(
+    "name", ["angle", "velocity", "current", "following_error", "motor_angle", "temperature", "supply_voltage"]
+)
 def test_not_a_number_trips(name: str) -> None:
-    assert check(sample(**{name: math.nan}), 0.0, LIMITS) is not None
+    assert check(sample(**{name: math.nan}), 0.0, 0.0, LIMITS) is not None
 
 
-def test_an_age_that_is_not_a_number_trips() -> None:
-    assert check(sample(), math.nan, LIMITS) is not None
+def test_an_age_or_lateness_that_is_not_a_number_trips() -> None:
+    assert check(sample(), math.nan, 0.0, LIMITS) is not None
+    assert check(sample(), 0.0, math.nan, LIMITS) is not None
 
 
-@pytest.mark.parametrize("kind", [k for k in Check if k is not Check.NOT_RESET])
-def test_every_message_states_value_limit_unit_and_remedy(kind: Check) -> None:
-    changes: dict[Check, dict[str, float]] = {
-        Check.ANGLE: {"angle": 1.0},
-        Check.SPEED: {"velocity": 3.0},
-        Check.CURRENT: {"current": 30.0},
-        Check.TORQUE: {"current": 21.0},
-        Check.FOLLOWING_ERROR: {"following_error": 1.0},
-        Check.DISAGREEMENT: {"motor_angle": 90.0},
-        Check.TEMPERATURE: {"temperature": 99.0},
-        Check.DRIVE_STATE: {"statusword": 0x0218},
-        Check.SAMPLE_AGE: {},
-    }
-    trip = check(sample(**changes[kind]), 1.0 if kind is Check.SAMPLE_AGE else 0.0, LIMITS)
+def test_lateness() -> None:
+    assert check(sample(), 0.0, 0.02, LIMITS) is None
+    trip = check(sample(), 0.0, above(0.02), LIMITS)
     assert trip is not None
-    assert trip.check is kind
-    assert "at 1.250 s; " in trip.message
-    if kind is not Check.DRIVE_STATE:
-        assert kind.value in trip.message
-        assert "limit" in trip.message
+    assert (trip.check, trip.value, trip.limit, trip.unit) == (Check.LATENESS, above(0.02), 0.02, "s")
+
+
+def test_time_under_power() -> None:
+    assert check_stage_time(30.0, 30.0, 7.0) is None
+    trip = check_stage_time(above(30.0), 30.0, 7.0)
+    assert trip == Trip(Check.STAGE_TIME, above(30.0), 30.0, "s", 7.0)
+    assert trip is not None
+    assert "time under power in this stage 30 s is beyond its limit 30 s at 7.000 s; " in trip.message
+    assert check_stage_time(math.nan, 30.0, 7.0) is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "age", "late", "found"),
+    [
+        ({}, 0.0, 1.0, (Check.LATENESS, 1.0, 0.02, "s")),
+        ({}, 1.0, 0.0, (Check.SAMPLE_AGE, 1.0, 0.005, "s")),
+        ({"statusword": 0x0618}, 0.0, 0.0, (Check.DRIVE_STATE, 0x0618, 0x27, "1")),
+        ({"angle": 0.7}, 0.0, 0.0, (Check.ANGLE, 0.7, 0.6, "rad")),
+        ({"velocity": -3.0}, 0.0, 0.0, (Check.SPEED, 3.0, 2.0, "rad/s")),
+        ({"current": -26.0}, 0.0, 0.0, (Check.CURRENT, 26.0, 25.0, "A")),
+        ({"current": -21.0}, 0.0, 0.0, (Check.TORQUE, 63.0, 60.0, "N m")),
+        ({"following_error": -1.0}, 0.0, 0.0, (Check.FOLLOWING_ERROR, 1.0, 0.03, "rad")),
+        ({"angle": 0.5, "motor_angle": 25.0}, 0.0, 0.0, (Check.DISAGREEMENT, 0.25, 0.01, "rad")),
+        ({"temperature": 99.0}, 0.0, 0.0, (Check.TEMPERATURE, 99.0, 80.0, "deg C")),
+        ({"supply_voltage": 12.0}, 0.0, 0.0, (Check.SUPPLY, 12.0, 48.0, "V")),
+    ],
+)
+def test_a_trip_says_what_it_saw(
+    changes: dict[str, float], age: float, late: float, found: tuple[Check, float, float, str]
+) -> None:
+    assert check(sample(**changes), age, late, LIMITS) == Trip(*found, 1.25)
+
+
+@pytest.mark.parametrize(
+    ("order", "changes"),
+    [
+        ((Check.DRIVE_STATE, Check.ANGLE), {"statusword": 0x0618, "angle": 9.0}),
+        ((Check.ANGLE, Check.SPEED), {"angle": 9.0, "velocity": 9.0}),
+        ((Check.SPEED, Check.CURRENT), {"velocity": 9.0, "current": 99.0}),
+        ((Check.CURRENT, Check.TORQUE), {"current": 99.0}),
+        ((Check.TORQUE, Check.FOLLOWING_ERROR), {"current": 22.0, "following_error": 1.0}),
+        ((Check.FOLLOWING_ERROR, Check.DISAGREEMENT), {"following_error": 1.0, "motor_angle": 90.0}),
+        ((Check.DISAGREEMENT, Check.TEMPERATURE), {"motor_angle": 90.0, "temperature": 99.0}),
+        ((Check.TEMPERATURE, Check.SUPPLY), {"temperature": 99.0, "supply_voltage": 0.0}),
+    ],
+)
+def test_of_two_broken_limits_the_cause_is_named(order: tuple[Check, Check], changes: dict[str, float]) -> None:
+    trip = check(sample(**changes), 0.0, 0.0, LIMITS)
+    assert trip is not None
+    assert trip.check is order[0]
+
+
+def test_messages_in_full() -> None:
+    speed = Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)
+    assert speed.message == (
+        "joint speed 3 rad/s (171.9 deg/s) is beyond its limit 2 rad/s (114.6 deg/s) at 1.250 s; "
+        "reduce amplitude or frequency, or check the drive gains for oscillation"
+    )
+    state = Trip(Check.DRIVE_STATE, 0x0618, 0x27, "1", 0.5)
+    assert state.message.startswith("statusword 0618h is not OPERATION ENABLED at 0.500 s; read the drive's")
+    assert Trip(Check.ANGLE, 0.7, 0.6, "rad", 0.0).message.startswith(
+        "joint angle 0.7 rad (40.11 deg) is beyond its limit 0.6 rad (34.38 deg) at 0.000 s"
+    )
+
+
+WORDS = {
+    Check.NOT_RESET: ("not reset", "confirm the weight at the prompt"),
+    Check.SAMPLE_AGE: ("sample age", "check the bus cabling, termination and load, then run again"),
+    Check.DRIVE_STATE: ("drive state", "read the drive's error code (603Fh), remove its cause, then run again"),
+    Check.ANGLE: ("joint angle", "reduce the amplitude or the centre, or check the encoder offset"),
+    Check.SPEED: ("joint speed", "reduce amplitude or frequency, or check the drive gains for oscillation"),
+    Check.CURRENT: ("motor current", "look for jamming or a weight above the plan, then run again"),
+    Check.TORQUE: ("joint torque", "look for jamming or a weight above the plan, then run again"),
+    Check.FOLLOWING_ERROR: ("following error", "check the drive gains and that the joint moves freely"),
+    Check.DISAGREEMENT: (
+        "encoder against drive",
+        "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
+    ),
+    Check.TEMPERATURE: ("motor temperature", "let the motor cool, then run again"),
+    Check.SUPPLY: (
+        "DC link voltage",
+        "check the supply and, where the drive feeds back, its brake resistor, then run again",
+    ),
+    Check.LATENESS: (
+        "lateness of the control cycle",
+        "close what else runs on this computer, or lower cycle_Hz, then run again",
+    ),
+    Check.STAGE_TIME: (
+        "time under power in this stage",
+        "look for what held the cycle up, or raise time_limit_s of the stage",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", Check)
+def test_what_every_trip_says(kind: Check) -> None:
+    """The words are in run.json, where scripts look for them."""
+    name, remedy = WORDS[kind]
+    assert kind.value == name
+    found = f"{name} 7 V is beyond its limit 5 V"
+    if kind is Check.DRIVE_STATE:
+        found = "statusword 0007h is not OPERATION ENABLED"
+    elif kind is Check.NOT_RESET:
+        found = "the safety latch is open: nobody has asked for its reset"
+    assert Trip(kind, 7.0, 5.0, "V", 1.0).message == f"{found} at 1.000 s; {remedy}"
+
+
+def test_a_disagreement_of_exactly_the_limit_passes() -> None:
+    limits = dataclasses.replace(LIMITS, encoder_disagreement=0.25)
+    assert check(sample(angle=0.5, motor_angle=75.0), 0.0, 0.0, limits) is None
+    assert check(sample(angle=0.5, motor_angle=above(75.0)), 0.0, 0.0, limits) is not None
+
+
+@pytest.mark.parametrize("record", [LIMITS, Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)])
+def test_limits_and_trips_cannot_be_changed(record: Limits | Trip) -> None:
+    assert not hasattr(record, "__dict__")
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        setattr(record, dataclasses.fields(record)[0].name, 0.0)
+
+
+def asked() -> Latch:
+    latch = Latch()
+    latch.ask()
+    return latch
 
 
 def test_the_latch_starts_open_and_good_samples_do_not_close_it() -> None:
     latch = Latch()
     assert latch.trip is not None
-    assert latch.judge(sample(), 0.0, LIMITS) is not None
-    assert "not been reset" in latch.trip.message
+    assert latch.trip.check is Check.NOT_RESET
+    assert latch.judge(sample(), 0.0, 0.0, LIMITS) is latch.trip
+    assert "nobody has asked for its reset" in latch.trip.message
+    assert latch.trip == Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
 
 
-def test_reset_needs_a_good_sample() -> None:
-    latch = Latch()
-    assert latch.reset(sample(velocity=9.0), 0.0, LIMITS) is not None
+def test_asking_alone_does_not_close_it() -> None:
+    latch = asked()
+    assert latch.judge(sample(), 0.0, 0.0, LIMITS) is not None
     assert latch.trip is not None
-    assert latch.reset(sample(), 0.0, LIMITS) is None
+
+
+def test_a_good_sample_alone_does_not_close_it() -> None:
+    latch = Latch()
+    trip = latch.reset(sample(), 0.0, 0.0, LIMITS)
+    assert trip is not None
+    assert trip.check is Check.NOT_RESET
+    assert latch.trip is trip
+
+
+@pytest.mark.parametrize(("changes", "age", "late"), [({"velocity": 9.0}, 0.0, 0.0), ({}, 1.0, 0.0), ({}, 0.0, 1.0)])
+def test_reset_needs_good_inputs(changes: dict[str, float], age: float, late: float) -> None:
+    latch = asked()
+    assert latch.reset(sample(**changes), age, late, LIMITS) is latch.trip
+    assert latch.trip is not None
+    # Asking was good for one reset: the next needs another.
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) is not None
+    latch.ask()
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) is None
     assert latch.trip is None
+
+
+@pytest.mark.parametrize(("age", "late"), [(1.0, 0.0), (0.0, 1.0)])
+def test_the_latch_judges_age_and_lateness(age: float, late: float) -> None:
+    latch = asked()
+    latch.reset(sample(), 0.0, 0.0, LIMITS)
+    assert latch.judge(sample(), 0.0, 0.0, LIMITS) is None
+    assert latch.judge(sample(), age, late, LIMITS) is not None
+
+
+def test_a_trip_is_not_cleared_by_a_reset_that_nobody_asked_for() -> None:
+    latch = asked()
+    latch.reset(sample(), 0.0, 0.0, LIMITS)
+    trip = latch.judge(sample(velocity=9.0), 0.0, 0.0, LIMITS)
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) is trip
+    assert latch.trip is trip
+
+
+def test_a_closed_latch_opens_at_a_reset_that_nobody_asked_for() -> None:
+    latch = asked()
+    latch.reset(sample(), 0.0, 0.0, LIMITS)
+    trip = latch.reset(sample(), 0.0, 0.0, LIMITS)
+    assert trip is not None
+    assert trip.check is Check.NOT_RESET
+
+
+def test_opened_at_an_orderly_end_it_forgets_what_was_asked() -> None:
+    latch = asked()
+    latch.reset(sample(), 0.0, 0.0, LIMITS)
+    latch.ask()
+    latch.open()
+    assert latch.trip is not None
+    assert latch.reset(sample(), 0.0, 0.0, LIMITS) is latch.trip
+    assert latch.trip is not None
+    assert latch.trip.check is Check.NOT_RESET
 
 
 @given(st.floats(-10, 10), st.floats(-10, 10))
 def test_the_latch_keeps_its_first_trip(first: float, second: float) -> None:
-    latch = Latch()
-    latch.reset(sample(), 0.0, LIMITS)
-    tripped = latch.judge(sample(velocity=first), 0.0, LIMITS)
-    after = latch.judge(sample(velocity=second), 0.0, LIMITS)
+    latch = asked()
+    latch.reset(sample(), 0.0, 0.0, LIMITS)
+    tripped = latch.judge(sample(velocity=first), 0.0, 0.0, LIMITS)
+    after = latch.judge(sample(velocity=second), 0.0, 0.0, LIMITS)
     if tripped is not None:
         assert after is tripped
     else:

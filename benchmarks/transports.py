@@ -1,0 +1,161 @@
+"""Cycles per second and lateness on each transport, beside a bare sleeping loop in the same run.
+
+The simulated devices live in a process of their own, behind pseudo-terminals and a loopback socket, in real time. The
+drive is prepared but not enabled, which makes no difference to the traffic. ``time.sleep`` is ``clock_nanosleep`` on
+Linux.
+
+    python benchmarks/transports.py --seconds 5
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+from collections.abc import Callable
+from contextlib import contextmanager
+from multiprocessing.connection import Connection
+from time import perf_counter
+
+import numpy as np
+
+from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, Gate
+from drivers.amt21_line import Amt21Line
+from drivers.canopen_link import CanopenLink
+from drivers.cia402_servo import Cia402Servo
+from drivers.cia406 import Cia406Encoder
+from drivers.clock import NS, Clock, RealClock
+from drivers.encoder_link import EncoderLink
+from drivers.epos_serial_link import EposSerialLink
+from drivers.interfaces import Encoder, Link
+from drivers.mock.amt21 import SimulatedAmt21
+from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.encoder import ENCODER_EDS
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.plant.constants import Machine, Sensing
+from drivers.mock.pty import RealTimeBench
+from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.serial_port import PySerialPort
+from drivers.units import EncoderScales, ServoScales
+from rig.tables import table
+
+SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
+MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))
+FREE_CYCLES = 1000
+Devices = tuple[Link, Cia402Servo, Encoder]
+Ports = list[str | int]
+
+
+def serve(kind: str, wire: Connection) -> None:
+    """Let the devices live until told to stop; the body of the child process."""
+    bench = simulated_bench(MACHINE, 1)
+    bench.sampler.advance(bench.machine.loop_ns)
+    twin = RealTimeBench(bench.clock)
+    ports: Ports
+    match kind:
+        case "serial":
+            drive = twin.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+            ports = [drive, twin.open_pty(SimulatedAmt21(bench.clock, bench.sampler))]
+        case "slcan":
+            ports = [twin.open_pty(LawicelAdapter(bench.bus))]
+        case _:
+            ports = [twin.open_socket(SocketcandServer(bench.bus))]
+    with twin:
+        wire.send(ports)
+        wire.recv()
+
+
+@contextmanager
+def devices(kind: str):
+    """Yield the host's devices on a transport."""
+    ours, theirs = multiprocessing.Pipe()
+    child = multiprocessing.get_context("spawn").Process(target=serve, args=(kind, theirs))
+    child.start()
+    try:
+        made = _serial(ours.recv()) if kind == "serial" else _can(kind, ours.recv())
+        made[0].open()
+        yield made
+        made[0].close()
+    finally:
+        ours.send(None)
+        child.join()
+
+
+def _serial(ports: Ports) -> Devices:
+    clock = RealClock()
+    epos = EposSerialLink(clock, lambda: PySerialPort(str(ports[0]), 1_000_000))
+    line = Amt21Line(clock, lambda: PySerialPort(str(ports[1]), 2_000_000), "encoder")
+    encoder = Amt21Encoder(line, EncoderScales(COUNTS_PER_TURN), Gate(10.0, 350.0))
+    link = EncoderLink(epos, encoder)
+    return link, Cia402Servo(epos.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES), encoder
+
+
+def _can(kind: str, ports: Ports) -> Devices:
+    slcan = kind == "slcan"
+    options = {"sleep_after_open": 0, "timeout": 1e-4} if slcan else {"host": "127.0.0.1", "port": ports[0]}
+    options |= {} if slcan else {"tcp_tune": True}
+    link = CanopenLink.on_interface(RealClock(), kind, str(ports[0]) if slcan else "can0", 1_000_000, options)
+    servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES)
+    return link, servo, Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(COUNTS_PER_TURN))
+
+
+def paced(clock: Clock, cycle_s: float, seconds: float, work: Callable[[], None]) -> np.ndarray:
+    """Do ``work`` once a cycle; return how late each began, s. A late one moves the next ones back."""
+    late = []
+    due = clock.now_ns()
+    for _ in range(round(seconds / cycle_s)):
+        due += round(cycle_s * NS)
+        clock.sleep_until_ns(due)
+        begin = clock.now_ns()
+        late.append((begin - due) / NS)
+        due = max(due, begin - round(cycle_s * NS))
+        work()
+    return np.array(late)
+
+
+def measure(kind: str, cycle_s: float, seconds: float) -> list[str]:
+    """Return a row: cycles per second without pause, lateness when paced, incomplete cycles."""
+    with devices(kind) as (link, servo, encoder):
+        servo.prepare(cycle_s)
+        encoder.prepare(cycle_s)
+        lost = 0
+
+        def work() -> None:
+            nonlocal lost
+            link.exchange()
+            lost += not (servo.sample().fresh and encoder.sample().fresh)
+            link.take_frames()
+
+        began = perf_counter()
+        for _ in range(FREE_CYCLES):
+            work()
+        free = FREE_CYCLES / (perf_counter() - began)
+        lost = 0
+        late = paced(link.clock, cycle_s, seconds, work)
+    return [f"{free:.0f}", *_lateness(late), f"{lost} of {len(late)}"]
+
+
+def _lateness(late: np.ndarray) -> list[str]:
+    return [f"{1e3 * value:.2f}" for value in (np.median(late), np.quantile(late, 0.99), late.max())]
+
+
+def main() -> None:
+    """Measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=5.0)
+    seconds = parser.parse_args().seconds
+    cases = [
+        ("EPOS serial and AMT21 over ptys", "serial", 0.002),
+        ("CANopen over slcan on a pty", "slcan", 0.002),
+        ("CANopen over socketcand on loopback", "socketcand", 0.001),
+    ]
+    rows = []
+    for name, kind, cycle_s in cases:
+        bare = paced(RealClock(), cycle_s, seconds, lambda: None)
+        rows.append([f"bare loop at {1 / cycle_s:g} Hz", "", *_lateness(bare), ""])
+        rows.append([f"{name} at {1 / cycle_s:g} Hz", *measure(kind, cycle_s, seconds)])
+    print(table(["loop", "cycles/s unpaced", "late p50 ms", "p99 ms", "worst ms", "incomplete"], rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,146 @@
+"""The RS-485 line of an AMT21 encoder."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Final
+
+from drivers.clock import NS, Clock
+from drivers.errors import LinkError
+from drivers.interfaces import RawFrame
+from drivers.serial_port import BytePort, raw_frames
+
+DEFAULT_ADDRESS: Final = 0x54
+_ANSWER_BYTES: Final = 2
+_FIRST_ANSWER_S: Final = 0.05
+_PROBES: Final = 5
+_FRAMES_KEPT: Final = 1 << 14
+
+
+class Amt21Line:
+    """The RS-485 line of one encoder.
+
+    Args:
+        clock: Goes with the port.
+        connect: Opens the line.
+        name: What to call it in messages.
+        address: Of the encoder; a multiple of 4.
+
+    Attributes:
+        answer: The last answer, with its echo taken off; empty where none came.
+        asked_ns: When it was asked for.
+        answer_s: How long after that it is waited for.
+    """
+
+    def __init__(
+        self, clock: Clock, connect: Callable[[], BytePort], name: str, address: int = DEFAULT_ADDRESS
+    ) -> None:
+        self.clock = clock
+        self.address = address
+        self.name = name
+        self.answer = b""
+        self.asked_ns = 0
+        self.answer_s = _FIRST_ANSWER_S
+        self._connect = connect
+        self._port: BytePort | None = None
+        self._echo = b""
+        self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
+
+    def open(self) -> None:
+        """Open the line.
+
+        Raises:
+            LinkError: It cannot be opened.
+        """
+        if self._port is None:
+            try:
+                self._port = self._connect()
+            except (OSError, ValueError) as error:
+                raise LinkError(
+                    f"{self.name} cannot be opened: {error}; check the port and the rights to it"
+                ) from error
+
+    def close(self) -> None:
+        """Close the line; safe to call twice."""
+        port, self._port = self._port, None
+        if port is not None:
+            port.close()
+
+    def find_echo(self) -> None:
+        """Find out whether the adapter hears its own bytes.
+
+        Raises:
+            LinkError: No encoder answers.
+        """
+        self._echo = b""
+        self.answer_s = _FIRST_ANSWER_S
+        sent = bytes([self.address])
+        for _ in range(_PROBES):
+            self.ask()
+            heard = self._read(_ANSWER_BYTES + 1)
+            if len(heard) == _ANSWER_BYTES:
+                return
+            if len(heard) == _ANSWER_BYTES + 1 and heard[:1] == sent:
+                self._echo = sent
+                return
+        raise LinkError(
+            f"{self.name}: no encoder answers at address {self.address:02X}h; check power, wiring, rate and address"
+        )
+
+    def ask(self, offset: int = 0, *command: int) -> None:
+        """Send a request; the encoder latches its position when it hears it.
+
+        Raises:
+            LinkError: The line is gone.
+        """
+        port = self._opened()
+        request = bytes([self.address + offset, *command])
+        try:
+            port.discard()
+            port.write(request)
+        except OSError as error:
+            raise self._gone(error) from error
+        self.asked_ns = self.clock.now_ns()
+        self.answer = b""
+        self._frames.extend(raw_frames(self.asked_ns, self.address, request, True))
+
+    def collect(self) -> None:
+        """Take the answer to the last request.
+
+        Raises:
+            LinkError: The line is gone.
+        """
+        heard = self._read(len(self._echo) + _ANSWER_BYTES)
+        self.answer = heard[len(self._echo) :] if heard.startswith(self._echo) else b""
+
+    def take_frames(self) -> list[RawFrame]:
+        """Return what has gone over the line since the last call, oldest first."""
+        frames = list(self._frames)
+        self._frames.clear()
+        return frames
+
+    def _read(self, count: int) -> bytes:
+        port = self._opened()
+        deadline = self.asked_ns + round(self.answer_s * NS)
+        heard = b""
+        try:
+            # One look even where no time is left: the answer may be in already.
+            while len(heard) < count:
+                left = deadline - self.clock.now_ns()
+                got = port.read(max(left, 0) / NS)
+                heard += got
+                if not got and left <= 0:
+                    break
+        except OSError as error:
+            raise self._gone(error) from error
+        self._frames.extend(raw_frames(self.clock.now_ns(), self.address, heard, False))
+        return heard
+
+    def _opened(self) -> BytePort:
+        if self._port is None:
+            raise LinkError(f"{self.name} is not open: call open() first")
+        return self._port
+
+    def _gone(self, error: OSError) -> LinkError:
+        return LinkError(f"{self.name} is gone: {error}; check the adapter and its cable")

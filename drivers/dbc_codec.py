@@ -1,0 +1,172 @@
+"""Signals in and out of CAN frames by shifts, from a layout worked out once; checksums. Pure functions of bytes."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from types import MappingProxyType
+from typing import Final, Literal
+
+NO_LABELS: Final[Mapping[int, str]] = MappingProxyType({})
+_FLOATS: Final = {32: ("<f", "<I"), 64: ("<d", "<Q")}
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Where one signal of a DBC lies in its frame, and what its bits mean.
+
+    A frame is taken as one integer, most significant byte first where ``motorola``, else least significant first; the
+    signal is ``width`` bits of it, ``shift`` bits up.
+
+    Attributes:
+        name: Name in the DBC.
+        size: Bytes of its frame.
+        shift: Place of the least significant bit.
+        width: Bits.
+        motorola: Byte order (``@0`` in the DBC).
+        signed: Two's complement.
+        real: IEEE 754 of 32 or 64 bits.
+        factor: Physical value of one raw unit.
+        offset: Physical value at raw 0.
+        labels: Names of raw values (``VAL_``).
+    """
+
+    name: str
+    size: int
+    shift: int
+    width: int
+    motorola: bool = False
+    signed: bool = False
+    real: bool = False
+    factor: float = 1.0
+    offset: float = 0.0
+    labels: Mapping[int, str] = field(default_factory=lambda: NO_LABELS, compare=False)
+
+    @cached_property
+    def mask(self) -> int:
+        """As many ones as there are bits."""
+        return (1 << self.width) - 1
+
+    @cached_property
+    def order(self) -> Literal["little", "big"]:
+        """Byte order for :meth:`int.from_bytes`."""
+        return "big" if self.motorola else "little"
+
+    @cached_property
+    def _half(self) -> int:
+        return 1 << (self.width - 1)
+
+    def bits(self, data: bytes) -> int:
+        """Return the raw bits, without sign, of a frame of :attr:`size` bytes."""
+        return int.from_bytes(data, self.order) >> self.shift & self.mask
+
+    def raw(self, data: bytes) -> float:
+        """Return the raw value: an integer, but for a real signal."""
+        bits = int.from_bytes(data, self.order) >> self.shift & self.mask
+        if self.real:
+            code, unsigned = _FLOATS[self.width]
+            return float(struct.unpack(code, struct.pack(unsigned, bits))[0])
+        return (bits ^ self._half) - self._half if self.signed else bits
+
+    def reader(self, gain: float, bias: float) -> Callable[[bytes], float]:
+        """Return what reads ``gain`` x raw + ``bias`` from a frame in the least time."""
+        if self.real:
+            return lambda data: self.raw(data) * gain + bias
+        order, shift, mask = self.order, self.shift, self.mask
+        if not self.signed:
+            return lambda data: (int.from_bytes(data, order) >> shift & mask) * gain + bias
+        half = self._half
+        return lambda data: ((int.from_bytes(data, order) >> shift & mask ^ half) - half) * gain + bias
+
+    def pack(self, raw: float) -> int:
+        """Return the bits of a raw value, to the nearest step.
+
+        Raises:
+            ValueError: It does not fit; names the range, in physical units.
+        """
+        if self.real:
+            code, unsigned = _FLOATS[self.width]
+            try:
+                packed = struct.pack(code, raw)
+            except OverflowError:
+                raise ValueError(f"{self.name}: {raw:g} does not fit {self.width} bits of floating point") from None
+            return int(struct.unpack(unsigned, packed)[0])
+        low, high = self.range
+        whole = round(raw) if math.isfinite(raw) else None
+        if whole is None or not low <= whole <= high:
+            ends = sorted((low * self.factor + self.offset, high * self.factor + self.offset))
+            found = raw * self.factor + self.offset
+            raise ValueError(f"{self.name} = {found:g} is outside {ends[0]:g} to {ends[1]:g}, what its bits can hold")
+        return whole & self.mask
+
+    @cached_property
+    def range(self) -> tuple[int, int]:
+        """Least and greatest raw value of an integer signal."""
+        return (-self._half, self._half - 1) if self.signed else (0, self.mask)
+
+    def insert(self, data: bytes, bits: int) -> bytes:
+        """Return the frame with these raw bits in place."""
+        word = int.from_bytes(data, self.order) & ~(self.mask << self.shift) | bits << self.shift
+        return word.to_bytes(self.size, self.order)
+
+
+def motorola_shift(start: int, width: int, size: int) -> int:
+    """Return the shift of a big-endian signal whose most significant bit a DBC numbers ``start``."""
+    from_left = start // 8 * 8 + 7 - start % 8
+    return 8 * size - from_left - width
+
+
+def _table(polynomial: int) -> bytes:
+    out = bytearray()
+    for value in range(256):
+        for _ in range(8):
+            value = (value << 1 ^ (polynomial if value & 0x80 else 0)) & 0xFF
+        out.append(value)
+    return bytes(out)
+
+
+_J1850: Final = _table(0x1D)
+_AUTOSAR: Final = _table(0x2F)
+
+
+def _crc8(table: bytes, data: bytes) -> int:
+    crc = 0xFF
+    for byte in data:
+        crc = table[crc ^ byte]
+    return crc ^ 0xFF
+
+
+def crc8_j1850(data: bytes) -> int:
+    """CRC-8 of SAE J1850: polynomial 1Dh, start FFh, inverted."""
+    return _crc8(_J1850, data)
+
+
+def crc8_autosar(data: bytes) -> int:
+    """CRC-8 of AUTOSAR (CRC8H2F): polynomial 2Fh, start FFh, inverted."""
+    return _crc8(_AUTOSAR, data)
+
+
+def sum8(data: bytes) -> int:
+    """Sum of all bytes modulo 256."""
+    return sum(data) & 0xFF
+
+
+def xor8(data: bytes) -> int:
+    """Exclusive or of all bytes."""
+    result = 0
+    for byte in data:
+        result ^= byte
+    return result
+
+
+ChecksumKind = Literal["crc8_j1850", "crc8_autosar", "sum8", "xor8"]
+CHECKSUMS: Final[Mapping[ChecksumKind, Callable[[bytes], int]]] = {
+    "crc8_j1850": crc8_j1850,
+    "crc8_autosar": crc8_autosar,
+    "sum8": sum8,
+    "xor8": xor8,
+}
+"""Each runs over the whole frame with the checksum's own bits at zero."""

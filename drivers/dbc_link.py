@@ -1,0 +1,126 @@
+"""A CAN bus with drives that speak frames of their own, described by DBC files, beside CANopen devices."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import suppress
+from types import MappingProxyType
+from typing import Final
+
+from drivers.canopen_link import CanopenLink
+from drivers.clock import NS
+from drivers.dbc_channel import DbcChannel, Slot
+from drivers.dbc_wiring import Wiring
+from drivers.errors import ConfigurationError, LinkError
+from drivers.interfaces import RawFrame
+
+_RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
+_BACKLOG_READS: Final = 64
+
+
+class DbcLink(CanopenLink):
+    """A bus as of :class:`CanopenLink`, with drives of the other kind on it as well.
+
+    The commands go out first in every exchange, then SYNC, so that drive and encoder sample within one frame time.
+    Closing the link sends every drive that was commanded its stop frame.
+    """
+
+    _channels: tuple[DbcChannel, ...] = ()
+    _routes: Mapping[int, tuple[DbcChannel, Slot]] = MappingProxyType({})
+
+    def add_channel(self, wiring: Wiring, label: str) -> DbcChannel:
+        """Declare a drive on the bus."""
+        channel = DbcChannel(wiring, label)
+        self._channels = (*self._channels, channel)
+        return channel
+
+    def open(self) -> None:
+        """Open the bus. Sends nothing.
+
+        Raises:
+            LinkError: It cannot be opened.
+            ConfigurationError: Two devices use one identifier.
+        """
+        routes: dict[int, tuple[DbcChannel, Slot]] = {}
+        for channel in self._channels:
+            wiring = channel.wiring
+            sent = (wiring.stop_frame[0], *(message.identifier for message in wiring.sent.values()))
+            for identifier in (*sent, *channel.slots):
+                if identifier in routes or (owner := self._canopen_owner(identifier)):
+                    who = "another drive" if identifier in routes else owner
+                    raise ConfigurationError(
+                        f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
+                    )
+            routes.update((identifier, (channel, slot)) for identifier, slot in channel.slots.items())
+        self._routes = routes
+        super().open()
+
+    def _canopen_owner(self, identifier: int) -> str:
+        node = identifier & 0x7F
+        if identifier > 0x080 and (node in self._nodes or node == self.master_id):
+            return f"CANopen node {node}"
+        return _RESERVED.get(identifier, "")
+
+    def close(self) -> None:
+        """Send each drive that was commanded its stop frame, close the bus; safe to call twice and after a failure."""
+        if self._port is not None:
+            for channel in self._channels:
+                if channel.commanded:
+                    with suppress(LinkError):
+                        self.send(*channel.wiring.stop_frame)
+        super().close()
+
+    def exchange(self) -> None:
+        """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the cycle.
+
+        Raises:
+            LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.
+            DriveFault: A device sent an emergency message, or a drive went into fault while it was running.
+        """
+        self._receive(0.0)
+        now = self.clock.now_ns()
+        deadline = now + self._answer_ns
+        for channel in self._channels:
+            channel.begin(now)
+            for identifier, data in channel.frames():
+                self.send(identifier, data)
+        super().exchange()
+        if not self._answered():
+            self.pump(self._answered, (deadline - self.clock.now_ns()) / NS)
+        for channel in self._channels:
+            channel.settle()
+
+    def _answered(self) -> bool:
+        return all([channel.answered for channel in self._channels])
+
+    def command(self, channel: DbcChannel) -> None:
+        """Send a drive its order at once, outside the cycle.
+
+        Raises:
+            LinkError: The bus refuses it.
+        """
+        for identifier, data in channel.frames(all_now=True):
+            self.send(identifier, data)
+
+    def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
+        """Wait for a good frame that comes after this call; False after the time-out.
+
+        Raises:
+            LinkError: The bus failed.
+        """
+        for _ in range(_BACKLOG_READS):
+            heard = channel.heard
+            self._receive(0.0)
+            if channel.heard == heard:
+                break
+        count = slot.count
+        return self.pump(lambda: slot.count != count, timeout_s)
+
+    def _handle(self, frame: RawFrame) -> None:
+        route = self._routes.get(frame.identifier)
+        if route is None:
+            super()._handle(frame)
+            return
+        self._frames.append(frame)
+        channel, slot = route
+        channel.receive(slot, frame.data, frame.time_ns)

@@ -1,0 +1,165 @@
+"""Frames of the maxon EPOS4 over RS-232 and USB, both ways, and the services they carry. No I/O.
+
+A frame is ``90 02 opcode length data CRC``: length in 16-bit words, everything little-endian, every 90h after the start
+pair doubled, the CRC included (EPOS4 Communication Guide, "USB & RS232 Communication").
+"""
+
+from __future__ import annotations
+
+import binascii
+import struct
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+DLE: Final = 0x90
+STX: Final = 0x02
+_START: Final = bytes([DLE, STX])
+_DLE: Final = bytes([DLE])
+_STUFFED: Final = bytes([DLE, DLE])
+_HEAD: Final = 2
+_CRC: Final = 2
+MAX_WORDS: Final = 255
+SEGMENT_BYTES: Final = 255
+"""Most data bytes of one segment; the guide prints a byte for their number."""
+
+WRITE_BYTES: Final = 30
+READ_BYTES: Final = 32
+"""Bytes on the line of one WriteObject and one ReadObject with its answer, at their longest: all that can be 90h is."""
+_BITS_PER_BYTE: Final = 10
+
+
+class Opcode(IntEnum):
+    """Services."""
+
+    ANSWER = 0x00
+    READ_OBJECT = 0x60
+    SEGMENT_READ = 0x62
+    WRITE_OBJECT = 0x68
+    INITIATE_SEGMENTED_WRITE = 0x69
+    SEGMENT_WRITE = 0x6A
+    SEND_NMT = 0x70
+    INITIATE_SEGMENTED_READ = 0x81
+
+
+class Frame(NamedTuple):
+    """One frame: opcode and data, a whole number of words."""
+
+    opcode: int
+    data: bytes
+
+
+OBJECT: Final = struct.Struct("<BHB")
+"""Node identifier, index and subindex."""
+TOTAL: Final = struct.Struct("<I")
+"""Bytes of a whole object."""
+ERROR: Final = struct.Struct("<I")
+"""First field of every answer: 0, or why it was refused."""
+NMT: Final = struct.Struct("<HH")
+"""Node identifier and command specifier."""
+TOGGLE: Final = 0x01
+LAST: Final = 0x02
+"""Bits of a segment's control byte."""
+
+
+def crc(words: bytes) -> int:
+    """Return the CRC-16 (polynomial 1021h, start 0) over 16-bit words, from opcode and length on."""
+    swapped = bytearray(len(words))
+    swapped[0::2], swapped[1::2] = words[1::2], words[0::2]
+    return binascii.crc_hqx(swapped, 0)
+
+
+def encode(opcode: int, data: bytes) -> bytes:
+    """Return a frame as it goes over the line; ``data`` of odd length gets the dummy byte.
+
+    Raises:
+        ValueError: More than 255 words.
+    """
+    if len(data) % 2:
+        data += b"\0"
+    count = len(data) // 2
+    if count > MAX_WORDS:
+        raise ValueError(f"{len(data)} bytes do not fit a frame, limit {2 * MAX_WORDS}: send segments")
+    body = bytes([opcode, count]) + data
+    body += crc(body).to_bytes(2, "little")
+    return _START + body.replace(_DLE, _STUFFED)
+
+
+class FrameDecoder:
+    """Takes bytes as they come and gives whole frames; never raises.
+
+    A frame with a wrong CRC or broken stuffing is dropped, and the search goes on right after its start, so that a good
+    frame behind or inside the damage is found.
+
+    Attributes:
+        bad: Frames dropped so far.
+    """
+
+    def __init__(self) -> None:
+        self.bad = 0
+        self._buffer = bytearray()
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Return the frames that are complete with ``data``, oldest first."""
+        buffer = self._buffer
+        buffer += data
+        frames = []
+        at = 0
+        while (start := buffer.find(_START, at)) >= 0:
+            end, frame = _parse(buffer, start + _HEAD)
+            if end == 0:
+                at = start
+                break
+            if frame is None:
+                self.bad += 1
+                at = start + 1
+            else:
+                frames.append(frame)
+                at = end
+        else:
+            # The last byte may be the first half of a start.
+            at = max(at, len(buffer) - (buffer[-1:] == _DLE))
+        del buffer[:at]
+        return frames
+
+    def clear(self) -> None:
+        """Forget what has come in."""
+        self._buffer.clear()
+
+
+def _parse(buffer: bytearray, start: int) -> tuple[int, Frame | None]:
+    """Read the frame whose opcode is at ``start``; returns its end (0: not all there yet) and it, or None if bad."""
+    wanted = _HEAD + _CRC
+    if len(buffer) - start >= _HEAD:
+        wanted += 2 * buffer[start + 1]
+    body = buffer[start : start + wanted]
+    end = start + wanted
+    if DLE in body:
+        body, end = bytearray(), start
+        wanted = _HEAD + _CRC
+        while len(body) < wanted:
+            if end >= len(buffer) or (buffer[end] == DLE and end + 1 >= len(buffer)):
+                return 0, None
+            byte = buffer[end]
+            if byte == DLE:
+                end += 1
+                if buffer[end] != DLE:
+                    return end, None
+            end += 1
+            body.append(byte)
+            if len(body) == _HEAD:
+                wanted += 2 * byte
+    elif len(body) < wanted:
+        return 0, None
+    if crc(bytes(body[:-_CRC])) != body[-2] | body[-1] << 8:
+        return end, None
+    return end, Frame(body[0], bytes(body[_HEAD:-_CRC]))
+
+
+def segment(chunk: bytes, toggle: int, last: bool) -> bytes:
+    """Return the fields of one segment: length, control byte, data."""
+    return bytes([len(chunk), toggle | (LAST if last else 0)]) + chunk
+
+
+def cycle_bits(writes: int, reads: int) -> int:
+    """Return the bit times of a control cycle of so many objects, at their longest."""
+    return _BITS_PER_BYTE * (writes * WRITE_BYTES + reads * READ_BYTES)

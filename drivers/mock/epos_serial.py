@@ -1,0 +1,175 @@
+"""The serial port of a simulated EPOS4: a second way to the objects of the simulated drive."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import Final
+
+from drivers.clock import SimulatedClock
+from drivers.epos_serial import (
+    ERROR,
+    LAST,
+    NMT,
+    OBJECT,
+    SEGMENT_BYTES,
+    TOGGLE,
+    TOTAL,
+    FrameDecoder,
+    Opcode,
+    encode,
+    segment,
+)
+from drivers.mock.bus import SimulatedBus
+from drivers.mock.dictionary import WRONG_LENGTH, SdoAbortError
+from drivers.mock.drive import SimulatedDrive
+from drivers.mock.power_state import POWERED, State
+from drivers.mock.timer import Timer
+
+UNKNOWN_COMMAND: Final = 0x0F00FFBF
+WRONG_NODE: Final = 0x0F00FFB9
+_BAD_TOGGLE: Final = 0x05030000
+_TARGET: Final = 0x607A
+_CURRENT: Final = 0x6078
+_VOLTAGE: Final = 0x2100
+_SUPERVISION_NS: Final = 1_000_000
+_VALUE_BYTES: Final = 4
+_CONTROL: Final = struct.Struct("B")
+_SEGMENT: Final = struct.Struct("BB")
+
+
+class SimulatedEposPort:
+    """Answers requests out of the drive's dictionary; a :class:`~drivers.mock.serial_line.Station`.
+
+    Without SYNC a target acts when it is written, values are those of the instant at which they are read, and the drive
+    watches its following error by itself every millisecond. Current and voltage are means from one reading of the
+    current to the next.
+
+    Args:
+        bus: The drive's CAN side, where NMT services go.
+        clock: Simulated time.
+        drive: Whose port this is.
+    """
+
+    def __init__(self, bus: SimulatedBus, clock: SimulatedClock, drive: SimulatedDrive) -> None:
+        self._drive = drive
+        self._objects = drive.objects
+        self._clock = clock
+        self._gateway = bus.attach()
+        self._decoder = FrameDecoder()
+        self._supervision = Timer(clock, self._supervise)
+        self._voltage = bytes(2)
+        self._upload = b""
+        self._download: tuple[int, int, int, bytes] | None = None
+        self._toggle = 0
+        self._services: Mapping[int, Callable[[bytes], bytes]] = {
+            Opcode.READ_OBJECT: self._read_object,
+            Opcode.WRITE_OBJECT: self._write_object,
+            Opcode.INITIATE_SEGMENTED_READ: self._start_upload,
+            Opcode.SEGMENT_READ: self._continue_upload,
+            Opcode.INITIATE_SEGMENTED_WRITE: self._start_download,
+            Opcode.SEGMENT_WRITE: self._continue_download,
+            Opcode.SEND_NMT: self._send_nmt,
+        }
+        drive.entered.append(self._entered)
+
+    def receive(self, data: bytes) -> bytes:
+        """Return the answers to the whole frames that end in ``data``; bad ones get none."""
+        return b"".join(encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data))
+
+    def _answer(self, opcode: int, fields: bytes) -> bytes:
+        service = self._services.get(opcode)
+        try:
+            if service is None:
+                raise SdoAbortError(UNKNOWN_COMMAND)
+            return ERROR.pack(0) + service(fields)
+        except SdoAbortError as refusal:
+            return ERROR.pack(refusal.code)
+        except struct.error:
+            return ERROR.pack(WRONG_LENGTH)
+
+    def _read_object(self, fields: bytes) -> bytes:
+        return self._read(*self._address(fields))[:_VALUE_BYTES].ljust(_VALUE_BYTES, b"\0")
+
+    def _write_object(self, fields: bytes) -> bytes:
+        index, subindex = self._address(fields)
+        size = self._objects.entry(index, subindex).size
+        self._write(index, subindex, fields[OBJECT.size :][: size or _VALUE_BYTES])
+        return b""
+
+    def _start_upload(self, fields: bytes) -> bytes:
+        data = self._read(*self._address(fields))
+        first, self._upload = data[: SEGMENT_BYTES - 1], data[SEGMENT_BYTES - 1 :]
+        self._toggle = 0
+        return TOTAL.pack(len(data)) + bytes([len(first)]) + first
+
+    def _continue_upload(self, fields: bytes) -> bytes:
+        (control,) = _CONTROL.unpack_from(fields)
+        self._expect_toggle(control)
+        chunk, self._upload = self._upload[: SEGMENT_BYTES - 1], self._upload[SEGMENT_BYTES - 1 :]
+        answer = segment(chunk, self._toggle, not self._upload)
+        self._toggle ^= TOGGLE
+        return answer
+
+    def _start_download(self, fields: bytes) -> bytes:
+        index, subindex = self._address(fields)
+        (total,) = TOTAL.unpack_from(fields, OBJECT.size)
+        self._download = index, subindex, total, b""
+        self._toggle = 0
+        return b""
+
+    def _continue_download(self, fields: bytes) -> bytes:
+        length, control = _SEGMENT.unpack_from(fields)
+        self._expect_toggle(control)
+        if self._download is None:
+            raise SdoAbortError(UNKNOWN_COMMAND)
+        index, subindex, total, data = self._download
+        data += fields[2:][:length]
+        self._download = index, subindex, total, data
+        if control & LAST:
+            self._download = None
+            if len(data) != total:
+                raise SdoAbortError(WRONG_LENGTH)
+            self._write(index, subindex, data)
+        self._toggle ^= TOGGLE
+        return bytes([length, control & TOGGLE])
+
+    def _send_nmt(self, fields: bytes) -> bytes:
+        node, command = NMT.unpack_from(fields)
+        self._gateway.send(0x000, bytes([command & 0xFF, node & 0xFF]))
+        return b""
+
+    def _expect_toggle(self, control: int) -> None:
+        if control & TOGGLE != self._toggle:
+            raise SdoAbortError(_BAD_TOGGLE)
+
+    def _address(self, fields: bytes) -> tuple[int, int]:
+        node, index, subindex = OBJECT.unpack_from(fields)
+        if node not in (0, self._drive.node_id):
+            raise SdoAbortError(WRONG_NODE)
+        return index, subindex
+
+    def _read(self, index: int, subindex: int) -> bytes:
+        if index == _CURRENT:
+            self._drive.latch()
+            self._voltage = self._objects.read(_VOLTAGE, 0)
+        elif index == _VOLTAGE and subindex == 0:
+            return self._voltage
+        else:
+            self._drive.refresh()
+        return self._objects.read(index, subindex)
+
+    def _write(self, index: int, subindex: int, data: bytes) -> None:
+        self._objects.write(index, subindex, data)
+        if index == _TARGET:
+            self._drive.act()
+
+    def _entered(self, state: State) -> None:
+        if state in POWERED:
+            self._supervision.start(self._clock.now_ns() + _SUPERVISION_NS)
+        else:
+            self._supervision.stop()
+
+    def _supervise(self) -> None:
+        self._supervision.start(self._clock.now_ns() + _SUPERVISION_NS)
+        self._drive.supervise()

@@ -1,0 +1,107 @@
+"""A serial line in simulated time: bytes take as long as at their rate, and nothing waits on the wall clock."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from drivers.clock import NS, SimulatedClock
+
+ByteFilter = Callable[[int, bytes, bool], bytes]
+"""Called with (time in ns, bytes, sent by the host); returns the bytes to deliver."""
+
+_BITS_PER_BYTE = 10
+
+
+class Station(Protocol):
+    """What is at the far end of a line."""
+
+    def receive(self, data: bytes) -> bytes:
+        """Take bytes, possibly none, and return what is sent back or, unasked, is due."""
+        ...
+
+
+class SimulatedLine:
+    """The line as the host sees it: a :class:`~drivers.serial_port.BytePort`. Reading advances the clock.
+
+    A message arrives as a whole when its last byte does; the far end answers in that instant.
+
+    Args:
+        clock: Simulated time.
+        baud: Bit/s, 8N1.
+        station: At the far end.
+        echo: The host's adapter hears its own bytes.
+
+    Attributes:
+        filters: Hooks for fault injection, applied in order to every message.
+        cut: True while the line is unplugged: nothing arrives either way.
+    """
+
+    def __init__(self, clock: SimulatedClock, baud: int, station: Station, echo: bool = False) -> None:
+        self.filters: list[ByteFilter] = []
+        self.cut = False
+        self._clock = clock
+        self._byte_ns = _BITS_PER_BYTE * NS // baud
+        self._station = station
+        self._echo = echo
+        self._received = b""
+        self._free_ns = 0
+        self._closed = False
+
+    def write(self, data: bytes) -> None:
+        """Send bytes; they go after those still on the way.
+
+        Raises:
+            OSError: The line is closed.
+        """
+        self._require_open()
+        arrival = max(self._clock.now_ns(), self._free_ns) + len(data) * self._byte_ns
+        self._free_ns = arrival
+        self._clock.call_at(arrival, lambda: self._arrived(data))
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come in, advancing simulated time while there is nothing.
+
+        Raises:
+            OSError: The line is closed.
+        """
+        self._require_open()
+        clock = self._clock
+        deadline = clock.now_ns() + round(timeout_s * NS)
+        while not self._received:
+            due = clock.next_event_ns()
+            if due is None or due > deadline:
+                clock.sleep_until_ns(deadline)
+                return b""
+            clock.fire_next(deadline)
+        data, self._received = self._received, b""
+        return data
+
+    def discard(self) -> None:
+        """Drop what has come in."""
+        self._require_open()
+        self._received = b""
+
+    def close(self) -> None:
+        """Close the line."""
+        self._closed = True
+
+    def _arrived(self, data: bytes) -> None:
+        if self._echo:
+            self._received += data
+        answer = self._station.receive(self._filtered(data, True))
+        if answer:
+            due = self._clock.now_ns() + len(answer) * self._byte_ns
+            self._clock.call_at(due, lambda: self._answered(answer))
+
+    def _answered(self, answer: bytes) -> None:
+        self._received += self._filtered(answer, False)
+
+    def _filtered(self, data: bytes, from_host: bool) -> bytes:
+        for change in self.filters:
+            data = change(self._clock.now_ns(), data, from_host)
+        return b"" if self.cut else data
+
+    def _require_open(self) -> None:
+        if self._closed:
+            raise OSError("the simulated line is closed")

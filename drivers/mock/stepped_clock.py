@@ -1,0 +1,28 @@
+"""A host clock that steps, beside the simulated time that does not."""
+
+from __future__ import annotations
+
+from drivers.clock import NS, Clock
+
+
+class SteppedClock:
+    """The clock of a host whose time can jump; the bus and the devices on it keep the time of ``base``.
+
+    A monotonic clock does not do this by itself; a suspended virtual machine or a defective driver can.
+    """
+
+    def __init__(self, base: Clock) -> None:
+        self._base = base
+        self._ahead_ns = 0
+
+    def step(self, by_s: float) -> None:
+        """Jump forward, or back where ``by_s`` is negative."""
+        self._ahead_ns += round(by_s * NS)
+
+    def now_ns(self) -> int:
+        """Return the host's time in nanoseconds."""
+        return self._base.now_ns() + self._ahead_ns
+
+    def sleep_until_ns(self, deadline_ns: int) -> None:
+        """Wait for as long as the deadline seemed away at the call."""
+        self._base.sleep_until_ns(deadline_ns - self._ahead_ns)

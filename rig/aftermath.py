@@ -1,0 +1,77 @@
+"""What is done and said once a run has ended, by ``rig run`` and ``rig resume`` alike."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+
+from rig.cli import BAD_VERDICT, DEVICE_FAILED, DONE, STOPPED
+from rig.label_check import comparable, off_label
+from rig.reference import Reference
+from rig.run import RunFolder, RunRecord, load_run, write_json
+from rig.run_report import write_run_report
+from rig.sequencer import Ending, Outcome
+from rig.tables import table
+from rig.timing import summary
+
+STATUS: Mapping[Ending, int] = {
+    Ending.DONE: DONE,
+    Ending.TRIPPED: BAD_VERDICT,
+    Ending.STOPPED: STOPPED,
+    Ending.FAILED: DEVICE_FAILED,
+}
+
+
+def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None) -> int:
+    """Check the labels, write the page of the run, tell the operator, and return the exit status.
+
+    Raises:
+        OSError: ``json_file`` cannot be written.
+    """
+    record = folder.record
+    wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
+    try:
+        if wrong:
+            folder.save()
+        write_run_report(folder.path, record)
+    except OSError as error:
+        click.echo(f"{folder.path}: the page of the run cannot be written: {error.strerror}", err=True)
+    _tell(folder, outcome)
+    if json_file is not None:
+        write_json(json_file, dataclasses.asdict(record))
+    return BAD_VERDICT if wrong else STATUS[outcome.ending]
+
+
+def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
+    """Note the stages whose mass is not their label; returns how many."""
+    record = folder.record
+    if reference is None and not _worth_reading(record):
+        return 0
+    dataset = load_run(folder.path)
+    if not comparable(dataset, reference):
+        return 0
+    found = off_label(dataset, reference)
+    for weighing in found:
+        folder.weighed(weighing)
+        record.warnings.append(weighing.message)
+    return len(found)
+
+
+def _worth_reading(record: RunRecord) -> bool:
+    masses = [stage.weight_kg for stage in record.stages]
+    return len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
+
+
+def _tell(folder: RunFolder, outcome: Outcome) -> None:
+    record = folder.record
+    rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
+    click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
+    part = record.parts[-1]
+    click.echo(f"{part.cycles} cycles; recorded in {folder.recording}")
+    click.echo(summary(part.timing))
+    for warning in record.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)

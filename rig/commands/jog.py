@@ -1,0 +1,89 @@
+"""``rig jog``: move a bench by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+
+from rig.aftermath import STATUS
+from rig.bench import Bench, load_bench
+from rig.cli import DONE
+from rig.connect import connect
+from rig.cycle import Devices
+from rig.jog import move, plan_jog
+from rig.operator import StopButton
+from rig.progress import RunProgress
+from rig.provenance import utc_now
+from rig.run import write_json
+from rig.sequencer import Ending, Outcome
+
+SCHEMA = "loadrig.jog/1"
+
+
+@click.command("jog")
+@click.argument("bench")
+@click.option("--to", "angles", type=float, multiple=True, help="Joint angle, deg; may be given several times.")
+@click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
+@click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
+@click.option("--seed", default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write how it ended to this file.")
+def command(
+    bench: str, angles: tuple[float, ...], speed: float, realtime: bool, seed: int, json_file: Path | None
+) -> int:
+    """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and after.
+
+    Without --to, angles are asked for one by one, the drive off in between; an empty answer ends it. Nothing is
+    recorded. Ctrl-C brakes and takes the power off; again while it brakes, takes the power off without waiting.
+
+    \b
+    Example:
+      rig jog practical --to 10 --to 0 --speed 5
+    """
+    document = load_bench(bench)
+    plan_jog(document.value, angles, speed)
+    with connect(document, seed, realtime) as devices, StopButton() as stop:
+        outcome = None
+        for batch in [angles] if angles else _asked():
+            outcome = _move(document.value, batch, speed, devices, stop)
+            click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
+            if outcome.ending is not Ending.DONE:
+                break
+    if json_file is not None:
+        write_json(json_file, _record(bench, outcome))
+    return DONE if outcome is None else STATUS[outcome.ending]
+
+
+def _asked() -> Iterator[tuple[float, ...]]:
+    """Yield the angles typed at the terminal, until an empty answer or the end of the input."""
+    while True:
+        try:
+            typed = click.prompt("Joint angle, deg (empty to end)", default="", show_default=False, err=True).strip()
+        except click.Abort:
+            return
+        if not typed:
+            return
+        try:
+            yield (float(typed),)
+        except ValueError:
+            click.echo(f"{typed!r} is not an angle in degrees", err=True)
+
+
+def _move(bench: Bench, angles: tuple[float, ...], speed: float, devices: Devices, stop: StopButton) -> Outcome:
+    jog = plan_jog(bench, angles, speed)
+    span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
+    with RunProgress(bench.cycle_s, len(angles) * span / jog.speed) as progress:
+        return move(jog, bench, devices, stop, progress)
+
+
+def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "bench": bench,
+        "state": "done" if outcome is None else outcome.ending.value,
+        "message": "nothing was asked for" if outcome is None else outcome.message,
+        "de_energised": None if outcome is None else outcome.safe.verified,
+    }

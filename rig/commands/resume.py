@@ -1,0 +1,78 @@
+"""``rig resume``: go on with a run that stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from drivers.errors import LinkError
+from rig.aftermath import conclude
+from rig.calibration import require_current
+from rig.connect import connect
+from rig.errors import InputError
+from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.plan import make_plan
+from rig.progress import RunProgress
+from rig.provenance import utc_now
+from rig.reference import load_reference
+from rig.resume import prepare, stopped_words
+from rig.run import bench_constants
+from rig.session import Inputs, execute
+
+
+@click.command("resume")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
+@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option(
+    "--identification",
+    type=click.Path(path_type=Path),
+    help="Accepted result of `rig identify --json` on this bench; the weights are checked by it.",
+)
+@click.option(
+    "--first-pass/--no-first-pass",
+    default=None,
+    help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
+def command(
+    run: Path,
+    yes: bool,
+    operator_name: str | None,
+    identification: Path | None,
+    first_pass: bool | None,
+    json_file: Path | None,
+) -> int:
+    """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same folder.
+
+    A recording whose writer died is mended first. The unfinished stage begins again; what it left behind is kept in
+    its recording but not used. Bench and sequence files must be those of the run. Ctrl-C does what it does in a run.
+
+    \b
+    Example:
+      rig resume runs/20261120T101500Z-figure10
+    """
+    try:
+        resumed = prepare(run)
+    except OSError as error:
+        raise InputError(f"{run}: cannot be written: {error.strerror}") from error
+    for problem in resumed.mended:
+        click.echo(problem)
+    click.echo(stopped_words(resumed.record))
+    require_current(resumed.bench, utc_now().date())
+    constants = bench_constants(resumed.bench.value)
+    reference = None if identification is None else load_reference(identification, constants)
+    record = resumed.record
+    # Each recording has noise of its own.
+    seed = record.seed + len(record.parts)
+    inputs = Inputs(resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference)
+    plan = make_plan(resumed.sequence, resumed.bench, True if first_pass is None and identification else first_pass)
+    with connect(resumed.bench, seed, record.realtime) as devices, StopButton() as stop:
+        operator = AutomaticOperator() if yes else ConsoleOperator()
+        with RunProgress(plan.cycle_s, plan.duration_s) as progress:
+            try:
+                folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress, record=record)
+            except OSError as error:
+                raise LinkError(f"{run}: the recording cannot be started: {error.strerror}; nothing moved") from error
+    return conclude(folder, outcome, reference, json_file)

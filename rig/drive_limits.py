@@ -1,0 +1,136 @@
+"""The limits of the bench beside those that the drive itself holds, before and after they are written."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from drivers.errors import ConfigurationError
+from drivers.interfaces import ServoLimits
+
+ROUNDING = 1e-3
+"""A drive holds its limits in units of its own; a thousandth is the coarsest that is taken for the same limit."""
+_STAYING = frozenset({5, 6, 7, 8})
+"""Options of 605Ah that leave the drive in QUICK STOP ACTIVE, with power, after the ramp."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One limit of the two, in SI units.
+
+    Attributes:
+        name: In words.
+        objects: Where the drive holds it.
+        field: Of :class:`~drivers.interfaces.ServoLimits`.
+        unit: Of both values.
+        first: What is being tested for being looser; None is no limit.
+        second: What it must not be looser than.
+        looser: Whether it is.
+    """
+
+    name: str
+    objects: str
+    field: str
+    unit: str
+    first: float | None
+    second: float | None
+    looser: bool
+
+
+_ROWS = (
+    ("joint angle, lower end", "607Dh:01h", "angle_min_rad", "rad"),
+    ("joint angle, upper end", "607Dh:02h", "angle_max_rad", "rad"),
+    ("joint speed", "607Fh", "speed_rad_s", "rad/s"),
+    ("joint torque", "6072h", "torque_N_m", "N m"),
+    ("motor current", "6073h", "current_A", "A"),
+    ("following error", "6065h", "following_error_rad", "rad"),
+    ("quick stop option", "605Ah", "quick_stop_option", ""),
+    ("quick stop deceleration", "6085h", "quick_stop_deceleration_rad_s2", "rad/s^2"),
+)
+_REACTIONS = frozenset({"quick_stop_option", "quick_stop_deceleration_rad_s2"})
+
+
+def compare(first: ServoLimits, second: ServoLimits) -> list[Row]:
+    """Return every limit of ``first`` beside that of ``second``, and whether it is looser."""
+    return [
+        Row(name, objects, field, unit, a, b, _looser(field, a, b))
+        for name, objects, field, unit in _ROWS
+        for a, b in [(getattr(first, field), getattr(second, field))]
+    ]
+
+
+def loosened(wanted: ServoLimits, own: ServoLimits) -> list[Row]:
+    """Return the drive's own limits that ``wanted`` would loosen; see :func:`require_within_own`."""
+    keeps_power = wanted.quick_stop_option in _STAYING and own.quick_stop_option not in _STAYING
+    return [
+        row
+        for row in compare(wanted, own)
+        if (row.looser and row.field not in _REACTIONS) or (keeps_power and row.field == "quick_stop_option")
+    ]
+
+
+def require_within_own(wanted: ServoLimits, own: ServoLimits) -> None:
+    """Refuse to loosen what the drive was commissioned with.
+
+    Args:
+        wanted: What is about to be written.
+        own: What the drive held when the bus was opened. Its quick stop option is compared as far as a drive that
+            takes the power off after the ramp must not be told to keep it; its deceleration is a setting, not a limit.
+
+    Raises:
+        ConfigurationError: Lists every limit that would be looser.
+    """
+    rows = loosened(wanted, own)
+    if rows:
+        raise ConfigurationError(
+            f"the bench file is looser than the drive's own limits: {_list(rows, 'bench file', 'drive')}; tighten the "
+            "bench file, or change the drive with its maker's tool; limits left by a run that died go when the "
+            "drive's supply is switched off and on"
+        )
+
+
+def require_held(held: ServoLimits, wanted: ServoLimits) -> None:
+    """Refuse to go on with a drive that holds something looser than what was written into it.
+
+    Raises:
+        ConfigurationError: Lists every limit that is looser.
+    """
+    rows = [row for row in compare(held, wanted) if row.looser]
+    if rows:
+        raise ConfigurationError(
+            f"the drive does not hold the limits written into it: {_list(rows, 'drive', 'wanted')}; it is not "
+            "enabled; check in its manual the range of these objects and whether they are locked"
+        )
+
+
+def _list(rows: list[Row], first: str, second: str) -> str:
+    return "; ".join(
+        f"{row.name} ({row.objects}): {first} {show(row.field, row.first)}, {second} {show(row.field, row.second)}"
+        for row in rows
+    )
+
+
+def _looser(field: str, first: float | None, second: float | None) -> bool:
+    """Written as "not tighter", so that a value that is not a number is looser."""
+    if second is None:
+        return False
+    if first is None:
+        return True
+    margin = ROUNDING * abs(second)
+    if field == "quick_stop_option":
+        return first != second
+    if field in ("angle_min_rad", "quick_stop_deceleration_rad_s2"):
+        return not first >= second - margin
+    return not first <= second + margin
+
+
+def show(field: str, value: float | None) -> str:
+    """Return a limit as the bench file states it: degrees for angles, with its unit."""
+    if value is None:
+        return "off"
+    if field == "quick_stop_option":
+        return f"{value:g}"
+    unit = next(unit for _, _, name, unit in _ROWS if name == field)
+    if unit.startswith("rad"):
+        return f"{math.degrees(value):.4g} {unit.replace('rad', 'deg')}"
+    return f"{value:.4g} {unit}"

@@ -1,0 +1,76 @@
+"""The pass at low amplitude that goes before a stage, under tighter limits."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.safety import Limits
+from rig.sequence import Array, FirstPass, StageSection, excitation
+
+LONGEST_RAMP_SHARE = 0.25
+"""Share of the pass that each of its ramps may take."""
+
+
+@dataclass(frozen=True)
+class PlannedPass:
+    """A first pass, ready to run.
+
+    Attributes:
+        targets: Joint angles in rad, one a cycle, shape (n,).
+        amplitude: Share of the stage's own amplitude.
+        duration_s: s.
+        move_limits: In force on the way to its start.
+        limits: In force during the pass.
+    """
+
+    targets: Array
+    amplitude: float
+    duration_s: float
+    move_limits: Limits
+    limits: Limits
+
+
+def plan_pass(section: StageSection, low: FirstPass, limits: Limits, cycle_s: float) -> PlannedPass:
+    """Compute the first pass of a stage: the same tones about the same centre, smaller and shorter."""
+    slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
+    wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
+    duration_s = min(wanted_s, section.duration_s)
+    ramp_s = LONGEST_RAMP_SHARE * duration_s
+    small = section.model_copy(
+        update={
+            "tones": tuple(
+                tone.model_copy(update={"amplitude_deg": low.amplitude * tone.amplitude_deg}) for tone in section.tones
+            ),
+            "duration_s": duration_s,
+            "ramp_in_s": min(section.ramp_in_s, ramp_s),
+            "ramp_out_s": min(section.ramp_out_s, ramp_s),
+        }
+    )
+    targets = excitation(small, cycle_s)
+    moving = _tighter(limits, low.limit_share)
+    return PlannedPass(targets, low.amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
+
+
+def _tighter(limits: Limits, share: float) -> Limits:
+    """Cut the limits. Static friction does not shrink with the amplitude, so those on torque are cut half as much."""
+    torque_share = 0.5 * (1.0 + share)
+    return dataclasses.replace(
+        limits,
+        speed=share * limits.speed,
+        following_error=share * limits.following_error,
+        torque=torque_share * limits.torque,
+        current=torque_share * limits.current,
+    )
+
+
+def _around(targets: Array, limits: Limits) -> Limits:
+    """Let the joint go no further than the pass itself does, and the following error it may have."""
+    slack = limits.following_error
+    return dataclasses.replace(
+        limits,
+        angle_min=max(limits.angle_min, float(np.min(targets, initial=np.inf)) - slack),
+        angle_max=min(limits.angle_max, float(np.max(targets, initial=-np.inf)) + slack),
+    )

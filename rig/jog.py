@@ -1,0 +1,137 @@
+"""A bench moved by hand: one move at a time, at low limits, without power before and after it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+from drivers.errors import DeviceError
+from drivers.interfaces import RawFrame
+from rig.bench import Bench
+from rig.cycle import Cycle, Devices, Progress, TripError
+from rig.drive_limits import require_held, require_within_own
+from rig.errors import InputError
+from rig.operator import OperatorStopError, StopButton
+from rig.plan import bench_limits, servo_limits
+from rig.safety import Limits
+from rig.sample import Sample
+from rig.sequence import approach
+from rig.sequencer import Ending, Outcome
+from rig.teardown import give_back, make_safe
+
+SPEED_MARGIN = 2.0
+"""Limit on the speed over the speed that was asked for: room for breaking away."""
+TORQUE_SHARE = 0.6
+"""Share of the bench's limits on torque and current."""
+GREATEST_SPEED_SHARE = 0.25
+"""Share of the bench's limit on speed that may be asked for."""
+REST_S = 0.2
+"""Rest at the end of a move before the power goes off."""
+
+
+@dataclass(frozen=True)
+class Jog:
+    """Moves to make, in order.
+
+    Attributes:
+        angles: Joint angles to go to, rad.
+        speed: Greatest speed on the way, rad/s.
+        limits: In force meanwhile.
+    """
+
+    angles: tuple[float, ...]
+    speed: float
+    limits: Limits
+
+
+def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) -> Jog:
+    """Check what is asked for against the bench.
+
+    Raises:
+        InputError: An angle or the speed is outside what may be; lists all.
+    """
+    limits, section = bench_limits(bench), bench.limits
+    greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
+    problems = [
+        f"--to {angle:g}: outside the bench's {section.angle_min_deg:g} to {section.angle_max_deg:g} deg"
+        for angle in angles_deg
+        if not section.angle_min_deg <= angle <= section.angle_max_deg
+    ]
+    if not 0.0 < speed_deg_s <= greatest:
+        problems.append(f"--speed {speed_deg_s:g}: must be above 0 and at most {greatest:g} deg/s on this bench")
+    if problems:
+        raise InputError(problems)
+    speed = math.radians(speed_deg_s)
+    low = dataclasses.replace(
+        limits,
+        speed=SPEED_MARGIN * speed,
+        torque=TORQUE_SHARE * limits.torque,
+        current=TORQUE_SHARE * limits.current,
+    )
+    return Jog(tuple(math.radians(angle) for angle in angles_deg), speed, low)
+
+
+class _Discard:
+    """A jog leaves no recording."""
+
+    def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
+        """Keep nothing."""
+
+
+def move(jog: Jog, bench: Bench, devices: Devices, stop: StopButton, progress: Progress) -> Outcome:
+    """Make the moves and leave the drive de-energised, whatever happens.
+
+    The limits are written into the drive before each enabling, and its own back at the end.
+    """
+    cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
+    servo, wanted = devices.servo, servo_limits(jog.limits, bench)
+    own, ending = None, None
+    try:
+        try:
+            servo.prepare(bench.cycle_s)
+            devices.encoder.prepare(bench.cycle_s)
+            own = servo.read_limits()
+            require_within_own(wanted, own)
+            servo.write_limits(wanted)
+            require_held(servo.read_limits(), wanted)
+            here = _enable(cycle, devices, bench)
+            for angle in jog.angles:
+                _go(cycle, here, angle, jog.speed, bench.cycle_s)
+                here = angle
+            servo.disable()
+            ending, words = Ending.DONE, f"{len(jog.angles)} moves done"
+        except TripError as error:
+            ending, words = Ending.TRIPPED, str(error)
+        except (OperatorStopError, KeyboardInterrupt):
+            ending, words = Ending.STOPPED, "stopped by the operator"
+        except DeviceError as error:
+            ending, words = Ending.FAILED, str(error)
+    finally:
+        presses = stop.presses
+        safe = make_safe(
+            servo,
+            cycle.watch,
+            bench.cycle_ns,
+            brake=ending is not Ending.DONE,
+            hurry=lambda: stop.presses > presses,
+        )
+        if own is not None:
+            give_back(servo, own, safe)
+    if ending is Ending.DONE and not safe.verified:
+        ending = Ending.FAILED
+    return Outcome(ending, f"{words}; {safe.message}", safe)
+
+
+def _enable(cycle: Cycle, devices: Devices, bench: Bench) -> float:
+    """Energise and hold; returns the joint angle held, rad."""
+    devices.servo.enable()
+    here = devices.servo.sample().motor_angle_rad / bench.machine.gear_ratio
+    cycle.ask_reset()
+    cycle.begin(here)
+    return here
+
+
+def _go(cycle: Cycle, start: float, end: float, speed: float, cycle_s: float) -> None:
+    cycle.follow(approach(start, end, speed, cycle_s).tolist(), 0, f"to {math.degrees(end):g} deg")
+    cycle.follow([end] * round(REST_S / cycle_s), 0, "rest")

@@ -1,0 +1,80 @@
+"""A run that stopped, made ready to go on at its first unfinished stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.bench import Bench, load_bench
+from rig.configuration import Document
+from rig.errors import InputError
+from rig.provenance import sha256_file
+from rig.recover import recover
+from rig.run import (
+    BENCH_ATTACHMENT,
+    SEQUENCE_ATTACHMENT,
+    RunRecord,
+    discard,
+    first_unfinished,
+    read_record,
+)
+from rig.sequence import Sequence, load_sequence
+
+
+@dataclass(frozen=True)
+class Resumption:
+    """What a run goes on with.
+
+    Attributes:
+        record: ``run.json``, completed.
+        bench: The same bench file as before.
+        sequence: The same sequence file as before.
+        stage: Index of the stage to go on with.
+        mended: What was wrong with recordings whose writer died, in words.
+    """
+
+    record: RunRecord
+    bench: Document[Bench]
+    sequence: Document[Sequence]
+    stage: int
+    mended: tuple[str, ...]
+
+
+def prepare(folder: Path) -> Resumption:
+    """Mend a run if its writer died, and find where it goes on. What its unfinished stage left behind is discarded.
+
+    Raises:
+        InputError: There is nothing left to do, or the bench or sequence file is gone or was changed since.
+        OSError: The folder cannot be written.
+    """
+    recovery = recover(folder)
+    record = read_record(folder)
+    stage = first_unfinished(record)
+    if stage is None:
+        raise InputError(f"{folder}: all {len(record.stages)} stages are done; there is nothing to go on with")
+    bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
+    sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
+    discard(record, stage)
+    return Resumption(record, bench, sequence, stage, recovery.damage)
+
+
+def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
+    """Return the path of an input file, which must be the one the run began with."""
+    entry = record.inputs[name]
+    path = Path(entry["file"])
+    remedy = f"put the file of that time back (it is attached to the recording as {name}), or start a new run"
+    try:
+        digest = sha256_file(path)
+    except OSError as error:
+        text = f"{path}: {folder} was run with it, and it cannot be read: {error.strerror}; {remedy}"
+        raise InputError(text) from error
+    if digest != entry["sha256"]:
+        then, now = entry["sha256"][:12], digest[:12]
+        raise InputError(f"{path}: changed since {folder} was run with it (SHA-256 {then}, now {now}); {remedy}")
+    return path
+
+
+def stopped_words(record: RunRecord) -> str:
+    """Return how the run stood, in a sentence."""
+    done = sum(stage.state == "done" for stage in record.stages)
+    return f"{record.name}: {done} of {len(record.stages)} stages done; {record.state}: {record.message}"

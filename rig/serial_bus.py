@@ -1,0 +1,106 @@
+"""Serial buses and encoders in a bench file: their sections, whether a cycle fits, and the devices behind them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from drivers import epos_serial, epos_serial_node
+from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, Gate
+from drivers.amt21_line import DEFAULT_ADDRESS, Amt21Line
+from drivers.can_timing import ANSWER_SHARE
+from drivers.clock import Clock
+from drivers.epos_serial_link import EposSerialLink
+from drivers.mock.amt21 import SimulatedAmt21
+from drivers.mock.bench import SimulatedBench
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.serial_line import SimulatedLine, Station
+from drivers.serial_port import BytePort, PySerialPort
+from drivers.units import EncoderScales
+from rig.configuration import Schema
+
+MOCK: Final = "mock"
+UNWATCHED_SHARE: Final = 0.6
+"""Share of the bench's torque, current and speed limits that is in force where the drive has no watchdog."""
+NO_WATCHDOG: Final = (
+    "this drive has no watchdog: if this program, its computer or the cable dies, the drive goes on holding its last "
+    "target under power, and nothing but the main switch or the emergency stop takes it off. Stay beside it. Torque, "
+    f"current and speed limits are cut to {UNWATCHED_SHARE:.0%} of the bench file's"
+)
+
+_Positive = Annotated[float, Field(gt=0)]
+_Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
+
+
+class SerialBus(Schema):
+    """An EPOS4 on RS-232 or USB. ``port`` is ``mock`` or a device of this computer.
+
+    ``round_trip_ms`` is what adapter and drive add to the bytes of every request and its answer; measure it. FTDI
+    adapters add 16, in low-latency mode 6.
+    """
+
+    interface: Literal["epos_serial"]
+    port: str
+    baud: _Baud = 1_000_000
+    round_trip_ms: Annotated[float, Field(ge=0, le=100)] = 0.0
+
+
+class Amt21Section(Schema):
+    """An AMT21 joint encoder on a line of its own. ``port`` is ``mock`` or a device of this computer.
+
+    A position that would take more speed or acceleration than ``gate_speed_deg_s`` and ``gate_acceleration_deg_s2`` is
+    not believed.
+    """
+
+    kind: Literal["amt21"]
+    port: str
+    baud: _Baud = 2_000_000
+    address: Annotated[int, Field(ge=0, le=252, multiple_of=4)] = DEFAULT_ADDRESS
+    sign: Literal[1, -1] = 1
+    offset_deg: float = 0.0
+    gate_speed_deg_s: _Positive = 500.0
+    gate_acceleration_deg_s2: _Positive = 20_000.0
+
+
+def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
+    """Yield what is wrong where a control cycle does not fit the line."""
+    writes, reads = epos_serial_node.CYCLE_WRITES, epos_serial_node.CYCLE_READS
+    bits = epos_serial.cycle_bits(writes, reads)
+    needed_s = bits / bus.baud + (writes + reads) * bus.round_trip_ms * 1e-3
+    if needed_s > ANSWER_SHARE * cycle_s:
+        shortest_ms = math.ceil(1e3 * needed_s / ANSWER_SHARE - 1e-9)
+        yield (
+            f"too slow: {writes + reads} objects a cycle take up to {bits} bits and {needed_s * 1e3:.2f} ms, "
+            f"{needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} ms, limit {ANSWER_SHARE:.0%}; raise baud, lower "
+            f"round_trip_ms, or lower cycle_Hz to {1e3 / shortest_ms:g}"
+        )
+
+
+def epos_link(bus: SerialBus, twin: SimulatedBench | None, clock: Clock) -> EposSerialLink:
+    """Return the link of a drive on a serial line: a real port, or the twin's in simulated time."""
+    if twin is None:
+        return EposSerialLink(clock, lambda: PySerialPort(bus.port, bus.baud), f"EPOS4 at {bus.port}")
+    station = SimulatedEposPort(twin.bus, twin.clock, twin.drive)
+    return EposSerialLink(clock, _simulated(twin, bus.baud, station), "simulated EPOS4")
+
+
+def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clock) -> Amt21Encoder:
+    """Return an encoder on its line, real or simulated."""
+    connect: Callable[[], BytePort]
+    if twin is None:
+        connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
+    else:
+        station = SimulatedAmt21(twin.clock, twin.sampler, section.address)
+        connect, name = _simulated(twin, section.baud, station), "simulated AMT21"
+    line = Amt21Line(clock, connect, name, section.address)
+    scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
+    gate = Gate(math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2))
+    return Amt21Encoder(line, scales, gate)
+
+
+def _simulated(twin: SimulatedBench, baud: int, station: Station) -> Callable[[], BytePort]:
+    line = SimulatedLine(twin.clock, baud, station)
+    return lambda: line

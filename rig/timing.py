@@ -1,0 +1,99 @@
+"""How punctual a run was: counts in fixed bins, cheap enough for every cycle."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Mapping
+from typing import Any
+
+EDGES_US = (0, 20, 50, 100, 200, 500, 1_000, 2_000, 5_000, 10_000, 20_000, 50_000)
+"""Upper ends of the bins, microseconds; one more bin holds what is beyond."""
+_EDGES_NS = tuple(edge * 1000 for edge in EDGES_US)
+
+
+class Histogram:
+    """Durations by bin, with the greatest.
+
+    Attributes:
+        counts: One a bin of :data:`EDGES_US`, and one for what is beyond.
+        worst_ns: The longest, ns.
+    """
+
+    def __init__(self) -> None:
+        self.counts = [0] * (len(EDGES_US) + 1)
+        self.worst_ns = 0
+
+    def note(self, duration_ns: int) -> None:
+        """Count one duration."""
+        self.counts[bisect_left(_EDGES_NS, duration_ns)] += 1
+        if duration_ns > self.worst_ns:
+            self.worst_ns = duration_ns
+
+    def share_within_us(self, share: float) -> float | None:
+        """Return the end of the first bin that, with those below, holds ``share`` of all; the worst beyond the last.
+
+        None where nothing was counted.
+        """
+        total = sum(self.counts)
+        if not total:
+            return None
+        seen = 0
+        for edge, count in zip(EDGES_US, self.counts, strict=False):
+            seen += count
+            if seen >= share * total:
+                return min(float(edge), self.worst_ns * 1e-3)
+        return self.worst_ns * 1e-3
+
+    def record(self) -> dict[str, Any]:
+        """Return the bins and the figures drawn from them, for ``run.json``."""
+        return {
+            "edges_us": list(EDGES_US),
+            "counts": list(self.counts),
+            "p50_us": self.share_within_us(0.5),
+            "p99_us": self.share_within_us(0.99),
+            "worst_us": self.worst_ns * 1e-3,
+        }
+
+
+class Timing:
+    """What is told about the time keeping of a run.
+
+    Attributes:
+        lateness: How late cycles started; on a simulated bench held to real time, by the real clock.
+        answer: From a cycle's start until its answer had been collected: the age of a sample when it is judged.
+        missed_syncs: Cycles that were never sent because an earlier one was late by more than a period.
+        lost_servo: Cycles in which the drive's answer was missing or bad.
+        lost_encoder: The same of the joint encoder.
+        oldest_s: The greatest age of the last fresh sample, s.
+    """
+
+    def __init__(self) -> None:
+        self.lateness = Histogram()
+        self.answer = Histogram()
+        self.missed_syncs = 0
+        self.lost_servo = 0
+        self.lost_encoder = 0
+        self.oldest_s = 0.0
+
+    def record(self) -> dict[str, Any]:
+        """Return everything for ``run.json``."""
+        return {
+            "lateness": self.lateness.record(),
+            "answer": self.answer.record(),
+            "missed_syncs": self.missed_syncs,
+            "lost_servo": self.lost_servo,
+            "lost_encoder": self.lost_encoder,
+            "oldest_sample_s": self.oldest_s,
+        }
+
+
+def summary(timing: Mapping[str, Any]) -> str:
+    """Return one line for the terminal, from a record."""
+    late, answer = timing["lateness"], timing["answer"]
+    if late["p99_us"] is None:
+        return "no cycle was run"
+    return (
+        f"lateness p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer p99 {answer['p99_us']:.0f} us; "
+        f"{timing['missed_syncs']} SYNCs missed, samples lost: {timing['lost_servo']} drive, "
+        f"{timing['lost_encoder']} encoder; oldest {timing['oldest_sample_s'] * 1e3:.3g} ms"
+    )

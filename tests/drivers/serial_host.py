@@ -1,0 +1,172 @@
+"""The simulated bench behind serial lines and CAN adapters, with the host's drivers on it, for tests."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import can
+
+from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, Gate
+from drivers.amt21_line import Amt21Line
+from drivers.canopen_link import CanopenLink
+from drivers.cia402_servo import Cia402Servo
+from drivers.cia406 import Cia406Encoder
+from drivers.clock import NS, Clock
+from drivers.encoder_link import EncoderLink
+from drivers.epos_serial_link import EposSerialLink
+from drivers.epos_serial_node import EposSerialNode
+from drivers.interfaces import Encoder, Link
+from drivers.mock.amt21 import SimulatedAmt21
+from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.encoder import ENCODER_EDS
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.plant.constants import Machine, Sensing
+from drivers.mock.pty import Ports
+from drivers.mock.serial_line import SimulatedLine
+from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.serial_port import BytePort
+from drivers.units import EncoderScales
+
+from .contract import Rig
+from .host import SCALES
+from .lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile, slcan_counted
+
+BAUD = 1_000_000
+ENCODER_BAUD = 2_000_000
+CYCLE_S = 0.002
+SLCAN = {"sleep_after_open": 0, "timeout": 1e-4}
+GATE = Gate(speed_rad_s=10.0, acceleration_rad_s2=350.0)
+MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))
+
+
+@dataclass
+class SerialHost:
+    bench: SimulatedBench
+    link: Link
+    epos: EposSerialLink
+    drive: EposSerialNode
+    servo: Cia402Servo
+    encoder: Amt21Encoder
+    line: SimulatedLine
+    encoder_line: SimulatedLine
+    amt21: SimulatedAmt21
+    cycle_s: float = CYCLE_S
+
+    def cycles(self, count: int, target: Callable[[float], float] | None = None) -> None:
+        pace(self.link, self.servo, self.cycle_s, count, target)
+
+
+def pace(link: Link, servo, cycle_s: float, count: int, target: Callable[[float], float] | None = None) -> None:
+    clock = link.clock
+    start = due = clock.now_ns()
+    for _ in range(count):
+        due += round(cycle_s * NS)
+        clock.sleep_until_ns(due)
+        if target is not None:
+            servo.set_target(target((due - start) / NS))
+        link.exchange()
+
+
+def make_serial_host(seed: int = 1, baud: int = BAUD, cycle_s: float = CYCLE_S, echo: bool = False) -> SerialHost:
+    """Return an open link over simulated lines to a booted bench; nothing is prepared."""
+    bench = simulated_bench(MACHINE, seed)
+    line = SimulatedLine(bench.clock, baud, SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+    amt21 = SimulatedAmt21(bench.clock, bench.sampler)
+    encoder_line = SimulatedLine(bench.clock, ENCODER_BAUD, amt21, echo)
+    epos = EposSerialLink(bench.clock, lambda: line, "simulated line")
+    drive = epos.add_node(DRIVE_NODE, DRIVE_EDS)
+    amt21_line = Amt21Line(bench.clock, lambda: encoder_line, "simulated encoder line")
+    encoder = Amt21Encoder(amt21_line, EncoderScales(COUNTS_PER_TURN), GATE)
+    link = EncoderLink(epos, encoder)
+    servo = Cia402Servo(drive, link, SCALES)
+    link.open()
+    return SerialHost(bench, link, epos, drive, servo, encoder, line, encoder_line, amt21, cycle_s)
+
+
+@contextmanager
+def in_memory() -> Iterator[Rig]:
+    host = make_serial_host()
+    yield Rig(host.link, host.servo, host.encoder, host.cycle_s, host.cycles)
+    host.link.close()
+
+
+@contextmanager
+def serial_over_pty() -> Iterator[Rig]:
+    bench, ports = simulated_bench(MACHINE, 1), Ports()
+    path, encoder_path = serial_ports(bench, ports)
+    yield from _rig(
+        ports,
+        serial_devices(
+            bench.clock,
+            lambda: LockStepSerial(path, BAUD, LockStep(bench.clock, ports, path)),
+            lambda: LockStepSerial(encoder_path, ENCODER_BAUD, LockStep(bench.clock, ports, encoder_path)),
+        ),
+    )
+
+
+@contextmanager
+def slcan_over_pty() -> Iterator[Rig]:
+    bench, ports = simulated_bench(MACHINE, 1), Ports()
+    path = ports.open_pty(LawicelAdapter(bench.bus))
+    step = LockStep(bench.clock, ports, path)
+
+    def connect() -> LockStepCan:
+        return LockStepCan(can.Bus(interface="slcan", channel=path, bitrate=1_000_000, **SLCAN), step)
+
+    with slcan_counted(step):
+        yield from _rig(ports, can_devices(CanopenLink(bench.clock, connect, "slcan")))
+
+
+@contextmanager
+def socketcand_on_loopback() -> Iterator[Rig]:
+    bench, ports = simulated_bench(MACHINE, 1), Ports()
+    port = ports.open_socket(SocketcandServer(bench.bus))
+    step = LockStep(bench.clock, ports, port)
+
+    def connect() -> LockStepCan:
+        options = {"interface": "socketcand", "channel": "can0", "host": "127.0.0.1", "port": port, "tcp_tune": True}
+        bus = served_meanwhile(ports, lambda: can.Bus(**options))
+        step.sent, step.read = step.traffic.taken, step.traffic.given
+        count_socketcand(bus, step)
+        return LockStepCan(bus, step)
+
+    yield from _rig(ports, can_devices(CanopenLink(bench.clock, connect, "socketcand")))
+
+
+def serial_ports(bench: SimulatedBench, ports: Ports) -> tuple[str, str]:
+    """Put drive and encoder behind pseudo-terminals; returns their paths."""
+    drive = ports.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+    return drive, ports.open_pty(SimulatedAmt21(bench.clock, bench.sampler))
+
+
+def serial_devices(
+    clock: Clock, connect: Callable[[], BytePort], connect_encoder: Callable[[], BytePort]
+) -> tuple[Link, Cia402Servo, Encoder]:
+    epos = EposSerialLink(clock, connect, "pty")
+    line = Amt21Line(clock, connect_encoder, "encoder pty")
+    encoder = Amt21Encoder(line, EncoderScales(COUNTS_PER_TURN), GATE)
+    link = EncoderLink(epos, encoder)
+    return link, Cia402Servo(epos.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES), encoder
+
+
+def can_devices(link: CanopenLink) -> tuple[Link, Cia402Servo, Encoder]:
+    servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES)
+    encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(COUNTS_PER_TURN))
+    return link, servo, encoder
+
+
+def _rig(ports: Ports, devices: tuple[Link, Cia402Servo, Encoder]) -> Iterator[Rig]:
+    link, servo, encoder = devices
+
+    def cycles(count: int, target: Callable[[float], float] | None = None) -> None:
+        pace(link, servo, CYCLE_S, count, target)
+
+    link.open()
+    try:
+        yield Rig(link, servo, encoder, CYCLE_S, cycles)
+    finally:
+        link.close()
+        ports.close()

@@ -1,0 +1,237 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, PlausibilityGate, decode, encode
+from drivers.amt21_line import Amt21Line
+from drivers.errors import ConfigurationError, LinkError
+from drivers.mock.amt21 import RESTART_S
+from drivers.units import EncoderScales
+
+from .serial_host import GATE, SerialHost, make_serial_host
+
+MS = 1_000_000
+COUNT_RAD = math.tau / COUNTS_PER_TURN
+
+
+@pytest.fixture
+def host() -> Iterator[SerialHost]:
+    made = make_serial_host()
+    yield made
+    made.link.close()
+
+
+def live(host: SerialHost) -> SerialHost:
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    host.servo.enable()
+    host.cycles(3)
+    return host
+
+
+@pytest.mark.parametrize(
+    ("value", "wire"),
+    # Position 21AB = 10 0001 1010 1011: odd bits 13, 7, 5, 3, 1 are five, even bits 8, 0 two.
+    [(0x21AB, "ab 61"), (0, "00 c0"), (0x3FFF, "ff 3f"), (1, "01 80"), (2, "02 40")],
+)
+def test_check_bits(value: int, wire: str) -> None:
+    assert encode(value) == bytes.fromhex(wire)
+    assert decode(bytes.fromhex(wire)) == value
+
+
+@given(st.integers(0, 0x3FFF), st.integers(0, 15))
+def test_every_single_bit_error_is_seen(value: int, bit: int) -> None:
+    wire = (int.from_bytes(encode(value), "little") ^ 1 << bit).to_bytes(2, "little")
+    assert decode(wire) is None
+
+
+@given(st.binary(max_size=4))
+def test_decoding_never_raises(data: bytes) -> None:
+    value = decode(data)
+    assert value is None or encode(value) == data
+
+
+def test_what_the_check_bits_let_pass() -> None:
+    words = range(1 << 16)
+    passed = sum(decode(word.to_bytes(2, "little")) is not None for word in words)
+    assert passed == 1 << 14
+    good = int.from_bytes(encode(1234), "little")
+    pairs = [(a, b) for a in range(16) for b in range(a)]
+    missed = sum(decode((good ^ 1 << a ^ 1 << b).to_bytes(2, "little")) is not None for a, b in pairs)
+    assert missed / len(pairs) == pytest.approx(0.46, abs=0.01)
+
+
+class TestGate:
+    def make(self) -> PlausibilityGate:
+        gate = PlausibilityGate(speed_counts_s=10_000.0, acceleration_counts_s2=500_000.0)
+        gate.start(100, 0.002)
+        assert gate.admit(100, 0)
+        return gate
+
+    def test_takes_what_the_joint_can_do(self) -> None:
+        gate = self.make()
+        for step in range(1, 20):
+            assert gate.admit(100 + step * step // 2, 2 * MS * step)
+        assert gate.position == 100 + 180
+
+    def test_refuses_a_jump_and_keeps_the_position(self) -> None:
+        gate = self.make()
+        assert not gate.admit(100 + 512, 2 * MS)
+        assert gate.position == 100
+        assert gate.admit(101, 4 * MS)
+
+    @pytest.mark.parametrize(("moved", "good"), [(22, True), (23, False), (-22, True), (-23, False)])
+    def test_speed_on_both_sides_of_the_limit(self, moved: int, good: bool) -> None:
+        gate = PlausibilityGate(10_000.0, 1e9)
+        gate.start(8000, 0.002)
+        assert gate.admit(8000, 0)
+        assert gate.admit(8000 + moved, 2 * MS) is good
+
+    @pytest.mark.parametrize(("moved", "good"), [(6, True), (7, False), (-6, True), (-7, False)])
+    def test_acceleration_on_both_sides_of_the_limit(self, moved: int, good: bool) -> None:
+        assert self.make().admit(100 + moved, 2 * MS) is good
+
+    def test_follows_through_the_end_of_the_turn(self) -> None:
+        gate = PlausibilityGate(10_000.0, 500_000.0)
+        gate.start(COUNTS_PER_TURN - 2, 0.002)
+        assert gate.position == -2
+        assert gate.admit(1, 2 * MS)
+        assert gate.position == 1
+
+    def test_the_same_instant_says_nothing_new(self) -> None:
+        assert not self.make().admit(100, 0)
+
+    def test_a_longer_gap_allows_a_longer_way(self) -> None:
+        gate = self.make()
+        assert not gate.admit(160, 2 * MS)
+        assert gate.admit(160, 20 * MS)
+
+    def test_after_too_long_nothing_is_believed_until_the_next_start(self) -> None:
+        gate = self.make()
+        assert not gate.admit(100, 21 * MS)
+        assert not gate.admit(100, 22 * MS)
+        gate.start(100, 0.002)
+        assert gate.admit(100, 900 * MS)
+
+    def test_a_slow_cycle_has_three_periods(self) -> None:
+        gate = PlausibilityGate(10_000.0, 500_000.0)
+        gate.start(100, 0.03)
+        assert gate.admit(100, 0)
+        assert gate.admit(100, 90 * MS)
+        assert not gate.admit(100, 181 * MS)
+
+
+@pytest.mark.parametrize("echo", [False, True], ids=["silent adapter", "adapter with echo"])
+def test_follows_the_joint_below_zero(echo: bool) -> None:
+    host = live(make_serial_host(echo=echo))
+    host.cycles(200, lambda t: -0.05 * math.sin(math.pi / 0.8 * t))
+    sample = host.encoder.sample()
+    assert sample.fresh
+    assert sample.angle_rad == pytest.approx(-0.05, abs=2e-3)
+    host.link.close()
+
+
+def test_the_stamp_is_the_instant_of_asking(host: SerialHost) -> None:
+    live(host)
+    before = host.bench.clock.now_ns()
+    host.link.exchange()
+    assert host.encoder.sample().device_time_s == before / 1e9
+
+
+def flip(mask: int):
+    def spoil(_now: int, data: bytes, from_host: bool) -> bytes:
+        if from_host or len(data) != 2:
+            return data
+        return (int.from_bytes(data, "little") ^ mask).to_bytes(2, "little")
+
+    return spoil
+
+
+@pytest.mark.parametrize(
+    "mask", [1 << 3, 1 << 15, 1 << 12 | 1 << 10, 1 << 9 | 1 << 15], ids=["value", "check", "pair", "value and check"]
+)
+def test_a_bad_or_implausible_answer_leaves_the_angle(host: SerialHost, mask: int) -> None:
+    live(host)
+    before = host.encoder.sample()
+    host.encoder_line.filters.append(flip(mask))
+    host.cycles(3)
+    sample = host.encoder.sample()
+    assert not sample.fresh
+    assert sample.angle_rad == before.angle_rad
+    host.encoder_line.filters.clear()
+    host.cycles(1)
+    assert host.encoder.sample().fresh
+
+
+def test_random_words_hardly_pass(host: SerialHost) -> None:
+    live(host)
+    rng = np.random.default_rng(0)
+    host.encoder_line.filters.append(lambda _now, data, sent: rng.bytes(2) if not sent and rng.random() < 0.1 else data)
+    passed = 0
+    for _ in range(2000):
+        host.cycles(1)
+        sample = host.encoder.sample()
+        passed += sample.fresh
+        # A quarter of random words passes the check bits; what passes the gate as well is near the truth.
+        assert abs(sample.angle_rad) < 0.02
+    assert 1700 < passed < 1900
+
+
+def test_a_silent_encoder_is_not_fresh_and_the_servo_goes_on(host: SerialHost) -> None:
+    live(host)
+    host.encoder_line.cut = True
+    host.cycles(3)
+    assert not host.encoder.sample().fresh
+    assert host.servo.sample().fresh
+
+
+def test_turns_count_whole_turns_with_sign(host: SerialHost) -> None:
+    assert host.encoder.turns() == 0
+    host.amt21.distort = lambda counts: counts - 1
+    assert host.encoder.turns() == -1
+    assert not host.encoder.sample().fresh
+
+
+def test_zero_is_where_it_was_set(host: SerialHost) -> None:
+    host.amt21.distort = lambda counts: counts + 777
+    host.encoder.prepare(host.cycle_s)
+    assert host.encoder.sample().angle_rad == pytest.approx(777 * COUNT_RAD)
+    host.encoder.set_zero()
+    clock = host.bench.clock
+    clock.sleep_until_ns(clock.now_ns() + round(RESTART_S * 1e9))
+    host.encoder.prepare(host.cycle_s)
+    assert host.encoder.sample().angle_rad == 0.0
+
+
+def test_reset_keeps_the_zero(host: SerialHost) -> None:
+    host.amt21.distort = lambda counts: counts + 5
+    host.encoder.reset()
+    clock = host.bench.clock
+    clock.sleep_until_ns(clock.now_ns() + round(RESTART_S * 1e9) + 1)
+    host.encoder.prepare(host.cycle_s)
+    assert host.encoder.sample().angle_rad == pytest.approx(5 * COUNT_RAD)
+
+
+def test_no_encoder_is_a_link_error(host: SerialHost) -> None:
+    host.encoder_line.cut = True
+    with pytest.raises(LinkError, match="no encoder answers at address 54h"):
+        host.encoder.prepare(host.cycle_s)
+
+
+def test_answers_that_disagree_at_rest_stop_preparation(host: SerialHost) -> None:
+    values = iter(range(0, 3000, 100))
+    host.amt21.distort = lambda counts: counts + next(values)
+    with pytest.raises(ConfigurationError, match="should agree to 2 counts"):
+        host.encoder.prepare(host.cycle_s)
+
+
+def test_another_resolution_is_refused(host: SerialHost) -> None:
+    line = Amt21Line(host.bench.clock, lambda: host.encoder_line, "line")
+    with pytest.raises(ConfigurationError, match="has 16384 counts per turn, the bench file says 4096"):
+        Amt21Encoder(line, EncoderScales(4096), GATE)

@@ -1,0 +1,113 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from drivers.dbc_bind import DbcMapError, bind, nearest
+from drivers.dbc_file import read_dbc
+from drivers.dbc_map import DbcMap, Protection, Quantity, Status, StopFrame
+from drivers.interfaces import ServoState
+from drivers.mock.dbc_drive import DRIVE_DBC
+
+from .dbc_host import MAP, ORDER
+
+LAYOUTS = read_dbc(DRIVE_DBC)
+STATES = MAP.status.states
+
+
+def problems(spec: DbcMap) -> dict[str, str]:
+    with pytest.raises(DbcMapError) as caught:
+        bind(spec, LAYOUTS)
+    return {".".join(map(str, place)): text for place, text in caught.value.problems}
+
+
+def inputs(**changes: Quantity | None) -> DbcMap:
+    return replace(MAP, inputs=replace(MAP.inputs, **changes))
+
+
+def test_the_map_binds() -> None:
+    wiring = bind(MAP, LAYOUTS)
+    assert wiring.states[2] is ServoState.OPERATION_ENABLED
+    assert wiring.stop_frame == (0x010, b"\xa5")
+    assert set(wiring.sent) == {"DRV_Command"}
+    assert set(wiring.settings) == {"DRV_Limits"}
+    assert wiring.sampled == {"DRV_Motion", "DRV_Power", "DRV_Status"}
+    assert wiring.disable["DRV_Command"] == bytes(8)
+    assert wiring.stop["DRV_Command"] == b"\x03" + bytes(7)
+    assert wiring.received["DRV_Status"].period_s == 0.1
+
+
+def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
+    messages = {**MAP.messages, "DRV_Status": Protection(period_ms=40)}
+    assert bind(replace(MAP, messages=messages), LAYOUTS).received["DRV_Status"].period_s == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize(
+    ("spec", "place", "words"),
+    [
+        (inputs(position=Quantity("DRV_Moton.Position")), "inputs.position.signal", "did you mean 'DRV_Motion'"),
+        (inputs(position=Quantity("DRV_Motion.Postion")), "inputs.position.signal", "did you mean 'Position'?"),
+        (inputs(position=Quantity("Position")), "inputs.position.signal", "must be written Message.Signal"),
+        (inputs(position=Quantity("DRV_Motion.Position", -1.0)), "inputs.position.scale", "more than zero, not -1"),
+        (inputs(current=None), "inputs", "one of current and torque"),
+        (inputs(torque=MAP.inputs.current), "inputs", "one of current and torque"),
+        (inputs(voltage=Quantity("DRV_Command.Order")), "inputs", "'DRV_Command' has two uses"),
+        (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": ("REDY",)})),
+         "status.states.ready.0", "no value 'REDY'; did you mean 'READY'?"),
+        (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": (16,)})),
+         "status.states.ready.0", "16 is outside 0 to 15"),
+        (replace(MAP, status=Status("DRV_Motion.State", {**STATES, "ready": ("RUN",)})),
+         "status.states.running.0", "already means another state"),
+        (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "disabled": (0,)})),
+         "status.states", "no value means 'fault'"),
+        (replace(MAP, orders=replace(MAP.orders, stop={ORDER: "HALT"})), f"orders.stop.{ORDER}", "no value 'HALT'"),
+        (replace(MAP, orders=replace(MAP.orders, stop={"DRV_Command.Ordr": 1})),
+         "orders.stop.DRV_Command.Ordr", "did you mean 'Order'?"),
+        (replace(MAP, orders=replace(MAP.orders, enable={"disabled": {ORDER: "READY"}})),
+         "orders.enable", "keeps a 'running' drive running"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Stp")), "stop_frame.message", "did you mean 'DRV_Stop'"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Cod": 1})), "stop_frame.signals.Cod", "did you mean 'Code'?"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Code": 300})), "stop_frame.signals.Code", "0 to 255"),
+        (replace(MAP, messages={"DRV_Motion": Protection(counter="Live")}),
+         "messages.DRV_Motion.counter", "did you mean 'Life'?"),
+        (replace(MAP, messages={"DRV_Motion": Protection(checksum="Life")}),
+         "messages.DRV_Motion.checksum", "has 4 bits; a checksum has 8"),
+        (replace(MAP, messages={"DRV_Stop": Protection()}), "messages.DRV_Stop", "carries nothing in this map"),
+        (replace(MAP, messages={"DRV_Motion": Protection(period_ms=-1)}),
+         "messages.DRV_Motion.period_ms", "zero or more"),
+    ],
+)  # fmt: skip
+def test_a_wrong_map_names_the_place_and_the_remedy(spec: DbcMap, place: str, words: str) -> None:
+    assert words in problems(spec)[place]
+
+
+def test_every_problem_is_told_at_once() -> None:
+    wrong = inputs(position=Quantity("DRV_Motion.Postion"), velocity=Quantity("DRV_Powr.Velocity"))
+    assert set(problems(replace(wrong, stop_frame=StopFrame("Stop")))) == {
+        "inputs.position.signal",
+        "inputs.velocity.signal",
+        "stop_frame.message",
+    }
+
+
+def test_nearest_lists_all_where_nothing_is_near() -> None:
+    assert nearest("zzz", ["Life", "Check"]) == "known are Check, Life"
+    assert nearest("LIFE", ["Life", "Check"]) == "did you mean 'Life'?"
+
+
+def test_states_and_codes_are_whole_numbers() -> None:
+    motion, status = LAYOUTS["DRV_Motion"], LAYOUTS["DRV_Status"]
+    layouts = {
+        **LAYOUTS,
+        "DRV_Motion": replace(motion, signals={**motion.signals, "State": replace(motion.signals["State"], real=True)}),
+        "DRV_Status": replace(
+            status, signals={**status.signals, "FaultCode": replace(status.signals["FaultCode"], real=True)}
+        ),
+    }
+    with pytest.raises(DbcMapError) as caught:
+        bind(MAP, layouts)
+    assert [place for place, _ in caught.value.problems] == [
+        ("inputs", "fault_code", "signal"),
+        ("status", "signal"),
+    ]

@@ -1,0 +1,175 @@
+"""Counters, checksums and freshness, without a bus."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.dbc_bind import bind
+from drivers.dbc_channel import DbcChannel
+from drivers.dbc_codec import crc8_j1850
+from drivers.dbc_file import read_dbc
+from drivers.errors import DriveFault
+from drivers.interfaces import ServoState
+from drivers.mock.dbc_drive import DRIVE_DBC
+
+from .dbc_host import MAP
+
+WIRING = bind(MAP, read_dbc(DRIVE_DBC))
+MOTION, POWER, STATUS = 0x190, 0x191, 0x1A0
+OFF, RUN, FAULT = 0, 2, 5
+
+
+def guarded(body: bytes) -> bytes:
+    return body + bytes([crc8_j1850(body + b"\0")])
+
+
+def motion(life: int, state: int = RUN) -> bytes:
+    return guarded(bytes(6) + bytes([state | (life & 15) << 4]))
+
+
+@pytest.fixture
+def channel() -> DbcChannel:
+    made = DbcChannel(WIRING, "the drive")
+    made.set_cycle(0.001)
+    return made
+
+
+def cycle(channel: DbcChannel, number: int, *frames: tuple[int, bytes]) -> None:
+    """Run exchange ``number``, from 1; status comes every hundredth."""
+    channel.begin(number * 1_000_000)
+    if number % 100 == 1:
+        channel.receive(channel.slots[STATUS], guarded(bytes([0, 0, 0, 0, (number // 100 & 15) << 4])), number * 10**6)
+    for identifier, data in frames:
+        channel.receive(channel.slots[identifier], data, number * 1_000_000)
+
+
+def whole(number: int) -> tuple[tuple[int, bytes], ...]:
+    return (MOTION, motion(number)), (POWER, bytes(7) + bytes([(number & 15) << 4]))
+
+
+def test_a_whole_answer_is_fresh_for_as_long_as_it_comes(channel: DbcChannel) -> None:
+    for number in range(1, 300):
+        cycle(channel, number, *whole(number))
+        assert channel.fresh
+    cycle(channel, 300)
+    assert not channel.fresh
+    cycle(channel, 301, *whole(301))
+    assert channel.fresh
+
+
+def test_a_message_on_its_own_period_ages(channel: DbcChannel) -> None:
+    cycle(channel, 1, *whole(1))
+    for number in range(2, 252):
+        channel.begin(number * 1_000_000)
+        for identifier, data in whole(number):
+            channel.receive(channel.slots[identifier], data, number * 1_000_000)
+        assert channel.fresh is (number <= 251)
+    channel.begin(252 * 1_000_000)
+    for identifier, data in whole(252):
+        channel.receive(channel.slots[identifier], data, 252 * 1_000_000)
+    assert not channel.fresh
+
+
+def test_nothing_is_fresh_before_the_first_frame(channel: DbcChannel) -> None:
+    channel.begin(0)
+    assert not channel.fresh
+    for identifier, data in whole(1):
+        channel.receive(channel.slots[identifier], data, 0)
+    assert not channel.fresh  # no status yet
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        motion(1),  # the counter stands still
+        motion(0),  # or runs backwards
+        motion(2)[:7],
+        motion(2) + b"\0",
+        motion(2)[:7] + bytes([motion(2)[7] ^ 1]),
+        b"",
+    ],
+    ids=["still", "backwards", "short", "long", "checksum", "empty"],
+)
+def test_a_bad_frame_updates_nothing(channel: DbcChannel, bad: bytes) -> None:
+    cycle(channel, 1, *whole(1))
+    slot = channel.slots[MOTION]
+    before = slot.data
+    cycle(channel, 2, (MOTION, bad), whole(2)[1])
+    assert slot.data == before
+    assert (slot.count, slot.refused) == (1, 1)
+    assert not channel.fresh
+
+
+@pytest.mark.parametrize("lost", range(8))
+def test_frames_that_were_lost_before_do_not_spoil_a_good_one(channel: DbcChannel, lost: int) -> None:
+    cycle(channel, 1, *whole(1))
+    number = 2 + lost
+    cycle(channel, number, *whole(number))
+    assert channel.fresh
+
+
+def test_a_drive_that_restarted_its_counter_costs_one_sample(channel: DbcChannel) -> None:
+    cycle(channel, 1, (MOTION, motion(5)), whole(1)[1])
+    cycle(channel, 2, (MOTION, motion(1)), whole(2)[1])
+    assert not channel.fresh
+    cycle(channel, 3, (MOTION, motion(2)), whole(3)[1])
+    assert channel.fresh
+
+
+@given(frames=st.lists(st.tuples(st.sampled_from([MOTION, POWER, STATUS]), st.binary(max_size=8)), max_size=20))
+def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(frames: list[tuple[int, bytes]]) -> None:
+    channel = DbcChannel(WIRING, "the drive")
+    channel.set_cycle(0.001)
+    for number, (identifier, data) in enumerate(frames):
+        channel.begin(number)
+        slot = channel.slots[identifier]
+        before, count = slot.data, slot.count
+        channel.receive(slot, data, number)
+        if slot.count == count:
+            assert slot.data is before
+        else:
+            assert len(data) == slot.message.size
+            if slot.message.checksum is not None:
+                assert data[-1] == crc8_j1850(data[:-1] + b"\0")
+        assert channel.state is None or isinstance(channel.state, ServoState)
+
+
+def test_commands_count_and_carry_their_checksum(channel: DbcChannel) -> None:
+    channel.order(WIRING.enable[ServoState.OPERATION_ENABLED])
+    channel.aim(-5 & 0xFFFFFFFF)
+    lives = []
+    for _ in range(40):
+        ((identifier, data),) = channel.frames()
+        assert identifier == 0x110
+        assert data[7] == crc8_j1850(data[:7] + b"\0")
+        assert data[0] & 15 == 2
+        assert int.from_bytes(data[1:5], "little", signed=True) == -5
+        lives.append(data[0] >> 4)
+    assert all((b - a) % 16 == 1 for a, b in pairwise(lives))
+
+
+def test_an_order_keeps_the_target(channel: DbcChannel) -> None:
+    channel.aim(77)
+    channel.order(WIRING.stop)
+    ((_, data),) = channel.frames()
+    assert (data[0] & 15, data[1]) == (3, 77)
+
+
+@pytest.mark.parametrize(("state", "faulty"), [(OFF, False), (1, False), (3, False), (FAULT, True), (4, True)])
+def test_a_drive_that_stopped_by_itself_is_not_asked_to_run_again(
+    channel: DbcChannel, state: int, faulty: bool
+) -> None:
+    cycle(channel, 1, *whole(1))
+    channel.order(WIRING.enable[ServoState.OPERATION_ENABLED], hold=True)
+    channel.settle()
+    assert next(iter(channel.frames()))[1][0] & 15 == 2
+    cycle(channel, 2, (MOTION, motion(2, state)), whole(2)[1])
+    if faulty:
+        with pytest.raises(DriveFault, match="the drive is in fault"):
+            channel.settle()
+    channel.settle()
+    assert next(iter(channel.frames()))[1][0] & 15 == 0

@@ -1,0 +1,308 @@
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from drivers.dbc_map import LimitMap, Protection, Quantity
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.interfaces import ServoState
+from drivers.mock.dbc_drive import COMMAND_LOST, FIRMWARE, POWERED, SERIAL_NUMBER, Order, State
+
+from .dbc_host import DRIVE, HELD, MAP, DbcHost, enabled, make_dbc_host, prepared
+
+COMMAND, MOTION, STOP, LIMITS = 0x110, 0x190, 0x010, 0x120
+VERBS: dict[str, Callable[[DbcHost], object]] = {
+    "state": lambda host: host.servo.state(),
+    "identity": lambda host: host.servo.identity(),
+    "read_limits": lambda host: host.servo.read_limits(),
+    "write_limits": lambda host: host.servo.write_limits(HELD),
+    "prepare": lambda host: host.servo.prepare(host.cycle_s),
+    "disable": lambda host: host.servo.disable(),
+    "quick_stop": lambda host: host.servo.quick_stop(),
+    "reset_fault": lambda host: host.servo.reset_fault(),
+    "set_target": lambda host: host.servo.set_target(0.1),
+    "exchange": lambda host: host.cycles(30, lambda _: 0.1),
+    "close": lambda host: host.link.close(),
+}
+
+
+@pytest.fixture
+def host():
+    made = make_dbc_host()
+    yield made
+    made.link.close()
+
+
+def orders(host: DbcHost) -> list[int]:
+    """Orders in the commands that the host has sent since the last call."""
+    return [frame.data[0] & 15 for frame in host.link.take_frames() if frame.identifier == COMMAND]
+
+
+def put(host: DbcHost, state: State) -> None:
+    """Bring the drive, not the host, into a state."""
+    prepared(host)
+    drive = host.bench.drive
+    for between in (State.READY, State.RUN):
+        if state in (State.OFF, State.FAULT) or drive.state is state:
+            break
+        drive._enter(between)
+    if drive.state is not state:
+        drive.fail(9) if state in (State.FAULT, State.BRAKING) else drive._enter(state)
+    assert drive.state is state
+    host.powered.clear()
+    host.link.take_frames()
+
+
+@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("state", State)
+def test_no_verb_but_enable_leads_toward_power(host: DbcHost, state: State, verb: str) -> None:
+    put(host, state)
+    try:
+        VERBS[verb](host)
+        host.wait(0.01)
+    except DeviceError:
+        pass
+    toward = {Order.READY, Order.RUN}
+    assert not toward & set(orders(host))
+    assert True not in host.powered
+    if state not in POWERED:
+        assert host.bench.drive.state not in POWERED
+
+
+@pytest.mark.parametrize("verb", ["disable", "quick_stop"])
+def test_every_way_of_stopping_sends_the_stop_frame(host: DbcHost, verb: str) -> None:
+    enabled(host)
+    host.link.take_frames()
+    VERBS[verb](host)
+    sent = [(frame.identifier, frame.data) for frame in host.link.take_frames() if frame.sent]
+    assert (STOP, b"\xa5") in sent
+
+
+@pytest.mark.parametrize("verb", ["disable", "quick_stop"])
+def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
+    enabled(host)
+    left = [2]
+
+    def drop(_time: int, found: int, data: bytes, sent: bool) -> tuple[int, bytes] | None:
+        if found in (COMMAND, STOP) and left[0]:
+            left[0] -= 1
+            return None
+        return found, data
+
+    host.bench.bus.frame_filters.append(drop)
+    VERBS[verb](host)
+    assert host.bench.drive.state in (State.OFF, State.STOPPING)
+
+
+def test_the_stop_frame_alone_stops(host: DbcHost) -> None:
+    enabled(host)
+    host.bench.bus.frame_filters.append(lambda _t, found, data, _s: None if found == COMMAND else (found, data))
+    host.servo.quick_stop()
+    host.servo.disable()
+    assert host.bench.drive.state is State.OFF
+
+
+def test_a_drive_that_ignores_disable_is_found_out(host: DbcHost) -> None:
+    enabled(host)
+    host.bench.drive._obey = lambda order: None
+    host.bench.drive._on_stop = lambda data: None
+    host.bench.drive._port.listen(STOP, lambda data: None)
+    with pytest.raises(StateError, match=r"reports 'operation enabled' 1 s after the command.*by hand"):
+        host.servo.disable()
+
+
+def test_a_silent_drive_is_found_out(host: DbcHost) -> None:
+    enabled(host)
+    host.bench.bus.frame_filters.append(lambda _t, found, data, _s: None if found == MOTION else (found, data))
+    with pytest.raises(LinkError, match=r"sent no good DRV_Motion \(190h\) in 0\.3 s: check its supply and bus"):
+        host.servo.state()
+
+
+def test_a_wrong_checksum_in_the_map_is_told_apart_from_silence() -> None:
+    messages = {**MAP.messages, "DRV_Motion": Protection("Life", "Check", "sum8")}
+    host = make_dbc_host(spec=replace(MAP, messages=messages))
+    with pytest.raises(LinkError, match=r"\d+ came with a bad length, checksum or counter: check the map"):
+        host.servo.state()
+    host.link.close()
+
+
+def test_the_state_is_not_that_of_an_old_frame(host: DbcHost) -> None:
+    enabled(host)
+    host.cycles(20)
+    host.wait(0.3)
+    assert host.bench.drive.state is State.FAULT
+    assert host.servo.state() is ServoState.FAULT
+    assert host.bench.drive.fault_code == COMMAND_LOST
+
+
+def test_a_status_that_the_map_does_not_name_is_an_error() -> None:
+    states = {name: values for name, values in MAP.status.states.items() if name != "ready"}
+    host = make_dbc_host(spec=replace(MAP, status=replace(MAP.status, states=states)))
+    prepared(host)
+    host.bench.drive._obey = lambda order: None
+    host.bench.drive._enter(State.READY)
+    host.cycles(1)
+    assert host.servo.sample().statusword & 0x6F == 0
+    with pytest.raises(StateError, match="reports status 1, which the map does not name"):
+        host.servo.state()
+    host.link.close()
+
+
+def test_enabling_does_not_jump_to_an_old_target(host: DbcHost) -> None:
+    enabled(host)
+    host.cycles(100, lambda t: t)
+    host.servo.disable()
+    host.wait(0.2)
+    at = host.bench.machine.truth().angle_rad
+    host.servo.set_target(-0.3)
+    host.servo.enable()
+    host.cycles(50)
+    assert host.bench.machine.truth().angle_rad == pytest.approx(at, abs=2e-4)
+
+
+def test_enabling_a_drive_in_fault_says_so(host: DbcHost) -> None:
+    prepared(host)
+    host.bench.drive.fail(0x42)
+    with pytest.raises(DriveFault, match="0042h"):
+        host.servo.enable()
+    assert host.bench.drive.state is State.FAULT
+
+
+def test_a_drive_that_does_not_reach_power_is_left_without(host: DbcHost) -> None:
+    prepared(host)
+    obey = host.bench.drive._obey
+    host.bench.drive._obey = lambda order: None if order is Order.RUN else obey(order)
+    with pytest.raises(StateError, match="still in state 'ready to switch on' after 1 s of enabling"):
+        host.servo.enable()
+    assert host.bench.drive.state is State.OFF
+
+
+def test_a_fault_is_reset_without_power(host: DbcHost) -> None:
+    prepared(host)
+    host.bench.drive.fail(0x42)
+    host.servo.reset_fault()
+    assert host.bench.drive.state is State.OFF
+    assert host.bench.drive.fault_code == 0
+    host.servo.reset_fault()  # nothing to do
+
+
+def test_a_reset_survives_a_lost_frame(host: DbcHost) -> None:
+    prepared(host)
+    host.bench.drive.fail(0x42)
+    left = [2]
+
+    def drop(_time: int, found: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+        left[0] -= found == COMMAND
+        return None if found == COMMAND and left[0] >= 0 else (found, data)
+
+    host.bench.bus.frame_filters.append(drop)
+    host.servo.reset_fault()
+    assert host.bench.drive.state is State.OFF
+
+
+def test_who_it_is_comes_from_its_frames(host: DbcHost) -> None:
+    identity = host.servo.identity()
+    assert (identity.name, identity.vendor_id) == ("house servo", 0x1234)
+    assert (identity.serial_number, identity.revision) == (SERIAL_NUMBER, FIRMWARE)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_sign_scale_and_zero_of_a_sample(sign: int) -> None:
+    reported = replace(
+        MAP.inputs,
+        position=replace(MAP.inputs.position, sign=sign),
+        velocity=replace(MAP.inputs.velocity, sign=sign),
+        current=replace(MAP.inputs.current, sign=sign),
+        voltage=replace(MAP.inputs.voltage, sign=sign),
+    )
+    spec = replace(MAP, inputs=reported, target=replace(MAP.target, sign=sign))
+    host = make_dbc_host(spec=spec, drive=replace(DRIVE, offset_rad=0.1))
+    enabled(host)
+    host.cycles(400, lambda t: 0.1 + 0.2 * t)
+    sample = host.servo.sample()
+    assert sample.motor_angle_rad / 100.0 == pytest.approx(0.18, abs=2e-3)
+    assert host.bench.machine.truth().angle_rad == pytest.approx(sign * 0.08, abs=2e-3)
+    assert sample.velocity_rad_s == pytest.approx(0.2, rel=0.1)
+    assert sample.current_A > 1.0
+    assert sample.voltage_V > 1.0
+    assert (sample.supply_voltage_V, sample.temperature_C) == (60.0, 25.0)
+    assert abs(sample.following_error_rad) < 5e-3
+    host.link.close()
+
+
+def test_a_torque_signal_gives_the_current() -> None:
+    torque = Quantity("DRV_Motion.Current", 0.03)
+    spec = replace(MAP, inputs=replace(MAP.inputs, current=None, torque=torque, voltage=None, time=None))
+    host, plain = make_dbc_host(spec=spec), make_dbc_host()
+    for each in (host, plain):
+        enabled(each)
+        each.cycles(100, lambda t: 0.2 * t)
+    first, second = host.servo.sample(), plain.servo.sample()
+    assert first.current_A == pytest.approx(second.current_A)
+    assert math.isnan(first.voltage_V)
+    # Without a time signal the host's time of arrival stands in.
+    assert first.device_time_s == pytest.approx(host.clock.now_ns() * 1e-9, abs=1e-3)
+    for each in (host, plain):
+        each.link.close()
+
+
+def test_a_target_beyond_its_signal_is_named(host: DbcHost) -> None:
+    with pytest.raises(ConfigurationError, match=r"TargetPosition = .* is outside -524288 to 524288"):
+        host.servo.set_target(1e6)
+
+
+def test_limits_survive_the_way_to_the_drive_and_back(host: DbcHost) -> None:
+    wanted = replace(HELD, angle_min_rad=-0.4, angle_max_rad=0.3, speed_rad_s=1.5, torque_N_m=30.0)
+    host.servo.write_limits(wanted)
+    held = host.servo.read_limits()
+    unit = 0.01 * math.tau / 100
+    assert 0 <= held.angle_min_rad - wanted.angle_min_rad < unit
+    assert 0 <= wanted.angle_max_rad - held.angle_max_rad < unit
+    assert 0 <= wanted.speed_rad_s - held.speed_rad_s < 1.1e-3
+    assert 0 <= wanted.torque_N_m - held.torque_N_m < 0.1
+    assert held.current_A == pytest.approx(held.torque_N_m / 3.0)
+    assert 0 <= wanted.following_error_rad - held.following_error_rad < 1e-4
+    host.servo.write_limits(held)
+    assert host.servo.read_limits() == held
+
+
+def test_limits_that_do_not_arrive_are_named(host: DbcHost) -> None:
+    host.bench.bus.frame_filters.append(lambda _t, found, data, _s: None if found == LIMITS else (found, data))
+    with pytest.raises(ConfigurationError, match=r"house servo does not take these limits.*speed reads 240 after"):
+        host.servo.write_limits(HELD)
+
+
+def test_a_limit_beyond_its_signal_is_named(host: DbcHost) -> None:
+    with pytest.raises(ConfigurationError, match=r"limit angle_max: AngleMax = .* outside -327\.68 to 327\.67"):
+        host.servo.write_limits(replace(HELD, angle_max_rad=100.0))
+
+
+def test_limits_set_with_the_makers_tool_must_leave_room() -> None:
+    host = make_dbc_host(spec=replace(MAP, limits=LimitMap()))
+    assert host.servo.read_limits() == HELD
+    host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
+    with pytest.raises(ConfigurationError, match=r"speed 3 rad/s \(drive: 2\.0944 rad/s\)"):
+        host.servo.write_limits(replace(HELD, speed_rad_s=3.0))
+    host.link.close()
+
+
+def test_a_cycle_too_slow_for_the_watchdog_is_refused(host: DbcHost) -> None:
+    with pytest.raises(ConfigurationError, match="every 60 ms, the drive stops after 100 ms"):
+        host.servo.prepare(0.06)
+
+
+def test_a_drive_without_a_watchdog_says_so(host: DbcHost) -> None:
+    assert host.link.has_watchdog
+    without = make_dbc_host(drive=replace(DRIVE, watchdog_s=None))
+    assert not without.link.has_watchdog
+    without.servo.prepare(0.06)
+    without.link.close()
+
+
+def test_an_energised_drive_is_not_prepared(host: DbcHost) -> None:
+    enabled(host)
+    with pytest.raises(StateError, match="'operation enabled': disable it before"):
+        host.servo.prepare(host.cycle_s)

@@ -1,0 +1,308 @@
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from drivers import servo_limits
+from drivers.cia402 import CONTROLWORD
+from drivers.clock import SimulatedClock
+from drivers.epos_serial import ERROR, FrameDecoder, Opcode, encode
+from drivers.epos_serial_link import EposSerialLink
+from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.interfaces import ServoState
+from drivers.mock.dictionary import key
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.plant.machine import Reading
+from drivers.mock.power_state import State
+from drivers.mock.serial_line import SimulatedLine
+
+from .serial_host import SerialHost, make_serial_host
+from .test_servo import LIMITS, assert_within
+
+
+@pytest.fixture
+def host() -> Iterator[SerialHost]:
+    made = make_serial_host()
+    yield made
+    made.link.close()
+
+
+def prepared(host: SerialHost) -> SerialHost:
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    return host
+
+
+def enabled(host: SerialHost) -> SerialHost:
+    prepared(host).servo.enable()
+    return host
+
+
+def test_values_keep_their_sign_and_size(host: SerialHost) -> None:
+    host.drive.write(0x60C2, 2, -3)
+    assert host.drive.read(0x60C2, 2) == -3
+    host.drive.write(0x607D, 1, -12345)
+    assert host.drive.read(0x607D, 1) == -12345
+    assert host.drive.read_text(0x1008) == "loadrig simulated drive"
+
+
+def test_segments_both_ways(host: SerialHost) -> None:
+    host.drive.write_bytes(0x607D, 1, (77).to_bytes(4, "little"))
+    assert host.drive.read(0x607D, 1) == 77
+    long = "x" * 700
+    host.bench.drive.objects.texts[0x1008 << 8] = long
+    assert host.drive.read_text(0x1008) == long
+
+
+def test_a_segmented_write_of_the_wrong_length_is_refused(host: SerialHost) -> None:
+    with pytest.raises(ObjectAccessError, match=r"object 607Dh:01h.*06070010h"):
+        host.drive.write_bytes(0x607D, 1, bytes(300))
+
+
+@pytest.mark.parametrize(("index", "code"), [(0x5555, 0x06020000), (0x6041, 0x06010002)])
+def test_a_refusal_names_object_and_code(host: SerialHost, index: int, code: int) -> None:
+    fields = bytes([1]) + index.to_bytes(2, "little") + bytes(5)
+    answer = host.epos.request(Opcode.WRITE_OBJECT, fields, "test")
+    assert answer == ERROR.pack(code)
+
+
+def test_a_refused_object_raises(host: SerialHost) -> None:
+    with pytest.raises(ObjectAccessError, match="object 6041h:00h: node 1 refuses") as caught:
+        host.drive.write(0x6041, 0, 1)
+    assert caught.value.code == 0x06010002
+
+
+def test_unknown_commands_and_other_nodes_get_an_error(host: SerialHost) -> None:
+    assert host.epos.request(Opcode.ANSWER, bytes(4), "test") == ERROR.pack(0x0F00FFBF)
+    other = host.epos.add_node(5, DRIVE_EDS)
+    with pytest.raises(ObjectAccessError, match="wrong node identifier"):
+        other.read(0x6041)
+
+
+@pytest.mark.parametrize("opcode", [op for op in Opcode if op is not Opcode.ANSWER])
+def test_the_twin_answers_short_requests_with_an_error(host: SerialHost, opcode: Opcode) -> None:
+    (error,) = ERROR.unpack_from(host.epos.request(opcode, b"", "test"))
+    assert error
+
+
+def test_a_value_that_does_not_fit_is_named(host: SerialHost) -> None:
+    with pytest.raises(ConfigurationError, match="70000 does not fit object 6072h"):
+        host.drive.write(0x6072, 0, 70000)
+    with pytest.raises(ConfigurationError, match="is no integer"):
+        host.drive.read(0x1008)
+
+
+def test_the_limits_survive_the_way(host: SerialHost) -> None:
+    servo_limits_before = host.servo.read_limits()
+    host.servo.write_limits(LIMITS)
+    assert_within(host.servo.read_limits(), LIMITS)
+    assert servo_limits_before != host.servo.read_limits()
+    assert host.drive.read(*servo_limits.MAX_TORQUE) == 666
+
+
+def test_bytes_take_their_time(host: SerialHost) -> None:
+    host.drive.read(0x6041)
+    clock = host.bench.clock
+    before = clock.now_ns()
+    host.drive.read(0x6041)
+    assert (clock.now_ns() - before) / 1e9 == pytest.approx(24 * 10 / 1e6, abs=2e-5)
+
+
+def test_a_cycle_is_five_objects_and_fits_eighty_percent(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(10)
+    host.link.take_frames()
+    clock = host.bench.clock
+    due = clock.now_ns() + 2_000_000
+    clock.sleep_until_ns(due)
+    host.link.exchange()
+    assert clock.now_ns() - due <= 0.8 * 2_000_000
+    sent = b"".join(f.data for f in host.epos.take_frames() if f.sent)
+    assert [frame.opcode for frame in FrameDecoder().feed(sent)] == [0x68, 0x60, 0x60, 0x60, 0x60]
+
+
+def test_the_others_take_turns(host: SerialHost) -> None:
+    prepared(host)
+    host.cycles(1)
+    host.epos.take_frames()
+    host.cycles(6)
+    sent = b"".join(f.data for f in host.epos.take_frames() if f.sent)
+    read = [int.from_bytes(data[1:3], "little") for op, data in FrameDecoder().feed(sent) if op == 0x60]
+    assert set(read[0::4]) == {0x6041}
+    assert sorted(read[3::4]) == sorted([0x606C, 0x606C, 0x2100, 0x2100, 0x6079, 0x2101])
+
+
+def test_the_controlword_goes_out_when_it_changes_only(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(1)
+    host.epos.take_frames()
+    host.cycles(5)
+    host.servo.quick_stop()
+    host.cycles(5)
+    sent = b"".join(f.data for f in host.epos.take_frames() if f.sent)
+    words = [
+        d[4] for op, d in FrameDecoder().feed(sent) if op == 0x68 and d[1:3] == CONTROLWORD[0].to_bytes(2, "little")
+    ]
+    assert words == [0x02, 0x02]
+
+
+def corrupt(host: SerialHost, first: int, last: int) -> list[int]:
+    """Spoil the answers numbered ``first`` to ``last`` - 1 from now on; returns a counter."""
+    seen = [0]
+
+    def spoil(_now: int, data: bytes, from_host: bool) -> bytes:
+        if from_host:
+            return data
+        seen[0] += 1
+        return data[:-1] + bytes([data[-1] ^ 1]) if first <= seen[0] - 1 < last else data
+
+    host.line.filters.append(spoil)
+    return seen
+
+
+def test_a_bad_answer_updates_nothing_and_the_next_cycle_is_whole(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(200, lambda t: 0.2 * t)
+    before = host.servo.sample()
+    corrupt(host, 1, 2)
+    host.cycles(1, lambda t: 0.1)
+    lost = host.servo.sample()
+    assert not lost.fresh
+    assert lost[1:6] == before[1:6]
+    assert lost.statusword == before.statusword
+    host.cycles(1, lambda t: 0.1)
+    assert host.servo.sample().fresh
+    assert host.epos.lost == 1
+
+
+def test_a_late_answer_is_not_taken_for_the_next(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(50, lambda t: 0.2 * t)
+    held: list[bytes] = []
+
+    def delay(_now: int, data: bytes, from_host: bool) -> bytes:
+        if from_host:
+            return data
+        held.append(data)
+        # One answer late from here on, as an adapter with a full buffer would be.
+        return b"" if len(held) == 1 else held[-2] + data if len(held) == 2 else data
+
+    host.line.filters.append(delay)
+    host.cycles(1)
+    assert not host.servo.sample().fresh
+    for _ in range(5):
+        host.cycles(1)
+        sample = host.servo.sample()
+        assert sample.fresh
+        assert sample.statusword & 0x6F == 0x27
+        assert abs(sample.motor_angle_rad / 100.0 - host.bench.machine.truth().angle_rad) < 1e-3
+
+
+def test_two_frames_for_one_request_are_not_believed(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(5)
+    alien = encode(Opcode.ANSWER, bytes(8))
+    host.line.filters.append(lambda _now, data, from_host: data if from_host else data + alien)
+    host.cycles(1)
+    assert not host.servo.sample().fresh
+
+
+def test_a_silent_drive_is_reported_as_lost(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(5)
+    host.line.cut = True
+    with pytest.raises(LinkError, match=r"node 1 gave no whole answer for 0\.20\d s \(limit 0\.2 s\)"):
+        host.cycles(150)
+
+
+def test_one_lost_answer_outside_the_cycle_is_asked_for_again(host: SerialHost) -> None:
+    enabled(host)
+    host.cycles(5)
+    corrupt(host, 0, 1)
+    host.servo.disable()
+    assert host.bench.drive.power_state is State.SWITCH_ON_DISABLED
+    assert host.epos.lost == 1
+
+
+def test_no_answer_at_all_is_a_link_error(host: SerialHost) -> None:
+    host.line.cut = True
+    with pytest.raises(LinkError, match=r"object 6041h:00h: no good answer within 0\.6 s; check power"):
+        host.servo.state()
+
+
+def test_without_a_watchdog_the_drive_goes_on_and_the_link_says_so(host: SerialHost) -> None:
+    enabled(host)
+    assert not host.link.has_watchdog
+    host.cycles(5)
+    host.line.cut = True
+    clock = host.bench.clock
+    clock.sleep_until_ns(clock.now_ns() + 5_000_000_000)
+    assert host.bench.drive.power_state is State.OPERATION_ENABLED
+
+
+def test_the_drive_watches_its_following_error_without_sync(host: SerialHost) -> None:
+    enabled(host)
+    host.drive.write(0x6065, 0, 100)
+    host.bench.machine.press(1e6)
+    host.servo.set_target(0.3)
+    host.link.exchange()
+    clock = host.bench.clock
+    clock.sleep_until_ns(clock.now_ns() + 500_000_000)
+    assert host.servo.state() is ServoState.FAULT
+    assert host.drive.read(0x603F) == 0x8611
+
+
+def test_the_mean_current_ends_with_the_angle(host: SerialHost) -> None:
+    """A current that rises evenly is known over any cycle: as read its mean would be off by 12 per mille here."""
+    enabled(host)
+    drive, clock = host.bench.drive, host.bench.clock
+    rate, half_cycle, began = 50.0, 1e3 * host.cycle_s / 2, clock.now_ns()  # per mille per ms, ms
+    read_ms: list[float] = []
+    pairs: list[tuple[float, float]] = []
+    measure, latch = drive._measure, drive.latch
+
+    def rising(reading: Reading) -> None:
+        measure(reading)
+        read_ms.append((clock.now_ns() - began) / 1e6)
+        drive._values[key(0x6078)] = round(rate * (read_ms[-1] - half_cycle))
+
+    def paired() -> None:
+        latch()
+        pairs.append((read_ms[-2], read_ms[-1]))
+
+    drive._measure, drive.latch = rising, paired  # type: ignore[method-assign]
+    host.cycles(4)
+    at_position, at_current = pairs[-1]
+    assert at_current - at_position > 0.2
+    assert host.drive._values[0x6078, 0].value == pytest.approx(rate * (at_position - half_cycle), abs=1.5)
+
+
+def test_another_cycle_is_refused(host: SerialHost) -> None:
+    prepared(host)
+    with pytest.raises(ConfigurationError, match=r"cycle of 0.001 s, the link runs at 0.002 s"):
+        host.servo.prepare(0.001)
+
+
+def test_a_port_that_cannot_be_opened_is_a_link_error() -> None:
+    def connect() -> SimulatedLine:
+        raise OSError("no such port")
+
+    link = EposSerialLink(SimulatedClock(), connect)
+    with pytest.raises(LinkError, match="serial line cannot be opened: no such port"):
+        link.open()
+    with pytest.raises(LinkError, match="not open"):
+        link.add_node(1, DRIVE_EDS).read(0x6041)
+
+
+@pytest.mark.parametrize("node", [0, 128, 1])
+def test_impossible_node_identifiers(host: SerialHost, node: int) -> None:
+    with pytest.raises(ConfigurationError, match="node identifier"):
+        host.epos.add_node(node, DRIVE_EDS)
+
+
+def test_a_closed_line_is_a_link_error(host: SerialHost) -> None:
+    prepared(host)
+    host.line.close()
+    with pytest.raises(LinkError, match="is gone: the simulated line is closed"):
+        host.epos.exchange()

@@ -1,0 +1,102 @@
+"""The servo contract on every transport; on pseudo-terminals and sockets with real bytes in simulated time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.cia402_servo import Cia402Servo
+from drivers.clock import NS, RealClock
+from drivers.epos_serial_link import EposSerialLink
+from drivers.errors import LinkError
+from drivers.interfaces import ServoState
+from drivers.mock.bench import DRIVE_NODE, simulated_bench
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.pty import RealTimeBench
+from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.serial_port import PySerialPort
+
+from .contract import Rig, ServoContract
+from .host import SCALES
+from .serial_host import BAUD, CYCLE_S, MACHINE, in_memory, serial_over_pty, slcan_over_pty, socketcand_on_loopback
+
+
+class TestEposSerialInMemory(ServoContract):
+    @pytest.fixture
+    def rig(self) -> Iterator[Rig]:
+        with in_memory() as rig:
+            yield rig
+
+
+class TestEposSerialOverPty(ServoContract):
+    @pytest.fixture
+    def rig(self) -> Iterator[Rig]:
+        with serial_over_pty() as rig:
+            yield rig
+
+
+class TestCanopenOverSlcan(ServoContract):
+    @pytest.fixture
+    def rig(self) -> Iterator[Rig]:
+        with slcan_over_pty() as rig:
+            yield rig
+
+
+class TestCanopenOverSocketcand(ServoContract):
+    @pytest.fixture
+    def rig(self) -> Iterator[Rig]:
+        with socketcand_on_loopback() as rig:
+            yield rig
+
+
+def test_the_twin_lives_in_real_time_behind_pyserial() -> None:
+    """Short, and patient: how long a busy machine lets a process wait is not what is tested."""
+    bench = simulated_bench(MACHINE, 1)
+    twin = RealTimeBench(bench.clock)
+    path = twin.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
+    clock = RealClock()
+    link = EposSerialLink(clock, lambda: PySerialPort(path, BAUD), "pty", answer_s=5.0)
+    servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES, state_timeout_s=5.0)
+    began = clock.now_ns()
+    with twin:
+        link.open()
+        servo.prepare(CYCLE_S)
+        servo.enable()
+        while not servo.sample().fresh or clock.now_ns() - began < NS // 5:
+            link.exchange()
+        assert servo.state() is ServoState.OPERATION_ENABLED
+        servo.disable()
+        assert servo.state() is ServoState.SWITCH_ON_DISABLED
+        link.close()
+    lived = bench.clock.now_ns() / NS
+    assert 0.2 <= lived <= (clock.now_ns() - began) / NS + 0.01
+    with pytest.raises(LinkError, match="cannot be opened"):
+        link.open()
+
+
+def test_slcan_answers_what_it_cannot_do_with_a_bell() -> None:
+    adapter = LawicelAdapter(simulated_bench(MACHINE, 1).bus)
+    assert adapter.receive(b"t0800\r") == b"\a"
+    assert adapter.receive(b"S8\rO\r") == b""
+    assert adapter.receive(b"t0800\r") == b""
+    assert adapter.receive(b"t8000\rt0802AA\rt08G0\rT000000800\rQ\r\r") == b"\a" * 5
+    assert adapter.receive(b"x" * 200) == b""
+    assert adapter.receive(b"t0800\r") == b""
+
+
+def test_slcan_passes_frames_on_as_text() -> None:
+    bench = simulated_bench(MACHINE, 1)
+    adapter = LawicelAdapter(bench.bus)
+    adapter.receive(b"O\rt60184041600000000000\rt60384041600000000000\r")
+    bench.clock.sleep_until_ns(NS // 100)
+    assert b"t58184B416000" in adapter.receive(b"")
+
+
+def test_socketcand_answers_what_it_cannot_do_with_an_error() -> None:
+    server = SocketcandServer(simulated_bench(MACHINE, 1).bus)
+    assert server.receive(b"") == b"< hi >"
+    assert server.receive(b"< open can0 >< rawmode >") == b"< ok >< ok >"
+    assert server.receive(b"< send 800 0 >< send xyz 0 >< send 80 1 fff >< dance >").count(b"< error") == 4
+    assert server.receive(b"< send 080 0 >") == b""

@@ -1,0 +1,144 @@
+"""A bench whose drive speaks its own CAN frames, from its file to a finished run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from drivers.mock.dbc_drive import DRIVE_DBC, SERIAL_NUMBER
+from rig.bench import load_bench
+from rig.cli import status
+from rig.connect import connect
+from rig.dbc import DbcServoSection
+from rig.errors import InputError
+from rig.mcap_layout import decode_frames
+from rig.mcap_reader import read_run
+from rig.packaged import resolve
+from rig.truth import truth_of
+
+SHORT = """\
+sequence: 1
+name: short
+limits: {torque_N_m: 60, following_error_deg: 1.5, angle_max_deg: 25}
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.6,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.6,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+TEXT = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def written(tmp_path: Path) -> Callable[..., Path]:
+    """Write the packaged bench with one piece of text replaced."""
+
+    def write(*changes: tuple[str, str]) -> Path:
+        text = TEXT
+        for old, new in changes:
+            assert old in text
+            text = text.replace(old, new, 1)
+        path = tmp_path / "bench.yaml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def line_of(path: Path, words: str) -> int:
+    lines = path.read_text(encoding="utf-8").splitlines()
+    return next(number for number, line in enumerate(lines, 1) if words in line)
+
+
+def test_a_sequence_runs_ends_safe_and_keeps_every_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    sequence, run = tmp_path / "short.yaml", tmp_path / "run"
+    sequence.write_text(SHORT)
+    assert status(["run", str(sequence), "--yes", "--bench", "practical_dbc", "--out", str(run)]) == 0
+    record = json.loads((run / "run.json").read_text())
+    assert record["de_energised"] is True
+    assert (record["stale"], record["overruns"]) == (0, 0)
+    log = read_run(run / "recording.mcap")
+    assert json.loads(log.attachments["devices.json"])["servo"]["serial_number"] == SERIAL_NUMBER
+    identifiers = {frame.identifier for message in log.messages["/frames"] for frame in decode_frames(message.data)}
+    assert {0x010, 0x080, 0x110, 0x120, 0x190, 0x191, 0x1A0, 0x1B1, 0x182} <= identifiers
+    truth = truth_of(run)
+    assert truth is not None
+    assert truth["Mc"] == 6.825
+
+
+def test_checking_a_bench_sends_nothing_to_the_drive(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["check", "practical_dbc"]) == 0
+    assert "simulated house servo" in capsys.readouterr().out
+    with connect(load_bench("practical_dbc"), 0, realtime=False) as devices:
+        devices.servo.state()
+        devices.servo.read_limits()
+        link = devices.link
+    assert not [frame for frame in link.take_frames() if frame.sent and frame.identifier in (0x010, 0x110, 0x120)]
+
+
+def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) -> None:
+    path = written(
+        ("position: {signal: DRV_Motion.Position", "position: {signal: DRV_Motion.Postion"),
+        ("{counter: Life}", "{counter: Live}"),
+        ("message: DRV_Stop", "message: DRV_Halt"),
+    )
+    with pytest.raises(InputError) as caught:
+        load_bench(path)
+    position, stop, counter = sorted(caught.value.problems, key=lambda text: int(text.split(":")[1]))
+    assert position.startswith(f"{path}:{line_of(path, 'Postion')}:")
+    assert "servo.inputs.position.signal: message 'DRV_Motion' has no signal 'Postion'; did you mean 'Pos" in position
+    assert stop.startswith(f"{path}:{line_of(path, 'DRV_Halt')}:")
+    assert "the DBC has no message 'DRV_Halt'" in stop
+    assert counter.startswith(f"{path}:{line_of(path, 'Live')}:")
+    assert "did you mean 'Life'?" in counter
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("kind: dbc", "kind: dbx", "servo: kind is unknown; known are canopen (the default) and dbc"),
+        ("watchdog_ms: 100", "watchdog_ms: 0", "servo.watchdog_ms: input should be greater than 0 (got 0)"),
+        ("scale: 6.283185307179586}\n  orders", "scle: 2}\n  orders", "unknown key; did you mean 'scale'?"),
+        ("disabled: [OFF]", "disbled: [OFF]", "servo.status.states.disbled: "),
+        ("fault: [FAULT]", "fault: [FALT]", "no value 'FALT'; did you mean 'FAULT'?"),
+        ("vendor_id: 0x10ad", "vendor: 1", "unknown key; did you mean 'vendor_id'?"),
+        ("algorithm: crc8_j1850", "algorithm: crc9", "servo.messages.DRV_Command.algorithm: "),
+    ],
+)
+def test_one_mistake_is_one_line_at_its_place(written: Callable[..., Path], old: str, new: str, words: str) -> None:
+    path = written((old, new))
+    with pytest.raises(InputError) as caught:
+        load_bench(path)
+    mistaken = new.split("\n")[0]
+    assert any(
+        words in problem and problem.startswith(f"{path}:{line_of(path, mistaken)}:")
+        for problem in caught.value.problems
+    ), caught.value.problems
+
+
+def test_a_real_drive_needs_its_own_dbc(written: Callable[..., Path], tmp_path: Path) -> None:
+    real = ("interface: mock", "interface: virtual")
+    with pytest.raises(InputError, match=r"servo\.file: missing; a real drive needs its DBC file"):
+        load_bench(written(real))
+    own = ("file: null", "file: own.dbc")
+    with pytest.raises(InputError, match=r"own\.dbc: cannot be read: No such file"):
+        load_bench(written(real, own))
+    text = DRIVE_DBC.read_text()
+    (tmp_path / "own.dbc").write_text(text.replace("SG_ Code :", "SG_ Code"))
+    with pytest.raises(InputError, match=r"own\.dbc:10:11: Invalid syntax"):
+        load_bench(written(real, own))
+    (tmp_path / "own.dbc").write_text(text)
+    assert isinstance(load_bench(written(real, own)).value.servo, DbcServoSection)
+
+
+def test_a_bus_too_slow_for_its_frames_is_refused(written: Callable[..., Path]) -> None:
+    with pytest.raises(InputError, match=r"bus\.bitrate: too slow: a cycle of 1 ms takes up to \d+ bits"):
+        load_bench(written(("bitrate: 1000000", "bitrate: 500000")))
+
+
+def test_a_servo_without_a_kind_is_canopen(written: Callable[..., Path]) -> None:
+    assert load_bench("practical").value.servo.kind == "canopen"

@@ -1,0 +1,138 @@
+"""The bench's limits beside the drive's own: both sides of every one, and what a run does about it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+import pytest
+
+from drivers.errors import ConfigurationError, LinkError
+from drivers.interfaces import ServoLimits
+from rig.drive_limits import compare, loosened, require_held, require_within_own, show
+from rig.sequencer import Ending
+
+WANTED = ServoLimits(-0.5, 0.6, 2.0, 60.0, 25.0, 0.03, 2, 35.0)
+
+
+def changed(**values: float | None) -> ServoLimits:
+    return dataclasses.replace(WANTED, **values)  # type: ignore[arg-type]
+
+
+def test_equal_limits_are_not_looser() -> None:
+    require_held(WANTED, WANTED)
+    require_within_own(WANTED, WANTED)
+    assert not any(row.looser for row in compare(WANTED, WANTED))
+
+
+@pytest.mark.parametrize(
+    ("field", "tighter", "looser"),
+    [
+        ("angle_min_rad", -0.4, -0.502),
+        ("angle_max_rad", 0.5, 0.602),
+        ("speed_rad_s", 1.9, 2.003),
+        ("torque_N_m", 59.0, 60.1),
+        ("current_A", 24.0, 25.1),
+        ("following_error_rad", 0.02, 0.0301),
+        ("following_error_rad", 0.02, None),
+    ],
+)
+def test_both_sides_of_each_limit(field: str, tighter: float, looser: float | None) -> None:
+    require_held(changed(**{field: tighter}), WANTED)
+    with pytest.raises(ConfigurationError, match="does not hold the limits written into it"):
+        require_held(changed(**{field: looser}), WANTED)
+    require_within_own(changed(**{field: tighter}), WANTED)
+    with pytest.raises(ConfigurationError, match="looser than the drive's own limits"):
+        require_within_own(changed(**{field: looser}), WANTED)
+    assert [row.field for row in compare(changed(**{field: looser}), WANTED) if row.looser] == [field]
+
+
+def test_a_thousandth_is_rounding() -> None:
+    require_held(changed(torque_N_m=60.0 * 1.0009), WANTED)
+    with pytest.raises(ConfigurationError):
+        require_held(changed(torque_N_m=60.0 * 1.0011), WANTED)
+
+
+def test_a_limit_that_is_not_a_number_is_looser() -> None:
+    with pytest.raises(ConfigurationError):
+        require_held(changed(current_A=math.nan), WANTED)
+
+
+def test_a_window_that_is_off_in_both_is_no_limit() -> None:
+    require_held(changed(following_error_rad=0.1), changed(following_error_rad=None))
+
+
+def test_the_drive_must_brake_as_asked() -> None:
+    require_held(changed(quick_stop_deceleration_rad_s2=40.0), WANTED)
+    with pytest.raises(ConfigurationError, match=r"quick stop deceleration .6085h.: drive 1719 deg/s.2, wanted 2005"):
+        require_held(changed(quick_stop_deceleration_rad_s2=30.0), WANTED)
+    with pytest.raises(ConfigurationError, match=r"quick stop option .605Ah.: drive 6, wanted 2"):
+        require_held(changed(quick_stop_option=6), WANTED)
+
+
+def test_the_bench_file_sets_how_to_brake_but_may_not_keep_the_power_on() -> None:
+    require_within_own(changed(quick_stop_deceleration_rad_s2=1.0), WANTED)
+    require_within_own(WANTED, changed(quick_stop_option=6))
+    require_within_own(changed(quick_stop_option=6), changed(quick_stop_option=5))
+    assert [row.field for row in loosened(changed(quick_stop_option=6), WANTED)] == ["quick_stop_option"]
+
+
+def test_every_limit_is_named_at_once() -> None:
+    with pytest.raises(ConfigurationError) as caught:
+        require_within_own(changed(torque_N_m=99.0, speed_rad_s=9.0), WANTED)
+    words = str(caught.value)
+    assert "joint speed (607Fh): bench file 515.7 deg/s, drive 114.6 deg/s" in words
+    assert "joint torque (6072h): bench file 99 N m, drive 60 N m" in words
+    assert "tighten the bench file" in words
+
+
+def test_limits_are_shown_as_the_bench_file_states_them() -> None:
+    assert show("following_error_rad", None) == "off"
+    assert show("angle_max_rad", math.radians(30)) == "30 deg"
+    assert show("quick_stop_option", 2) == "2"
+
+
+def test_a_drive_with_tighter_limits_is_not_loosened(runner: Any, fake_bench: Any) -> None:
+    own = ServoLimits(-1.0, 1.0, 3.0, 50.0, 30.0, None, 2, 10.0)
+    bench = fake_bench(limits=own)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert "joint torque (6072h): bench file 75 N m, drive 50 N m" in outcome.message
+    assert bench.limits == own
+    assert bench.calls["enable"] == bench.calls["write_limits"] == 0
+
+
+def test_a_drive_that_holds_something_looser_is_not_enabled(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forgetful(self: Any, limits: ServoLimits) -> None:
+        self.limits = dataclasses.replace(limits, speed_rad_s=2.9)
+
+    monkeypatch.setattr(fake_bench, "write_limits", forgetful)
+    bench = fake_bench()
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.FAILED
+    assert "joint speed (607Fh): drive 166.2 deg/s, wanted 120 deg/s" in outcome.message
+    assert bench.calls["enable"] == 0
+
+
+def test_the_drive_gets_its_own_limits_back(runner: Any, fake_bench: Any) -> None:
+    own = ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, None, 2, 10.0)
+    bench = fake_bench(limits=own)
+    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=26.0)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.TRIPPED
+    assert bench.limits == own
+    assert bench.order[-2:] == ["state", "write_limits"]
+
+
+def test_a_drive_that_stays_on_keeps_the_tight_limits(runner: Any, fake_bench: Any) -> None:
+    def gone() -> None:
+        raise LinkError("gone")
+
+    bench = fake_bench(overrides={"stuck": True})
+    bench.faults["quick_stop", 1] = gone
+    _, outcome = runner(bench)
+    assert not outcome.safe.verified
+    assert bench.limits == runner.plan.servo_limits

@@ -1,0 +1,225 @@
+"""Fault schedules: read with every error at its place, brought about on a run, and judged."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import json
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.cli import status
+from rig.errors import InputError
+from rig.faults import FAULTS, FaultRow, load_faults
+from rig.inject import _ACTIONS
+from rig.mcap_reader import read_run
+from rig.packaged import resolve
+from rig.run import read_record
+
+from ..long import fault_matrix, fuzz
+
+YAML = """\
+faults: 1
+rows:
+  - {time_s: 0.5, target: bus, fault: lost, count: 3, frames: {device: drive, function: motion}}
+  - {phase: excite, after_s: 0.25, target: encoder, fault: jump, value: -3,
+     expect: {deenergised_within_s: 0.1, exit_status: 1, words: "encoder against drive"}}
+  - {state: quick_stop_active, target: drive, fault: fault, value: 0x7320}
+"""
+CSV = """\
+time_s,phase,state,after_s,target,fault,value,count,device,function,deenergised_within_s,exit_status,words
+0.5,,,,bus,lost,,3,drive,motion,,,
+,excite,,0.25,encoder,jump,-3,,,,0.1,1,encoder against drive
+
+,,quick_stop_active,,drive,fault,0x7320,,,,,,
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def schedule(*rows: str) -> Path:
+    path = Path("faults.yaml")
+    path.write_text("faults: 1\nrows:\n" + "".join(f"  - {{{row}}}\n" for row in rows))
+    return path
+
+
+def run(*rows: str, options: tuple[str, ...] = ("--yes",)) -> tuple[int, list[dict[str, Any]]]:
+    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
+    code = status(["run", "sequence.yaml", *options, "--out", "out", "--faults", str(schedule(*rows))])
+    return code, json.loads(Path("out/faults.json").read_text())["faults"]
+
+
+def test_yaml_and_csv_say_the_same() -> None:
+    Path("a.yaml").write_text(YAML)
+    Path("a.csv").write_text(CSV)
+    assert load_faults(Path("a.yaml")).value == load_faults(Path("a.csv")).value
+    assert load_faults(Path("a.csv")).value.rows[2].amount == 0x7320
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        ("target: bus, fault: lost", "exactly one of time_s, phase and state to say when the fault comes, found none"),
+        ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
+        ("phase: hold, target: bus, fault: lots", "'bus' has no fault 'lots'; did you mean 'lost'"),
+        ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
+        ("phase: hold, target: encoder, fault: bit, value: 1.5", "takes a whole number (bit), found 1.5"),
+        ("phase: hold, target: drive, fault: fault, frames: {device: drive}", "'frames' is for faults of the bus"),
+        ("phase: hold, target: bus, fault: lost, frames: {function: motoin}", "did you mean 'motion'"),
+        ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "not a regular expression"),
+        ("phase: never, target: bus, fault: lost", "phase: input should be 'prompt'"),
+        ("phase: hold, target: bus, fault: lost, cuont: 3", "unknown key; did you mean 'count'"),
+    ],
+)
+def test_every_error_is_at_its_place(row: str, words: str) -> None:
+    path = schedule("phase: hold, target: bus, fault: lost", row)
+    with pytest.raises(InputError) as caught:
+        load_faults(path)
+    (problem,) = caught.value.problems
+    assert problem.startswith(f"{path}:4:")
+    assert words in problem
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "words"),
+    [
+        ("phase,target,fault\nhold,bus,lost\nhold,bus,lots\n", "3:1", "did you mean 'lost'"),
+        ("phase,target,fault,count\nhold,bus,lost,many\n", "2:15", "valid integer"),
+        ("phase,target,fault\nhold,bus\n", "2:1", "2 cells under 3 columns"),
+        ("phase,target,phase\n", "1:1", "name the columns, each once"),
+        ("", "1:1", "name the columns"),
+        ("phase,target,fault\n", "1:1", "at least 1 item"),
+        ('phase,target,fault\nhold,"bus"x,lost\n', "2:1", "not valid CSV"),
+    ],
+)
+def test_errors_in_csv_have_a_place_too(text: str, place: str, words: str) -> None:
+    path = Path("faults.csv")
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_faults(path)
+    assert f"{path}:{place}: " in caught.value.problems[0]
+    assert words in caught.value.problems[0]
+
+
+def test_a_schedule_that_is_not_there() -> None:
+    with pytest.raises(InputError, match="no such file"):
+        load_faults(Path("none.csv"))
+
+
+def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None:
+    assert set(_ACTIONS) == set(FAULTS)
+    used = {(row["target"], row["fault"]) for case in fault_matrix.CASES.values() for row in case.rows}
+    assert used == set(FAULTS)
+
+
+def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> None:
+    code, (good, bad, never) = run(
+        "phase: excite, after_s: 0.1, target: encoder, fault: jump, "
+        "expect: {deenergised_within_s: 0.1, exit_status: 1, words: against}",
+        "phase: excite, after_s: 0.1, target: bus, fault: repeated, "
+        "expect: {deenergised_within_s: 0.001, exit_status: 0, words: nothing}",
+        "phase: hold, target: bus, fault: lost",
+    )
+    assert code == 1
+    assert good["as_expected"] is True
+    assert 0 < good["off_after_s"] < 0.1
+    assert bad["as_expected"] is False
+    assert [remark.split(":")[0] for remark in bad["remarks"]] == ["de-energised after", "exit status", "words"]
+    assert (never["applied_s"], never["as_expected"]) == (None, False)
+    told = capsys.readouterr().out
+    assert "row 2: exit status: expected 0, found 1" in told
+    assert "row 3: its moment never came" in told
+
+
+def test_a_fault_at_a_time_comes_then() -> None:
+    code, (finding,) = run("time_s: 0.75, after_s: 0.05, target: operator, fault: stop")
+    assert code == 3
+    assert finding["applied_s"] == pytest.approx(0.8, abs=1e-6)
+
+
+def test_a_fault_of_another_stage_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
+    path = schedule("phase: hold, stage: emtpy, target: bus, fault: lost")
+    assert status(["run", "sequence.yaml", "--yes", "--out", "out", "--faults", str(path)]) == 2
+    assert "rows[0].stage: the sequence has no such stage; did you mean 'empty'" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
+    text = resolve("practical", "benches").read_text().split("mock:  ")[0]
+    Path("bench.yaml").write_text(text.replace("interface: mock", "interface: virtual, channel: nobody"))
+    path = schedule("phase: hold, target: bus, fault: lost")
+    arguments = ["run", "sequence.yaml", "--bench", "bench.yaml", "--yes", "--out", "out", "--faults", str(path)]
+    assert status(arguments) == 2
+    assert "only be brought about on a simulated bench" in capsys.readouterr().err
+
+
+def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("0\n"))
+    code, (finding,) = run("phase: prompt, target: operator, fault: unanswered, value: 60", options=())
+    assert (code, finding["off_after_s"]) == (3, 0.0)
+    assert "without an answer" in read_record(Path("out")).message
+
+
+def test_a_step_of_the_wall_clock_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
+    assert status(["run", "sequence.yaml", "--yes", "--out", "calm"]) == 0
+    wall, calls = time.time, itertools.count()
+    monkeypatch.setattr(time, "time", lambda: wall() + 3600 * (-1) ** next(calls))
+    assert status(["run", "sequence.yaml", "--yes", "--out", "stepped"]) == 0
+    calm, stepped = (read_run(Path(folder) / "recording.mcap").messages["/sample"] for folder in ("calm", "stepped"))
+    assert calm == stepped
+
+
+def _reduced() -> list[tuple[str, str, str]]:
+    phases = itertools.cycle(fault_matrix.PHASES)
+    return [(line, name, next(phases)) for line, t in fault_matrix.TRANSPORTS.items() for name in t.cases]
+
+
+@pytest.mark.parametrize(("line", "name", "phase"), _reduced())
+def test_reduced_matrix(line: str, name: str, phase: str, tmp_path: Path) -> None:
+    transport = fault_matrix.TRANSPORTS[line]
+    assert fault_matrix.run_case(transport.cases[name], phase, transport.bench, tmp_path / "case").problems == ()
+
+
+@pytest.mark.parametrize("state", fault_matrix.STATES)
+def test_a_drive_fault_in_every_state(state: str, tmp_path: Path) -> None:
+    assert fault_matrix.run_rows(*fault_matrix.state_rows(state), "practical", tmp_path / "case").problems == ()
+
+
+def test_the_printed_matrix_is_whole() -> None:
+    page = fault_matrix.PAGE.read_text().split(fault_matrix.BEGIN)[1].split(fault_matrix.END)[0]
+    for line, transport in fault_matrix.TRANSPORTS.items():
+        printed = page.split(f"### {line}\n")[1].split("###")[0]
+        rows = [row.strip("|").split(" | ") for row in printed.splitlines() if row.startswith("| ")]
+        cells = {row[0].strip(): row[1:] for row in rows}
+        for name in transport.cases:
+            assert len(cells[name]) == len(fault_matrix.PHASES)
+            assert all(cell.strip() for cell in cells[name])
+    assert "!!" not in page
+
+
+@pytest.mark.parametrize("decoder", fuzz.DECODERS)
+def test_fuzzed_frames(decoder: str) -> None:
+    counts = fuzz.DECODERS[decoder](20_000, np.random.default_rng(1))
+    assert max(counts["frames"], counts["bytes"]) >= 20_000
+
+
+def test_fuzzed_recordings(tmp_path: Path) -> None:
+    counts = fuzz.fuzz_recording(5_000, np.random.default_rng(1), tmp_path)
+    assert counts["damage reported"] > 50
+
+
+def test_what_is_left_out_has_its_default() -> None:
+    row = FaultRow(phase="hold", target="bus", fault="late")
+    assert (row.amount, row.count, row.when) == (0.003, 1, "hold")
+    assert FaultRow(time_s=1.0, after_s=0.5, target="bus", fault="late").when == "1.5 s"
+    assert FaultRow(state="fault", after_s=0.5, target="bus", fault="late").when == "state fault + 0.5 s"

@@ -1,0 +1,150 @@
+"""The pass at low amplitude: what is planned, what is allowed meanwhile, and where it stands in a run."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.bench import load_bench
+from rig.configuration import load_located
+from rig.errors import InputError
+from rig.mcap_reader import read_run
+from rig.plan import Plan, make_plan
+from rig.plan_text import describe
+from rig.sequence import Sequence, load_sequence
+from rig.sequencer import Ending
+
+LOW = "first_pass: {amplitude: 0.1, duration_s: 0.4, limit_share: 0.5}\n"
+
+
+def plan_of(path: Path, extra: str = "", bench: str = "practical", first_pass: bool | None = None) -> Plan:
+    path.write_text(path.read_text() + extra)
+    return make_plan(load_located(path, Sequence), load_bench(bench), first_pass)
+
+
+def test_none_on_a_simulated_bench_unless_asked_for(short_sequence: Path) -> None:
+    assert all(stage.first_pass is None for stage in plan_of(short_sequence).stages)
+    assert all(stage.first_pass is not None for stage in plan_of(short_sequence, first_pass=True).stages)
+
+
+def test_one_on_a_real_bench_unless_refused(short_sequence: Path, tmp_path: Path) -> None:
+    real = tmp_path / "real.yaml"
+    text = load_bench("practical").path.read_text().split("mock:  ")[0]
+    real.write_text(text.replace("interface: mock", "interface: virtual"))
+    bench = load_bench(real)
+    sequence = load_located(short_sequence, Sequence)
+    assert all(stage.first_pass is not None for stage in make_plan(sequence, bench).stages)
+    assert all(stage.first_pass is None for stage in make_plan(sequence, bench, False).stages)
+    short_sequence.write_text(short_sequence.read_text() + "first_pass: never\n")
+    assert all(s.first_pass is None for s in make_plan(load_located(short_sequence, Sequence), bench).stages)
+
+
+def test_figure10_is_what_it_was() -> None:
+    plan = make_plan(load_sequence("figure10"), load_bench("practical"))
+    assert plan.duration_s == pytest.approx(40.6)
+    assert "no first pass" in describe(plan)
+
+
+def test_it_is_the_stage_made_small(short_sequence: Path) -> None:
+    plan = plan_of(short_sequence, LOW)
+    for stage in plan.stages:
+        low = stage.first_pass
+        assert low is not None
+        assert len(low.targets) == 400
+        assert low.targets[0] == pytest.approx(stage.targets[0], abs=1e-12)
+        assert np.abs(low.targets).max() <= 0.1 * np.radians(5) + 1e-12
+        assert np.abs(low.targets).max() > 0.05 * np.radians(5)
+
+
+def test_the_limits_are_tighter_meanwhile(short_sequence: Path) -> None:
+    plan = plan_of(short_sequence, LOW)
+    low = plan.stages[0].first_pass
+    assert low is not None
+    full = plan.limits
+    assert low.limits.speed == 0.5 * full.speed
+    assert low.limits.following_error == 0.5 * full.following_error
+    assert low.limits.torque == 0.75 * full.torque
+    assert low.limits.current == 0.75 * full.current
+    assert low.limits.angle_max == pytest.approx(low.targets.max() + low.limits.following_error)
+    assert low.limits.angle_min == pytest.approx(low.targets.min() - low.limits.following_error)
+    # On the way to the start the joint may be anywhere that it may be.
+    assert low.move_limits == dataclasses.replace(low.limits, angle_min=full.angle_min, angle_max=full.angle_max)
+
+
+def test_the_default_is_one_period_of_the_slowest_tone(short_sequence: Path) -> None:
+    path = short_sequence
+    path.write_text(path.read_text().replace("duration_s: 0.5", "duration_s: 4"))
+    low = plan_of(path, first_pass=True).stages[0].first_pass
+    assert low is not None
+    assert low.duration_s == pytest.approx(0.5 + 0.1 + 0.1)
+    assert low.amplitude == 0.1
+
+
+def test_a_run_goes_through_it_first(runner: Any, fake_bench: Any, short_sequence: Path) -> None:
+    runner.plan = plan_of(short_sequence, LOW)
+    bench = fake_bench()
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.DONE
+    log = read_run(folder.recording)
+    assert [e["event"] for e in log.events][:6] == [
+        "prompt",
+        "answer",
+        "stage start",
+        "first pass",
+        "weight check",
+        "segment",
+    ]
+    # None of it counts as data of the stage, and no command jumps.
+    assert [s.name for s in folder.record.segments] == ["empty[1]", "empty[2]", "heavy"]
+    steps = np.abs(np.diff([0.1, *bench.targets])) / runner.plan.cycle_s
+    assert steps.max() < runner.plan.limits.speed
+    assert bench.calls["enable"] == 2
+    assert folder.record.overruns == 0
+
+
+@pytest.mark.parametrize("change", [{"velocity_rad_s": 1.5}, {"current_A": 20.0}, {"following_error_rad": 0.02}])
+def test_what_the_stage_may_the_first_pass_may_not(
+    runner: Any, fake_bench: Any, short_sequence: Path, change: dict[str, float]
+) -> None:
+    def at(cycle: int) -> Any:
+        bench = fake_bench()
+        bench.faults["exchange", cycle] = lambda: bench.overrides.update(change)
+        bench.faults["exchange", cycle + 1] = lambda: bench.overrides.clear()
+        return bench
+
+    runner.plan = plan_of(short_sequence, LOW)
+    _, outcome = runner(at(600))
+    assert outcome.ending is Ending.TRIPPED
+    assert "phase first pass" in outcome.message
+    (runner.folder / "recording.mcap").unlink()
+    _, outcome = runner(at(1100))
+    assert outcome.ending is Ending.DONE, outcome.message
+
+
+def test_a_stage_has_a_time_limit(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    stages = tuple(dataclasses.replace(stage, time_limit_s=0.5) for stage in runner.plan.stages)
+    runner.plan = dataclasses.replace(runner.plan, stages=stages)
+    folder, outcome = runner(bench)
+    assert outcome.ending is Ending.TRIPPED
+    assert "time under power in this stage 0.501 s is beyond its limit 0.5 s" in outcome.message
+    assert folder.record.trip is not None
+    assert folder.record.trip["check"] == "time under power in this stage"
+    assert len(bench.targets) == pytest.approx(502, abs=2)
+
+
+def test_a_time_limit_that_the_stage_cannot_keep_is_refused(short_sequence: Path) -> None:
+    short_sequence.write_text(short_sequence.read_text().replace("repeats: 2", "repeats: 2, time_limit_s: 1"))
+    with pytest.raises(InputError, match=r"time_limit_s: below the 1.2 s that this stage takes by itself"):
+        plan_of(short_sequence)
+
+
+def test_the_plan_says_so(short_sequence: Path) -> None:
+    words = describe(plan_of(short_sequence, LOW))
+    assert "empty: at most" in words
+    assert "first 0.4 s at 10% amplitude" in words
+    assert "then the weight is checked" in words

@@ -1,0 +1,203 @@
+"""``rig resume``: into the same folder, at the first unfinished stage, after a stop, a trip or a crash."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from rig.cli import status
+from rig.mcap_reader import read_run
+from rig.packaged import resolve
+from rig.progress import RunProgress
+from rig.run import load_run, read_record
+
+STAGES = """\
+sequence: 1
+name: three
+stages:
+  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05, repeats: 2}
+  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
+     duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "three.yaml").write_text(STAGES)
+
+
+def start(*options: str) -> int:
+    return status(["run", str(Path("three.yaml").resolve()), "--yes", "--out", "out", *options])
+
+
+def stop_in(monkeypatch: pytest.MonkeyPatch, stage: str) -> None:
+    """Press the button when the progress display hears of a stage."""
+
+    def press(self: RunProgress, name: str, *rest: Any) -> None:
+        if name == stage:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(RunProgress, "__call__", press)
+
+
+def stopped_in_b(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as context:
+        stop_in(context, "b")
+        assert start("--operator", "Ann") == 3
+
+
+def test_a_stopped_run_goes_on_at_its_stage(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped_in_b(monkeypatch)
+    first = Path("out/recording.mcap").read_bytes()
+    assert status(["resume", "out", "--yes", "--operator", "Bob", "--json", "copy.json"]) == 0
+    assert "three: 1 of 2 stages done; stopped: " in capsys.readouterr().out
+    assert Path("out/recording.mcap").read_bytes() == first
+    record = read_record(Path("out"))
+    assert record.state == "done"
+    assert [s.state for s in record.stages] == ["done", "done"]
+    assert [(p.file, p.state, p.operator) for p in record.parts] == [
+        ("recording.mcap", "stopped", "Ann"),
+        ("recording-2.mcap", "done", "Bob"),
+    ]
+    assert [(s.index, s.name, s.part, s.kept) for s in record.segments][-2:] == [(3, "b", 1, False), (4, "b", 2, True)]
+    second = read_run(Path("out/recording-2.mcap"))
+    assert set(np.unique(second.samples["segment"])) == {0, 4}
+    assert second.metadata["run"]["part"] == "2"
+    dataset = load_run(Path("out"))
+    assert [(r.name, Path(r.source).name) for r in dataset.recordings] == [
+        ("a[1]", "recording.mcap"),
+        ("a[2]", "recording.mcap"),
+        ("b", "recording-2.mcap"),
+    ]
+    assert record.cycles == sum(part.cycles for part in record.parts)
+    assert json.loads(Path("copy.json").read_text()) == json.loads(Path("out/run.json").read_text())
+
+
+def test_a_run_can_be_resumed_more_than_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped_in_b(monkeypatch)
+    with monkeypatch.context() as context:
+        stop_in(context, "b")
+        assert status(["resume", "out", "--yes"]) == 3
+    assert status(["resume", "out", "--yes"]) == 0
+    record = read_record(Path("out"))
+    assert [p.state for p in record.parts] == ["stopped", "stopped", "done"]
+    assert len(load_run(Path("out")).recordings) == 3
+
+
+def crash(part: str, keep: float) -> None:
+    """Leave the folder as a killed writer does."""
+    path = Path("out") / part
+    content = path.read_bytes()
+    path.write_bytes(content[: int(keep * len(content))])
+    record = json.loads(Path("out/run.json").read_text())
+    record.update(state="running", message="")
+    record["parts"][-1]["state"] = "running"
+    Path("out/run.json").write_text(json.dumps(record))
+
+
+def test_a_run_that_died_is_mended_and_goes_on(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    stopped_in_b(monkeypatch)
+    crash("recording.mcap", 0.9)
+    assert status(["resume", "out", "--yes"]) == 0
+    assert "recording.mcap: whole up to byte" in capsys.readouterr().out
+    assert Path("out/recording.damaged.mcap").exists()
+    assert [r.name for r in load_run(Path("out")).recordings] == ["a[1]", "a[2]", "b"]
+
+
+def test_a_resumed_run_that_died_is_mended_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped_in_b(monkeypatch)
+    with monkeypatch.context() as context:
+        stop_in(context, "b")
+        assert status(["resume", "out", "--yes"]) == 3
+    crash("recording-2.mcap", 0.8)
+    assert status(["resume", "out", "--yes"]) == 0
+    assert Path("out/recording-2.damaged.mcap").exists()
+    record = read_record(Path("out"))
+    assert [s.index for s in record.segments] == sorted({s.index for s in record.segments})
+    assert len(load_run(Path("out")).recordings) == 3
+
+
+@pytest.mark.parametrize("left", ["nothing", "an empty file"])
+def test_a_part_that_never_began_is_forgotten(monkeypatch: pytest.MonkeyPatch, left: str) -> None:
+    stopped_in_b(monkeypatch)
+    with monkeypatch.context() as context:
+        stop_in(context, "b")
+        assert status(["resume", "out", "--yes"]) == 3
+    crash("recording-2.mcap", 0.0)
+    if left == "nothing":
+        Path("out/recording-2.mcap").unlink()
+    assert status(["resume", "out", "--yes"]) == 0
+    assert [p.file for p in read_record(Path("out")).parts] == ["recording.mcap", "recording-2.mcap"]
+
+
+def test_a_finished_run_has_nothing_to_go_on_with(capsys: pytest.CaptureFixture[str]) -> None:
+    assert start() == 0
+    before = Path("out/run.json").read_bytes()
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "all 2 stages are done" in capsys.readouterr().err
+    assert Path("out/run.json").read_bytes() == before
+
+
+def test_a_changed_sequence_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    stopped_in_b(monkeypatch)
+    Path("three.yaml").write_text(STAGES.replace("weight_kg: 10", "weight_kg: 12"))
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "three.yaml: changed since out was run with it" in capsys.readouterr().err
+    Path("three.yaml").unlink()
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "attached to the recording as sequence.yaml" in capsys.readouterr().err
+
+
+def test_what_is_no_run_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("empty").mkdir()
+    assert status(["resume", "empty"]) == 2
+    assert "recording.mcap: cannot be read" in capsys.readouterr().err
+
+
+def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
+    bench = tmp_path / "b.yaml"
+    text = resolve("practical", "benches").read_text()
+    bench.write_text(text + 'calibrations: [{device: encoder, id: C-17, due: "2099-01-31"}]\n')
+    assert start("--bench", str(bench), "--operator", "Ann") == 0
+    metadata = read_run(Path("out/recording.mcap")).metadata
+    assert metadata["run"]["operator"] == "Ann"
+    assert metadata["servo"]["software_version"] == "1.0"
+    assert metadata["servo"]["serial_number"] == "1"
+    assert metadata["calibrations"] == {"encoder": "C-17, due 2099-01-31"}
+    record = read_record(Path("out"))
+    assert metadata["sha256"]["bench.yaml"] == record.inputs["bench.yaml"]["sha256"]
+    assert "numpy" in metadata["versions"]
+    assert [s.confirmed_kg for s in record.stages] == [0.0, 10.0]
+    assert record.parts[0].devices["encoder"]["product_code"] == 0x406
+    assert record.warnings == []
+    page = Path("out/run.html").read_text()
+    for words in ("Ann", "C-17", "simulated drive", record.inputs["bench.yaml"]["sha256"], "How late cycles started"):
+        assert words in page
+
+
+@pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])
+def test_an_overdue_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str], rule: str, expected: int) -> None:
+    bench = tmp_path / "b.yaml"
+    text = resolve("practical", "benches").read_text()
+    extra = f'calibrations: [{{device: lever, id: L-2, due: "2001-01-31"}}]\noverdue_calibration: {rule}\n'
+    bench.write_text(text + extra)
+    assert start("--bench", str(bench)) == expected
+    error = capsys.readouterr().err
+    if rule == "warn":
+        assert "warning: calibration L-2 of lever was due on 2001-01-31" in error
+        assert "(OVERDUE)" in Path("out/run.html").read_text()
+        assert status(["check", str(bench)]) == 1
+        assert "problem: calibration L-2" in capsys.readouterr().out
+    else:
+        assert "calibrations[0].due: calibration L-2 of lever is overdue" in error
+        assert not Path("out").exists()

@@ -1,0 +1,52 @@
+"""What a run says about its punctuality."""
+
+from __future__ import annotations
+
+import pytest
+
+from rig.timing import EDGES_US, Histogram, Timing, summary
+
+
+def test_bins_hold_what_is_up_to_their_end() -> None:
+    histogram = Histogram()
+    for duration_ns in (0, 1, 20_000, 20_001, 50_000_000, 50_000_001):
+        histogram.note(duration_ns)
+    assert histogram.counts[:3] == [1, 2, 1]
+    assert histogram.counts[-2:] == [1, 1]
+    assert len(histogram.counts) == len(EDGES_US) + 1
+    assert histogram.worst_ns == 50_000_001
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [(0.5, 20.0), (0.98, 20.0), (0.99, 100.0), (1.0, 60_000.0)],
+)
+def test_shares(share: float, expected: float) -> None:
+    histogram = Histogram()
+    for _ in range(98):
+        histogram.note(15_000)
+    histogram.note(70_000)
+    histogram.note(60_000_000)
+    assert histogram.share_within_us(share) == expected
+
+
+def test_a_share_is_never_beyond_the_worst() -> None:
+    histogram = Histogram()
+    histogram.note(60_000)
+    assert histogram.share_within_us(0.5) == 60.0
+
+
+def test_nothing_counted() -> None:
+    assert Histogram().share_within_us(0.5) is None
+    assert summary(Timing().record()) == "no cycle was run"
+
+
+def test_a_summary_states_every_loss() -> None:
+    timing = Timing()
+    timing.lateness.note(130_000)
+    timing.answer.note(700_000)
+    timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s = 3, 2, 1, 0.004
+    assert summary(timing.record()) == (
+        "lateness p99 130 us, worst 130 us; answer p99 700 us; 3 SYNCs missed, samples lost: 2 drive, 1 encoder; "
+        "oldest 4 ms"
+    )

@@ -1,0 +1,278 @@
+"""The weight check: friction against the confirmed mass, by an identification or by the other stages of a day."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+
+from identification.recording import Dataset, Recording
+from rig.bench import load_bench
+from rig.cli import status
+from rig.errors import InputError
+from rig.friction_level import FrictionLevel, friction_level
+from rig.label_check import comparable, off_label
+from rig.mcap_reader import read_run
+from rig.operator import AutomaticOperator
+from rig.reference import NEEDED, Reference, load_reference, moment_per_kg
+from rig.run import bench_constants, read_record
+from rig.weight_check import LoadedLevel, Verdict, suspects, tolerance_kg, weigh
+
+BENCH = bench_constants(load_bench("practical").value)
+TRUE = {
+    "Mc": 6.825,
+    "Ms": 12.025,
+    "omega_sf": 0.0557,
+    "sigma_2": 5.3462,
+    "mu_c": 0.052,
+    "mu_s": 0.086,
+    "omega_sL": 0.0326,
+    "mu_2": 0.032,
+}
+REFERENCE = Reference(TRUE, dict.fromkeys(TRUE, 1e-4), 2.0, moment_per_kg(BENCH), "known.json")
+PERIOD_S = 0.001
+
+
+def level(mass_kg: float, amplitude: float = 0.3, seconds: float = 5.0, extra: float = 0.0) -> FrictionLevel:
+    """Measure a sine under the true friction of a mass, inertia included, without noise."""
+    t = np.arange(0.0, seconds, PERIOD_S)
+    rate = 0.4 * np.pi
+    angle, between = amplitude * np.sin(rate * t), amplitude * rate * np.cos(rate * (t - 0.5 * PERIOD_S))
+    speed = np.abs(between)
+    friction = REFERENCE.unloaded(speed) + mass_kg * REFERENCE.per_kg(speed) + extra
+    torque = np.sign(between) * friction - 0.204 * amplitude * rate**2 * np.sin(rate * (t - 0.5 * PERIOD_S))
+    found = friction_level(angle, torque, PERIOD_S)
+    assert found is not None
+    return found
+
+
+def item(name: str, label_kg: float, hung_kg: float | None = None) -> LoadedLevel:
+    return LoadedLevel(name, label_kg, level(label_kg if hung_kg is None else hung_kg))
+
+
+def write_result(path: Path, **changes: object) -> Path:
+    parameters = {name: {"value": value, "low": value - 1e-4, "high": value + 1e-4} for name, value in TRUE.items()}
+    raw = {"schema": "loadrig.identify/1", "motion": "rotary", "alpha": 2.0, "parameters": parameters}
+    path.write_text(json.dumps({**raw, **changes}))
+    return path
+
+
+@pytest.mark.parametrize("amplitude", [0.035, 0.3])
+def test_friction_is_measured_by_work(amplitude: float) -> None:
+    found = level(30.0, amplitude)
+    seen = found.path > 0.02 * found.path.sum()
+    expected = REFERENCE.unloaded(found.speed[seen]) + 30.0 * REFERENCE.per_kg(found.speed[seen])
+    np.testing.assert_allclose(found.torque[seen], expected, rtol=0.02)
+    assert found.path.sum() == pytest.approx(4 * amplitude, rel=0.05)
+
+
+def test_no_motion_is_no_level() -> None:
+    assert friction_level(np.zeros(5000), np.ones(5000), PERIOD_S) is None
+    assert friction_level(np.linspace(0, 1, 50), np.ones(50), PERIOD_S) is None
+
+
+@pytest.mark.parametrize("label", [0.0, 5.0, 30.6])
+def test_the_right_weight_is_right(label: float) -> None:
+    found = weigh(item("a", label), REFERENCE, ())
+    assert found.verdict is Verdict.RIGHT
+    assert found.measured_kg == pytest.approx(label, abs=0.01 * label + 0.01)
+
+
+@pytest.mark.parametrize(("share", "verdict"), [(0.07, Verdict.RIGHT), (0.08, Verdict.WRONG), (0.15, Verdict.WRONG)])
+@pytest.mark.parametrize("side", [1, -1])
+def test_both_sides_of_the_tolerance(share: float, verdict: Verdict, side: int) -> None:
+    assert weigh(item("a", 20.0, 20.0 * (1 + side * share)), REFERENCE, ()).verdict is verdict
+
+
+def test_a_forgotten_weight_on_the_empty_lever_is_found() -> None:
+    assert tolerance_kg(0.0) == 1.0
+    assert weigh(item("empty", 0.0, 0.9), REFERENCE, ()).verdict is Verdict.RIGHT
+    found = weigh(item("empty", 0.0, 1.1), REFERENCE, ())
+    assert found.verdict is Verdict.WRONG
+    assert "0 kg were confirmed" in found.message
+    assert "rig resume" in found.message
+
+
+def test_an_uncertain_reference_does_not_decide() -> None:
+    vague = dataclasses.replace(REFERENCE, sigmas={**REFERENCE.sigmas, "Mc": 1.0})
+    found = weigh(item("a", 10.0, 5.0), vague, ())
+    assert found.verdict is Verdict.UNCHECKED
+    assert "uncertain by" in found.message
+
+
+def test_a_first_run_cannot_be_checked() -> None:
+    for earlier in ((), (item("empty", 0.0),), (item("a", 10.0), item("b", 10.0))):
+        found = weigh(item("heavy", 20.0, 5.0), None, earlier)
+        assert found.verdict is Verdict.UNCHECKED
+        assert "cannot be checked yet" in found.message
+
+
+@pytest.mark.parametrize("masses", [(0.0, 10.0), (10.0, 20.0), (0.0, 10.0, 20.0)])
+def test_stages_of_two_masses_are_a_yardstick(masses: Sequence[float]) -> None:
+    earlier = [item(f"s{mass:g}", mass) for mass in masses]
+    assert weigh(item("new", 30.0), None, earlier).verdict is Verdict.RIGHT
+    found = weigh(item("new", 30.0, 25.0), None, earlier)
+    assert found.verdict is Verdict.WRONG
+    assert found.measured_kg == pytest.approx(25.0, rel=0.02)
+
+
+def test_stages_at_other_speeds_are_none() -> None:
+    fast = [LoadedLevel("a", 0.0, level(0.0, 3.0)), LoadedLevel("b", 10.0, level(10.0, 3.0))]
+    slow = LoadedLevel("c", 20.0, level(20.0, 0.02))
+    found = weigh(slow, None, fast)
+    assert found.verdict is Verdict.UNCHECKED
+    assert "other speeds" in found.message
+
+
+def test_a_stage_off_its_label_is_named() -> None:
+    stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0), item("c", 30.0)]
+    (found,) = suspects(stages, None)
+    assert found.stage == "b"
+    assert found.measured_kg == pytest.approx(26.0, rel=0.02)
+    assert "its friction is that of 26 kg, its label says 20 kg" in found.message
+
+
+def test_with_two_loaded_stages_both_are_named() -> None:
+    stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0)]
+    assert [found.stage for found in suspects(stages, None)] == ["a", "b"]
+    assert "one of a, b is wrong" in suspects(stages, None)[0].message
+
+
+def test_with_a_reference_it_is_only_the_wrong_one() -> None:
+    stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0)]
+    assert [found.stage for found in suspects(stages, REFERENCE)] == ["b"]
+
+
+def test_nothing_is_named_where_all_agree_or_nothing_can_be_compared() -> None:
+    assert suspects([item("empty", 0.0), item("a", 10.0), item("b", 20.0)], None) == []
+    assert suspects([item("empty", 0.0), item("a", 10.0, 20.0)], None) == []
+
+
+def test_a_result_file_is_read(tmp_path: Path) -> None:
+    found = load_reference(write_result(tmp_path / "r.json"), BENCH)
+    assert found.values == TRUE
+    assert found.sigmas["Mc"] == pytest.approx(1e-4 / 1.6449)
+    assert found.moment_per_kg == pytest.approx(10 * 9.80665 * 0.095)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("{", "not JSON"),
+        ("[]", "a result of `rig identify`"),
+        ('{"schema": "loadrig.run/1"}', "got 'loadrig.run/1'"),
+        ('{"schema": "loadrig.identify/1"}', "damaged"),
+        ('{"schema": "loadrig.identify/1", "motion": "linear"}', "a rotary bench is needed"),
+    ],
+)
+def test_a_file_that_is_no_result(tmp_path: Path, content: str, words: str) -> None:
+    path = tmp_path / "r.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match=words):
+        load_reference(path, BENCH)
+    with pytest.raises(InputError, match="cannot be read"):
+        load_reference(tmp_path / "none.json", BENCH)
+
+
+def test_a_result_that_leaves_a_parameter_open_is_refused(tmp_path: Path) -> None:
+    parameters = {name: {"value": None, "low": None, "high": None} for name in NEEDED}
+    with pytest.raises(InputError) as caught:
+        load_reference(write_result(tmp_path / "r.json", parameters=parameters), BENCH)
+    assert len(caught.value.problems) == len(NEEDED)
+
+
+STAGES = """\
+sequence: 1
+name: weights
+first_pass: {duration_s: 4}
+stages:
+"""
+STAGE = (
+    "  - {{name: {name}, stage: {stage}, weight_kg: {mass}, duration_s: 4,\n"
+    "     tones: [{{amplitude_deg: 20, frequency_Hz: 0.4}}]}}\n"
+)
+
+
+def sequence(path: Path, *masses: float, first_pass: bool = True) -> str:
+    text = STAGES if first_pass else STAGES.replace("first_pass: {duration_s: 4}\n", "")
+    for mass in masses:
+        text += STAGE.format(name=f"m{mass:g}", stage="loaded" if mass else "unloaded", mass=mass)
+    path.write_text(text)
+    return str(path)
+
+
+def run_hanging(wrong: dict[str, float], *arguments: str) -> int:
+    """Run with an operator who confirms what is asked for and hangs something else."""
+
+    def hangs(self: AutomaticOperator, stage: str, weight_kg: float) -> float:
+        return wrong.get(stage, weight_kg)
+
+    with mock.patch.object(AutomaticOperator, "hangs", hangs):
+        return status(["run", *arguments, "--yes"])
+
+
+def test_a_wrong_weight_is_refused_before_full_amplitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    known = str(write_result(tmp_path / "known.json"))
+    path, out = sequence(tmp_path / "s.yaml", 0, 20), tmp_path / "out"
+    assert run_hanging({"m20": 24.0}, path, "--identification", known, "--out", str(out)) == 1
+    record = read_record(out)
+    assert [w["verdict"] for w in record.weights] == ["right", "wrong"]
+    assert record.weights[1]["measured_kg"] == pytest.approx(24.0, rel=0.05)
+    assert (record.state, record.de_energised) == ("tripped", True)
+    assert [stage.state for stage in record.stages] == ["done", "running"]
+    assert "phase weight check" in record.message
+    log = read_run(out / "recording.mcap")
+    assert set(np.unique(log.samples["segment"])) == {0, 1}
+    assert [e["verdict"] for e in log.events if e["event"] == "weight check"] == ["right", "wrong"]
+    assert "20 kg were confirmed" in capsys.readouterr().err
+    # The right weight, and the run goes on.
+    assert status(["resume", str(out), "--yes", "--identification", known]) == 0
+    assert [w["verdict"] for w in read_record(out).weights] == ["right", "wrong", "right"]
+
+
+def test_on_a_first_run_the_operator_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    path = sequence(tmp_path / "s.yaml", 0, 10, 20)
+    assert run_hanging({"m20": 26.0}, path, "--out", str(out)) == 1
+    assert [w["verdict"] for w in read_record(out).weights] == ["unchecked", "unchecked", "wrong"]
+    assert capsys.readouterr().err.count("cannot be checked yet") == 2
+
+
+def test_after_the_run_the_stage_off_its_label_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
+    assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
+    record = read_record(out)
+    assert record.state == "done"
+    assert [(w["stage"], w["verdict"]) for w in record.weights] == [("m20", "wrong")]
+    assert "warning: stage m20: its friction is that of 2" in capsys.readouterr().err
+
+
+def test_after_a_run_with_the_right_weights_nothing_is_named(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    path = sequence(tmp_path / "s.yaml", 0, 10, 20, first_pass=False)
+    assert run_hanging({}, path, "--out", str(out)) == 0
+    assert read_record(out).weights == []
+
+
+def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None:
+    out, result = tmp_path / "out", tmp_path / "result.json"
+    path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
+    assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
+    assert status(["identify", str(out), "--out", str(tmp_path / "page"), "--json", str(result)]) == 0
+    warnings = json.loads(result.read_text())["warnings"]
+    assert any(words.startswith("stage m20: its friction is that of 2") for words in warnings)
+
+
+def test_a_campaign_without_comparable_masses_is_left_alone() -> None:
+    t = np.arange(0.0, 2.0, PERIOD_S)
+    one = Recording("a", {"time": t, "angle": np.sin(t), "torque": np.ones_like(t)}, BENCH)
+    assert not comparable(Dataset((one,)))
+    assert comparable(Dataset((one,)), REFERENCE)
+    linear = dataclasses.replace(one, bench=dataclasses.replace(BENCH, motion="linear"))
+    assert off_label(Dataset((linear,)), REFERENCE) == []
