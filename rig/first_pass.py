@@ -12,6 +12,8 @@ from rig.sequence import Array, FirstPass, StageSection, excitation
 
 LONGEST_RAMP_SHARE = 0.25
 """Share of the pass that each of its ramps may take."""
+GROWTH = 2.0
+"""From one pass to the next, where the joint has not moved: a soft drive winds up by degrees before friction yields."""
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,21 @@ class PlannedPass:
     limits: Limits
 
 
-def plan_pass(section: StageSection, low: FirstPass, limits: Limits, cycle_s: float) -> PlannedPass:
-    """Compute the first pass of a stage: the same tones about the same centre, smaller and shorter."""
+def plan_passes(section: StageSection, low: FirstPass, limits: Limits, cycle_s: float) -> tuple[PlannedPass, ...]:
+    """Compute the first pass of a stage, and the larger ones that follow while the joint does not move."""
+    passes: list[PlannedPass] = []
+    amplitude = low.amplitude
+    while amplitude < 1.0:
+        planned = _plan_pass(section, low, amplitude, limits, cycle_s)
+        if passes and _peak_speed(planned.targets, cycle_s) > planned.limits.speed:
+            break
+        passes.append(planned)
+        amplitude *= GROWTH
+    return tuple(passes)
+
+
+def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float) -> PlannedPass:
+    """Compute one pass: the same tones about the same centre, smaller and shorter."""
     slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
     wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
     duration_s = min(wanted_s, section.duration_s)
@@ -42,7 +57,7 @@ def plan_pass(section: StageSection, low: FirstPass, limits: Limits, cycle_s: fl
     small = section.model_copy(
         update={
             "tones": tuple(
-                tone.model_copy(update={"amplitude_deg": low.amplitude * tone.amplitude_deg}) for tone in section.tones
+                tone.model_copy(update={"amplitude_deg": amplitude * tone.amplitude_deg}) for tone in section.tones
             ),
             "duration_s": duration_s,
             "ramp_in_s": min(section.ramp_in_s, ramp_s),
@@ -51,16 +66,23 @@ def plan_pass(section: StageSection, low: FirstPass, limits: Limits, cycle_s: fl
     )
     targets = excitation(small, cycle_s)
     moving = _tighter(limits, low.limit_share)
-    return PlannedPass(targets, low.amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
+    return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
+
+
+def _peak_speed(targets: Array, cycle_s: float) -> float:
+    return float(np.max(np.abs(np.diff(targets)), initial=0.0)) / cycle_s
 
 
 def _tighter(limits: Limits, share: float) -> Limits:
-    """Cut the limits. Static friction does not shrink with the amplitude, so those on torque are cut half as much."""
+    """Cut the limits. Static friction does not shrink with the amplitude, so those on torque are cut half as much.
+
+    So is the following error, by which a soft drive winds up against it.
+    """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(
         limits,
         speed=share * limits.speed,
-        following_error=share * limits.following_error,
+        following_error=torque_share * limits.following_error,
         torque=torque_share * limits.torque,
         current=torque_share * limits.current,
     )

@@ -41,6 +41,7 @@ TRANSITIONS: Mapping[tuple[Phase, Event], Phase] = {
     (Phase.ENABLE, Event.FIRST_PASS): Phase.FIRST_PASS,
     (Phase.FIRST_PASS, Event.DONE): Phase.WEIGH,
     (Phase.WEIGH, Event.DONE): Phase.APPROACH,
+    (Phase.WEIGH, Event.FIRST_PASS): Phase.FIRST_PASS,
     (Phase.APPROACH, Event.DONE): Phase.SETTLE,
     (Phase.SETTLE, Event.DONE): Phase.EXCITE,
     (Phase.EXCITE, Event.DONE): Phase.HOLD,

@@ -14,7 +14,7 @@ from drivers.interfaces import ServoLimits
 from rig.bench import Bench
 from rig.configuration import Document
 from rig.errors import InputError
-from rig.first_pass import PlannedPass, plan_pass
+from rig.first_pass import PlannedPass, plan_passes
 from rig.safety import Limits
 from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
 
@@ -45,7 +45,10 @@ TIME_LIMIT_SHARE = 1.5
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,)."""
+    """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
+
+    ``first_passes`` go before it, in order, until one has moved the joint.
+    """
 
     name: str
     stage: Literal["unloaded", "loaded"]
@@ -58,7 +61,7 @@ class PlannedStage:
     peak_speed_rad_s: float
     peak_angle_rad: float
     time_limit_s: float
-    first_pass: PlannedPass | None = None
+    first_passes: tuple[PlannedPass, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -92,9 +95,8 @@ class Plan:
         return sum(_under_power_s(s) for s in self.stages)
 
 
-def _under_power_s(stage: PlannedStage) -> float:
-    first = stage.first_pass
-    before = 0.0 if first is None else first.duration_s + stage.settle_s
+def _under_power_s(stage: PlannedStage, passes: int = 1) -> float:
+    before = sum(first.duration_s + stage.settle_s for first in stage.first_passes[:passes])
     return before + stage.repeats * (stage.duration_s + stage.settle_s) + HOLD_S
 
 
@@ -160,11 +162,12 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
-        first_pass=None if low is None else plan_pass(section, low, limits, bench.cycle_s),
+        first_passes=() if low is None else plan_passes(section, low, limits, bench.cycle_s),
     )
     across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
-    moves_s = across_s * (stage.repeats + (low is not None))
-    longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage) + moves_s)
+    passes = len(stage.first_passes)
+    moves_s = across_s * (stage.repeats + passes)
+    longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
     return dataclasses.replace(stage, time_limit_s=longest_s)
 
 

@@ -50,12 +50,13 @@ def describe(plan: Plan) -> str:
 
 def _first_pass(stage: PlannedStage) -> str:
     bound = f"at most {stage.time_limit_s:.1f} s under power"
-    low = stage.first_pass
-    if low is None:
+    if not stage.first_passes:
         return f"{stage.name}: {bound}; no first pass at low amplitude, so the weight is not checked before the stage"
+    low, *larger = stage.first_passes
     limits = low.limits
+    again = f" (at {', '.join(f'{p.amplitude:.0%}' for p in larger)} while the joint does not move)" if larger else ""
     return (
-        f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} amplitude within "
+        f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} amplitude{again} within "
         f"{math.degrees(limits.angle_min):.1f} to {math.degrees(limits.angle_max):.1f} deg, "
         f"{math.degrees(limits.speed):.3g} deg/s, {limits.torque:.3g} N m, then the weight is checked"
     )

@@ -24,11 +24,13 @@ class Scale:
         self._reference = reference
         self._seen: dict[str, LoadedLevel] = {}
 
-    def weigh(self, stage: PlannedStage, samples: Sequence[Sample], plan: Plan) -> Weighing:
-        """Check the weight of a stage by the samples of its first pass; only right or unchecked ones are kept."""
-        level = _level(samples, plan)
+    def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
+        """Check the weight of a stage by the friction of its first pass; only right or unchecked ones are kept."""
         if level is None:
-            text = f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves; lengthen it"
+            text = (
+                f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves the joint, even at "
+                f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen first_pass.duration_s or stiffen the drive"
+            )
             return Weighing(stage.name, stage.weight_kg, Verdict.UNCHECKED, None, None, text)
         item = LoadedLevel(stage.name, stage.weight_kg, level)
         others = [other for name, other in self._seen.items() if name != stage.name]
@@ -38,7 +40,8 @@ class Scale:
         return weighing
 
 
-def _level(samples: Sequence[Sample], plan: Plan) -> FrictionLevel | None:
+def measured_level(samples: Sequence[Sample], plan: Plan) -> FrictionLevel | None:
+    """Return the friction that the samples of a pass show, or None where the joint hardly moved."""
     angle = np.array([sample.angle for sample in samples])
     current = np.array([sample.current for sample in samples])
     return friction_level(angle, current * plan.limits.torque_per_ampere, plan.cycle_s)

@@ -79,7 +79,9 @@ class FirstPass(Schema):
     """A short pass at low amplitude before each stage, under tighter limits.
 
     ``amplitude`` is a share of the stage's own; ``duration_s`` one period of its slowest tone and the ramps unless
-    given; ``limit_share`` the share of the limits on speed and following error that is allowed meanwhile.
+    given; ``limit_share`` the share of the speed limit that is allowed meanwhile, and of the limits on torque, current
+    and following error half way from there to the whole. While the joint does not move, passes of twice the amplitude
+    follow.
     """
 
     amplitude: Annotated[float, Field(gt=0, le=0.5)] = 0.1

@@ -17,7 +17,7 @@ from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
 from rig.recorder import Recorder
 from rig.safety import Check, Trip
 from rig.sample import Sample
-from rig.scale import Scale
+from rig.scale import Scale, measured_level
 from rig.sequence import approach
 from rig.teardown import SafeState, give_back, make_safe
 from rig.weight_check import Verdict, Weighing
@@ -131,6 +131,7 @@ class Sequencer:
         self._stage_index = start
         self._repeat = 0
         self._segment = segment
+        self._pass = 0
         self._first_samples: list[Sample] = []
         self._own_limits: ServoLimits | None = None
         self._target = 0.0
@@ -262,11 +263,11 @@ class Sequencer:
         self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
         self._target = servo.sample().motor_angle_rad / self._plan.limits.gear_ratio
         self._cycle.begin(self._target, self._stage.time_limit_s)
-        return Event.DONE if self._stage.first_pass is None else Event.FIRST_PASS
+        self._pass = 0
+        return Event.FIRST_PASS if self._stage.first_passes else Event.DONE
 
     def _first_pass(self) -> Event:
-        planned = self._stage.first_pass
-        assert planned is not None
+        planned = self._stage.first_passes[self._pass]
         cycle, plan = self._cycle, self._plan
         self._recorder.event(cycle.now_ns, "first pass", stage=self._stage.name, amplitude=planned.amplitude)
         cycle.use(planned.move_limits)
@@ -282,10 +283,16 @@ class Sequencer:
     def _weigh(self) -> Event:
         """Compare the friction met at low amplitude with the confirmed mass, while the drive holds still.
 
-        That takes milliseconds, far less than its heartbeat watch allows.
+        That takes milliseconds, far less than its heartbeat watch allows. Where the joint has not moved there is
+        nothing to compare, and a larger pass follows.
         """
-        weighing = self._scale.weigh(self._stage, self._first_samples, self._plan)
+        level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
+        if level is None and self._pass + 1 < len(self._stage.first_passes):
+            self._pass += 1
+            self._cycle.resume()
+            return Event.FIRST_PASS
+        weighing = self._scale.weigh(self._stage, level)
         self._recorder.event(
             self._cycle.now_ns,
             "weight check",
