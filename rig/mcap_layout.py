@@ -19,6 +19,8 @@ from rig.sample import Sample
 SAMPLE_TOPIC = "/sample"
 EVENT_TOPIC = "/event"
 FRAMES_TOPIC = "/frames"
+TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
+"""Of the channels 1 to 3 of every recording: one whose channel records are damaged can still be read."""
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
 EVENT_JSON_SCHEMA = (

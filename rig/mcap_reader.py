@@ -1,31 +1,35 @@
-"""Reads a recording back, whole or damaged: everything up to the damage, and a word on what is lost."""
+"""Reads a recording back, whole or damaged: all that is sound, and a word on what is lost."""
 
 from __future__ import annotations
 
-import io
 import json
-import struct
-import zlib
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import lz4.frame
 import numpy as np
-from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Metadata
 from numpy.typing import NDArray
 
-from rig.mcap_layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_BYTES, SAMPLE_TOPIC, decode_samples
+from rig.mcap_layout import EVENT_TOPIC, SAMPLE_BYTES, SAMPLE_TOPIC, TOPICS, decode_samples
+from rig.mcap_records import (
+    HEADER,
+    DamageError,
+    Found,
+    attachment,
+    channel,
+    chunk,
+    metadata,
+    next_sound,
+    record_at,
+    statistics,
+)
 from rig.mcap_writer import MAGIC, MESSAGE
 
-_RECORD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQI")
-MAX_CHUNK = 1 << 28
+_DATA_END_BYTES = 4
+_TOLD = 3
+"""How many damaged places are described; the rest are counted."""
 
 
 class NotARecordingError(ValueError):
@@ -50,7 +54,7 @@ class Log:
             :func:`rig.mcap_layout.decode_frames`.
         attachments: Name to content.
         metadata: Name to keys and values.
-        damage: None for a complete file, else where reading stopped and why, in words.
+        damage: None for a complete file, else where it is damaged, why, and what is lost, in words.
     """
 
     samples: Mapping[str, NDArray[np.float64]]
@@ -61,12 +65,8 @@ class Log:
     damage: str | None
 
 
-class _DamageError(Exception):
-    """Reading cannot go on past this place."""
-
-
 def read_run(path: Path) -> Log:
-    """Read a recording, stopping at the first damage.
+    """Read a recording. Behind a damaged place reading goes on at the next record whose checksum is right.
 
     Raises:
         NotARecordingError: It is not one of this program's recordings at all.
@@ -75,126 +75,128 @@ def read_run(path: Path) -> Log:
     data = path.read_bytes()
     if not data.startswith(MAGIC):
         raise NotARecordingError(f"{path}: not an MCAP recording; its first bytes are {data[:8].hex(' ') or 'missing'}")
-    channels: dict[int, str] = {}
-    messages: dict[str, list[Message]] = {SAMPLE_TOPIC: [], EVENT_TOPIC: [], FRAMES_TOPIC: []}
-    attachments: dict[str, bytes] = {}
-    metadata: dict[str, Mapping[str, str]] = {}
-    damage: str | None = None
-    intact = len(MAGIC)
-    try:
-        for opcode, content, end in _records(data):
-            if opcode == Opcode.CHUNK:
-                _take_messages(_chunk(content), channels, messages)
-            elif opcode == Opcode.CHANNEL:
-                channel = _channel(content)
-                channels[channel.id] = channel.topic
-            elif opcode == Opcode.ATTACHMENT:
-                attachment = _attachment(content)
-                attachments[attachment.name] = attachment.data
-            elif opcode == Opcode.METADATA:
-                item = _metadata(content)
-                metadata[item.name] = item.metadata
-            elif opcode == Opcode.DATA_END:
-                break
-            intact = end
-        else:
-            raise _DamageError("the end of the recording was never written")
-        if not data.endswith(MAGIC):
-            raise _DamageError("the index at its end is cut off")
-    except _DamageError as error:
-        damage = f"whole up to byte {intact} of {len(data)}: {error}; {len(messages[SAMPLE_TOPIC])} samples recovered"
-    samples = b"".join(m.data for m in messages[SAMPLE_TOPIC])
+    reading = _Reading(data)
+    reading.read()
+    messages = reading.messages
     return Log(
-        samples=decode_samples(samples),
+        samples=decode_samples(b"".join(m.data for m in messages[SAMPLE_TOPIC])),
         events=tuple(json.loads(m.data) for m in messages[EVENT_TOPIC]),
         messages=messages,
-        attachments=attachments,
-        metadata=metadata,
-        damage=damage,
+        attachments=reading.attachments,
+        metadata=reading.metadata,
+        damage=reading.damage(),
     )
 
 
-def _stream(content: bytes) -> ReadDataStream:
-    return ReadDataStream(io.BytesIO(content))
+class _Reading:
+    """What has been read so far."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._latest_ns = 0
+        self._damage: list[tuple[str, int]] = []
+        self.messages: dict[str, list[Message]] = {topic: [] for topic in TOPICS}
+        self.attachments: dict[str, bytes] = {}
+        self.metadata: dict[str, Mapping[str, str]] = {}
+
+    def read(self) -> None:
+        """Read to the end, noting every damaged place."""
+        data, offset = self._data, len(MAGIC)
+        while offset < len(data):
+            try:
+                found = record_at(data, offset)
+                if found.opcode == Opcode.DATA_END and len(found.content) == _DATA_END_BYTES:
+                    self._compare(found.end)
+                    return
+                self._take(found)
+                offset = found.end
+            except DamageError as error:
+                sound = next_sound(data, offset + 1)
+                self._note(offset, sound, str(error))
+                if sound is None:
+                    return
+                offset = sound
+        self._note(offset, None, "the end of the recording was never written")
+
+    def damage(self) -> str | None:
+        """Return what is damaged in words, with the number of samples that are left."""
+        if not self._damage:
+            return None
+        times = decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]))["time"]
+        told = [words + _lost(times, before) for words, before in self._damage[:_TOLD]]
+        if len(self._damage) > _TOLD:
+            told.append(f"and {len(self._damage) - _TOLD} more places")
+        return f"{'; '.join(told)}; {len(times)} samples recovered"
+
+    def _note(self, offset: int, sound: int | None, why: str) -> None:
+        size = len(self._data)
+        where = f"whole up to byte {offset} of {size}" if not self._damage else f"damaged again at byte {offset}"
+        rest = "" if sound is None else f", sound again from byte {sound}"
+        self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
+
+    def _take(self, found: Found) -> None:
+        """Sort one record into its place.
+
+        Raises:
+            DamageError: It is not as it was written.
+        """
+        match found.opcode:
+            case Opcode.CHUNK:
+                self._take_messages(chunk(found.content))
+            case Opcode.CHANNEL:
+                described = channel(found.content)
+                if not 1 <= described.id <= len(TOPICS) or TOPICS[described.id - 1] != described.topic:
+                    raise DamageError(f"channel {described.id} is {described.topic!r}, which is none of a run's")
+            case Opcode.ATTACHMENT:
+                file = attachment(found.content)
+                self.attachments[file.name] = file.data
+            case Opcode.METADATA:
+                item = metadata(found.content)
+                self.metadata[item.name] = item.metadata
+
+    def _take_messages(self, records: bytes) -> None:
+        """Sort a chunk's messages by topic; all of them or none.
+
+        Raises:
+            DamageError: The chunk is another program's, or from another time.
+        """
+        taken: list[tuple[str, Message]] = []
+        latest_ns = self._latest_ns
+        offset = 0
+        while offset < len(records):
+            opcode, length = HEADER.unpack_from(records, offset)
+            end = offset + HEADER.size + length
+            if opcode == Opcode.MESSAGE:
+                _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
+                content = records[offset + MESSAGE.size : end]
+                if not 1 <= number <= len(TOPICS):
+                    raise DamageError(f"a message on channel {number}: another program's recording")
+                topic = TOPICS[number - 1]
+                if topic == SAMPLE_TOPIC and len(content) != SAMPLE_BYTES:
+                    text = f"a sample of {len(content)} bytes, expected {SAMPLE_BYTES}: another program's recording"
+                    raise DamageError(text)
+                if time_ns < latest_ns:
+                    raise DamageError("a chunk that is older than the one before it")
+                latest_ns = time_ns
+                taken.append((topic, Message(time_ns, content)))
+            offset = end
+        self._latest_ns = latest_ns
+        for topic, message in taken:
+            self.messages[topic].append(message)
+
+    def _compare(self, offset: int) -> None:
+        """Hold what was read against the counts at the end of the file."""
+        try:
+            counts = statistics(self._data, offset)
+        except DamageError as error:
+            self._note(offset, None, str(error))
+            return
+        missing = counts.message_count - sum(map(len, self.messages.values()))
+        if missing and not self._damage:
+            samples = len(self.messages[SAMPLE_TOPIC])
+            self._damage.append((f"{missing} of {counts.message_count} messages are missing", samples))
 
 
-def _records(data: bytes) -> Iterator[tuple[int, bytes, int]]:
-    """Yield opcode, content and the offset of its end for each top-level record, to the file's end."""
-    offset = len(MAGIC)
-    size = len(data)
-    while offset < size:
-        if offset + _RECORD.size > size:
-            raise _DamageError("cut off inside a record header")
-        opcode, length = _RECORD.unpack_from(data, offset)
-        start = offset + _RECORD.size
-        if opcode == 0 or start + length > size:
-            raise _DamageError("cut off inside a record" if opcode else "zeros where a record should be")
-        offset = start + length
-        yield opcode, data[start:offset], offset
-
-
-def _attachment(content: bytes) -> Attachment:
-    if len(content) < 4 or zlib.crc32(content[:-4]) != struct.unpack("<I", content[-4:])[0]:
-        raise _DamageError("an attachment fails its checksum")
-    attachment: Attachment = Attachment.read(_stream(content))
-    return attachment
-
-
-def _metadata(content: bytes) -> Metadata:
-    with _undamaged("metadata"):
-        metadata: Metadata = Metadata.read(_stream(content))
-        return metadata
-
-
-def _channel(content: bytes) -> Channel:
-    with _undamaged("a channel"):
-        channel: Channel = Channel.read(_stream(content))
-        return channel
-
-
-@contextmanager
-def _undamaged(what: str) -> Iterator[None]:
-    """These records carry no checksum; what the library cannot read is damage."""
-    try:
-        yield
-    except (McapError, struct.error, UnicodeDecodeError) as error:
-        raise _DamageError(f"{what} cannot be read ({error})") from error
-
-
-def _chunk(content: bytes) -> bytes:
-    """Return a chunk's records, checked against its CRC."""
-    try:
-        _, _, size, crc = _CHUNK.unpack_from(content)
-        (name_length,) = struct.unpack_from("<I", content, _CHUNK.size)
-        name_start = _CHUNK.size + 4
-        compression = content[name_start : name_start + name_length]
-        records = content[name_start + name_length + 8 :]
-        if size > MAX_CHUNK:
-            raise _DamageError(f"a chunk claims {size} bytes")
-        if compression == b"lz4":
-            records = lz4.frame.decompress(records)
-    except (struct.error, RuntimeError) as error:
-        raise _DamageError(f"a chunk cannot be unpacked ({error})") from error
-    if len(records) != size or (crc and zlib.crc32(records) != crc):
-        raise _DamageError("a chunk fails its checksum")
-    return records
-
-
-def _take_messages(records: bytes, channels: dict[int, str], messages: dict[str, list[Message]]) -> None:
-    """Sort a chunk's messages by topic."""
-    offset = 0
-    size = len(records)
-    while offset < size:
-        opcode, length = _RECORD.unpack_from(records, offset)
-        end = offset + _RECORD.size + length
-        if opcode == Opcode.MESSAGE:
-            _, _, channel, _, log_time, _ = MESSAGE.unpack_from(records, offset)
-            topic = channels.get(channel, "")
-            content = records[offset + MESSAGE.size : end]
-            if topic == SAMPLE_TOPIC and len(content) != SAMPLE_BYTES:
-                raise _DamageError(
-                    f"a sample of {len(content)} bytes, expected {SAMPLE_BYTES}: another program's recording"
-                )
-            if topic in messages:
-                messages[topic].append(Message(log_time, content))
-        offset = end
+def _lost(times: NDArray[np.float64], before: int) -> str:
+    """Return between which samples something is missing, where there is one on both sides."""
+    return f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)" if 0 < before < len(times) else ""

@@ -38,7 +38,8 @@ CHUNK_BYTES = 16 * 1024
 MESSAGE = struct.Struct("<BQHIQQ")
 """Opcode, length, channel, sequence, log time, publish time; the data follow."""
 _MESSAGE_HEADER = MESSAGE.size - 9
-_FOOTER_START = struct.Struct("<BQQQ")
+FOOTER_START = struct.Struct("<BQQQ")
+"""Of the footer, what its checksum covers beside the summary."""
 
 
 class McapWriter:
@@ -122,7 +123,7 @@ class McapWriter:
         start = self._stream.tell()
         records = [*self._schemas, *self._channels, self._statistics()]
         summary = _encoded(*records, *self._chunks, *self._attachments, *self._metadata)
-        crc = zlib.crc32(_FOOTER_START.pack(Opcode.FOOTER, 20, start, 0), zlib.crc32(summary))
+        crc = zlib.crc32(FOOTER_START.pack(Opcode.FOOTER, 20, start, 0), zlib.crc32(summary))
         self._stream.write(summary)
         self._write(Footer(summary_start=start, summary_offset_start=0, summary_crc=crc))
         self._stream.write(MAGIC)

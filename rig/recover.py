@@ -137,6 +137,10 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     record.state = last["event"] if last else Ending.FAILED.value
     record.message = last["message"] if last else f"the writer died; {record.cycles} samples recovered"
     record.parts[-1].state = record.state
+    short = [stage.name for stage in record.stages if stage.state != "done"]
+    if record.state == Ending.DONE.value and short:
+        record.state = Ending.FAILED.value
+        record.message = f"samples of {', '.join(short)} are lost from the recording; `rig resume` does that again"
 
 
 def _add_segments(record: RunRecord, part: int, log: Log) -> None:

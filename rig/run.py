@@ -321,6 +321,11 @@ def read_log(path: Path) -> Log:
 
 def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Path, digest: str) -> Recording:
     mine = log.samples["segment"] == segment.index
+    if int(mine.sum()) != segment.samples:
+        raise InputError(
+            f"{path}: {segment.name}: {int(mine.sum())} of {segment.samples} samples are there, though it was finished"
+            f" ({log.damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
+        )
     stale = mine & (log.samples["fresh"] == 0)
     used = mine & ~stale
     channels: dict[str, Array] = {name: log.samples[name][used] for name in _CHANNELS}

@@ -172,6 +172,79 @@ def test_a_flipped_byte_never_gives_wrong_samples(whole: Path, tmp_path: Path, s
     assert set(log.samples["time"].tolist()) <= times
 
 
+def chunks(content: bytes) -> list[tuple[int, int]]:
+    """Return offset and end of every chunk, walking the records by hand."""
+    found, offset = [], 8
+    while content[offset] != 0x0F:
+        end = offset + 9 + struct.unpack_from("<Q", content, offset + 1)[0]
+        found += [(offset, end)] if content[offset] == 0x06 else []
+        offset = end
+    return found
+
+
+@pytest.fixture(scope="module")
+def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write(tmp_path_factory.mktemp("long") / "a.mcap", 2000)
+
+
+def test_reading_goes_on_behind_a_bad_chunk(long: Path, tmp_path: Path) -> None:
+    damaged = bytearray(long.read_bytes())
+    starts = chunks(damaged)
+    begin, end = starts[4]
+    damaged[(begin + end) // 2] ^= 0xFF
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(damaged)
+    log, whole = read_run(path), read_run(long)
+    times = log.samples["time"]
+    lost = np.setdiff1d(whole.samples["time"], times)
+    assert 0 < len(lost) < 2000 / len(starts) + 50
+    assert np.ptp(lost) == pytest.approx(0.001 * (len(lost) - 1))
+    assert log.events == whole.events
+    assert log.damage is not None
+    assert f"whole up to byte {begin} of {len(damaged)}" in log.damage
+    assert f"lost between {lost[0] - 0.001:.3f} and {lost[-1] + 0.001:.3f} s" in log.damage
+    assert log.damage.endswith(f"{len(times)} samples recovered")
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(share=st.floats(0, 1), value=st.integers(1, 255))
+def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
+    long: Path, tmp_path: Path, share: float, value: int
+) -> None:
+    """Wherever it is: in a chunk, its length, its opcode, a record without checksum, the index."""
+    damaged = bytearray(long.read_bytes())
+    end = chunks(damaged)[-1][1]
+    damaged[min(8 + int(share * (end - 8)), end - 1)] ^= value
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(damaged)
+    log = read_run(path)
+    assert len(log.samples["time"]) >= 2000 - 130
+    assert np.all(np.diff(log.samples["time"]) > 0)
+    if len(log.samples["time"]) < 2000 or not log.events:
+        assert log.damage is not None
+
+
+def test_many_bad_places_are_counted(long: Path, tmp_path: Path) -> None:
+    damaged = bytearray(long.read_bytes())
+    for begin, end in chunks(damaged)[2:16:2]:
+        damaged[(begin + end) // 2] ^= 0xFF
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(damaged)
+    damage = read_run(path).damage
+    assert damage is not None
+    assert damage.count("damaged again at byte") == 2
+    assert "and 4 more places" in damage
+
+
+def test_a_record_that_vanished_is_missed(long: Path, tmp_path: Path) -> None:
+    """A chunk turned into what readers may skip: only the counts at the end tell."""
+    damaged = bytearray(long.read_bytes())
+    damaged[chunks(damaged)[3][0]] = 0x07
+    path = tmp_path / "bad.mcap"
+    path.write_bytes(damaged)
+    assert "messages are missing" in (read_run(path).damage or "")
+
+
 def test_zeros_at_the_end_after_a_power_cut(whole: Path, tmp_path: Path) -> None:
     path = tmp_path / "zeros.mcap"
     content = whole.read_bytes()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -369,6 +370,43 @@ def test_a_finished_run_that_was_damaged_later_is_not_read_silently(
     (folder / "run.json").write_bytes((finished / "run.json").read_bytes())
     assert status(["export", str(folder)]) == 2
     assert "rig recover" in capsys.readouterr().err
+
+
+@pytest.fixture
+def holed(finished: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run with a bad place in the middle of its recording."""
+    folder = tmp_path / "holed"
+    shutil.copytree(finished, folder)
+    content = bytearray((folder / "recording.mcap").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (folder / "recording.mcap").write_bytes(content)
+    return folder
+
+
+def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(
+    holed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["export", str(holed), "--out", "x.csv"]) == 2
+    assert "rig recover" in capsys.readouterr().err
+    assert status(["recover", str(holed)]) == 0
+    assert "lost between" in capsys.readouterr().out
+    record = read_record(holed)
+    assert (record.state, record.stages[0].state) == ("failed", "running")
+    assert "samples of empty are lost" in record.message
+    # What came behind the hole is there: the end of the run, and most of its samples.
+    log = read_run(holed / "recording.mcap")
+    assert log.events[-1]["event"] == "done"
+    assert 900 < len(log.samples["time"]) < 1151
+    assert status(["resume", str(holed), "--yes"]) == 0
+    assert len(load_run(holed).recordings) == 1
+
+
+def test_a_hole_in_a_stopped_run_is_not_read_silently(holed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    raw = json.loads((holed / "run.json").read_text())
+    raw["state"] = raw["parts"][0]["state"] = "stopped"
+    (holed / "run.json").write_text(json.dumps(raw))
+    assert status(["export", str(holed), "--out", "x.csv"]) == 2
+    assert "of 1000 samples are there, though it was finished" in capsys.readouterr().err
 
 
 def test_a_real_bench_needs_an_eds_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
