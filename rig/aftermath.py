@@ -10,8 +10,9 @@ import click
 
 from rig.cli import BAD_VERDICT, DEVICE_FAILED, DONE, STOPPED
 from rig.label_check import comparable, off_label
+from rig.places import write_asked
 from rig.reference import Reference
-from rig.run import RunFolder, RunRecord, load_run, write_json
+from rig.run import RunFolder, RunRecord, load_run
 from rig.run_report import write_run_report
 from rig.sequencer import Ending, Outcome
 from rig.tables import table
@@ -29,7 +30,7 @@ def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, j
     """Check the labels, write the page of the run, tell the operator, and return the exit status.
 
     Raises:
-        OSError: ``json_file`` cannot be written.
+        InputError: ``json_file`` cannot be written.
     """
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
@@ -40,8 +41,7 @@ def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, j
     except OSError as error:
         click.echo(f"{folder.path}: the page of the run cannot be written: {error.strerror}", err=True)
     _tell(folder, outcome)
-    if json_file is not None:
-        write_json(json_file, dataclasses.asdict(record))
+    write_asked(json_file, dataclasses.asdict(record))
     return BAD_VERDICT if wrong else STATUS[outcome.ending]
 
 

@@ -29,9 +29,10 @@ from rig.errors import InputError
 from rig.faults import COUNTED_FRAMES, FaultRow, FaultSchedule, Frames, load_faults
 from rig.operator import Operator, OperatorStopError, StopButton, Verb
 from rig.phases import Phase
+from rig.places import write_json
 from rig.plan import Plan
 from rig.recorder import Recorder
-from rig.run import RunFolder, write_json
+from rig.run import RunFolder
 from rig.sequence import Sequence
 from rig.sequencer import Outcome
 from rig.session import Inputs, execute

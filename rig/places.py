@@ -55,10 +55,10 @@ def replacing(path: Path) -> Iterator[Path]:
     No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link is followed, and what
     is no plain file (a pipe, ``/dev/stdout``) is written straight, never replaced.
     """
-    target = path.resolve()
-    if target.exists() and not target.is_file():
-        yield target
+    if path.exists() and not path.is_file():
+        yield path
         return
+    target = path.resolve()
     draft = target.with_name(f".{target.name}.new")
     try:
         yield draft
@@ -86,3 +86,17 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
         OSError: It cannot be written; an earlier version is kept.
     """
     write_text(path, json.dumps(record, indent=1) + "\n")
+
+
+def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
+    """Write what ``--json`` asks for; None is nothing.
+
+    Raises:
+        InputError: It cannot be written after all; an earlier version is kept.
+    """
+    if path is None:
+        return
+    try:
+        write_json(path, record)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; give --json another place") from error

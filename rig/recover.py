@@ -13,6 +13,7 @@ from pathlib import Path
 from rig.errors import InputError
 from rig.mcap_layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.mcap_reader import Log
+from rig.places import write_json
 from rig.recorder import Recorder, open_recorder
 from rig.run import (
     RECORDING_FILE,
@@ -21,7 +22,6 @@ from rig.run import (
     discard,
     read_log,
     read_record,
-    write_json,
 )
 from rig.sequencer import Ending
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,6 +16,7 @@ from identification.recording import Bench as BenchConstants
 from rig.bench import Bench
 from rig.errors import InputError
 from rig.mcap_reader import Log, NotARecordingError, read_run
+from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
 from rig.weight_check import Weighing
@@ -228,25 +228,6 @@ def create_folder(path: Path) -> None:
         raise InputError(
             f"{path}: not empty (holds {occupied.name}); give --out a new folder, so that no run is overwritten"
         )
-
-
-def write_json(path: Path, record: Mapping[str, Any]) -> None:
-    """Write JSON by replacing the file in one step.
-
-    Raises:
-        OSError: It cannot be written; an earlier version is kept.
-    """
-    draft = path.with_name(f".{path.name}.new")
-    try:
-        with open(draft, "w", encoding="utf-8") as stream:
-            json.dump(record, stream, indent=1)
-            stream.write("\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        os.replace(draft, path)
-    except OSError:
-        draft.unlink(missing_ok=True)
-        raise
 
 
 def read_record(folder: Path) -> RunRecord:

@@ -17,9 +17,9 @@ from rig.configuration import Document
 from rig.connect import connect
 from rig.cycle import Devices
 from rig.drive_limits import loosened, show
+from rig.places import require_file, write_asked
 from rig.plan import bench_limits, servo_limits
 from rig.provenance import sha256_file, utc_now, versions
-from rig.run import write_json
 from rig.serial_bus import NO_WATCHDOG
 from rig.session import describe_devices
 from rig.tables import table
@@ -31,7 +31,7 @@ _UNSET_RAD = 2000.0 * math.pi
 
 @click.command("check")
 @click.argument("bench")
-@click.option("--seed", default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the findings to this file.")
 def command(bench: str, seed: int, json_file: Path | None) -> int:
     """Connect to BENCH, read identities, state and limits back. Nothing moves and nothing is energised.
@@ -44,12 +44,12 @@ def command(bench: str, seed: int, json_file: Path | None) -> int:
     Example:
       rig check practical
     """
+    require_file(json_file, "--json")
     document = load_bench(bench)
     with connect(document, seed, realtime=False) as devices:
         findings = examine(document, devices, seed)
     click.echo(describe(findings))
-    if json_file is not None:
-        write_json(json_file, findings)
+    write_asked(json_file, findings)
     return DONE if findings["good"] else BAD_VERDICT
 
 

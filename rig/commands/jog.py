@@ -15,9 +15,9 @@ from rig.connect import connect
 from rig.cycle import Devices
 from rig.jog import move, plan_jog
 from rig.operator import StopButton
+from rig.places import require_file, write_asked
 from rig.progress import RunProgress
 from rig.provenance import utc_now
-from rig.run import write_json
 from rig.sequencer import Ending, Outcome
 
 SCHEMA = "loadrig.jog/1"
@@ -28,7 +28,7 @@ SCHEMA = "loadrig.jog/1"
 @click.option("--to", "angles", type=float, multiple=True, help="Joint angle, deg; may be given several times.")
 @click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
-@click.option("--seed", default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write how it ended to this file.")
 def command(
     bench: str, angles: tuple[float, ...], speed: float, realtime: bool, seed: int, json_file: Path | None
@@ -42,6 +42,7 @@ def command(
     Example:
       rig jog practical --to 10 --to 0 --speed 5
     """
+    require_file(json_file, "--json")
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
     with connect(document, seed, realtime) as devices, StopButton() as stop:
@@ -51,8 +52,7 @@ def command(
             click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
             if outcome.ending is not Ending.DONE:
                 break
-    if json_file is not None:
-        write_json(json_file, _record(bench, outcome))
+    write_asked(json_file, _record(bench, outcome))
     return DONE if outcome is None else STATUS[outcome.ending]
 
 

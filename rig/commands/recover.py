@@ -9,8 +9,8 @@ import click
 
 from rig.cli import DONE
 from rig.errors import InputError
+from rig.places import require_file, write_asked
 from rig.recover import damaged_name, recover
-from rig.run import write_json
 from rig.tables import table
 
 
@@ -26,6 +26,7 @@ def command(run: Path, json_file: Path | None) -> int:
     Example:
       rig recover runs/20261120T101500Z-figure10
     """
+    require_file(json_file, "--json")
     try:
         recovery = recover(run)
     except OSError as error:
@@ -37,6 +38,5 @@ def command(run: Path, json_file: Path | None) -> int:
         click.echo(f"{problem}; the damaged file is kept as {kept}")
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in recovery.record.stages]
     click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
-    if json_file is not None:
-        write_json(json_file, dataclasses.asdict(recovery.record))
+    write_asked(json_file, dataclasses.asdict(recovery.record))
     return DONE

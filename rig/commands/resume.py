@@ -12,6 +12,7 @@ from rig.calibration import require_current
 from rig.connect import connect
 from rig.errors import InputError
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.places import require_file
 from rig.plan import make_plan
 from rig.progress import RunProgress
 from rig.provenance import utc_now
@@ -53,6 +54,7 @@ def command(
     Example:
       rig resume runs/20261120T101500Z-figure10
     """
+    require_file(json_file, "--json")
     try:
         resumed = prepare(run)
     except OSError as error:

@@ -15,6 +15,7 @@ from rig.connect import connect
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.places import require_file, require_folder
 from rig.plan import make_plan
 from rig.plan_text import describe
 from rig.progress import RunProgress
@@ -32,7 +33,7 @@ from rig.session import Inputs, execute
 @click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
 @click.option("--dry-run", is_flag=True, help="Print the plan; connect to nothing, move nothing.")
-@click.option("--seed", default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
 @click.option(
     "--faults",
     "fault_file",
@@ -79,11 +80,14 @@ def command(
       rig run figure10 --dry-run
       rig run figure10 --yes --out runs/demo
     """
+    require_file(json_file, "--json")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     plan = make_plan(sequence_file, bench_file, True if first_pass is None and identification else first_pass)
     if dry_run:
         click.echo(describe(plan))
         return DONE
+    path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
+    require_folder(path, "--out")
     require_current(bench_file, utc_now().date())
     constants = bench_constants(bench_file.value)
     reference = None if identification is None else load_reference(identification, constants)
@@ -93,7 +97,6 @@ def command(
         connect(bench_file, seed, realtime, None if saboteur is None else saboteur.attach) as devices,
         StopButton() as stop,
     ):
-        path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
         create_folder(path)
         operator = AutomaticOperator() if yes else ConsoleOperator()
         carry_out = execute if saboteur is None else saboteur.execute

@@ -8,8 +8,8 @@ import pytest
 
 from identification.estimate.result import Convergence, Fit, Identification, Parameter
 from identification.recording import Bench, Recording
+from rig.places import write_json
 from rig.results import Provenance, finite, identification_record
-from rig.run import write_json
 
 
 def result() -> Identification:

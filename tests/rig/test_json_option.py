@@ -1,0 +1,105 @@
+"""``--json`` and ``--seed`` of the commands that work on a bench: judged before anything is done, written through."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import stat
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig import places
+from rig.cli import status
+
+SEQUENCE = """\
+sequence: 1
+name: one
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+RUN = ("run", "one.yaml", "--yes", "--out", "out")
+CHECK = ("check", "practical")
+JOG = ("jog", "practical", "--to", "1")
+RECOVER = ("recover", "done")
+RESUME = ("resume", "done")
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("done")
+    (folder / "one.yaml").write_text(SEQUENCE)
+    assert status(["run", str(folder / "one.yaml"), "--yes", "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, done: Path) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("one.yaml").write_text(SEQUENCE)
+    shutil.copytree(done, "done")
+
+
+@pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER, RESUME], ids=lambda c: c[0])
+def test_a_missing_folder_is_bad_input_before_anything_is_done(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def connected(*arguments: Any) -> None:
+        raise AssertionError("a bench was connected to")
+
+    for name in ("run", "check", "jog", "resume"):
+        monkeypatch.setattr(f"rig.commands.{name}.connect", connected)
+    assert status([*command, "--json", "missing/x.json"]) == 2
+    assert "missing/x.json: the folder missing does not exist" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+@pytest.mark.parametrize("command", [RUN, CHECK, JOG], ids=lambda c: c[0])
+def test_a_negative_seed_is_bad_input(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert status([*command, "--seed", "-1"]) == 2
+    assert "-1 is not in the range x>=0" in capsys.readouterr().err
+    assert not Path("out").exists()
+
+
+def test_a_folder_that_cannot_be_made_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status([*RUN[:-1], "one.yaml/out"]) == 2
+    assert "one.yaml is a file; give --out another place" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", [RUN, CHECK, JOG, RECOVER], ids=lambda c: c[0])
+def test_what_is_no_plain_file_is_written_through(command: tuple[str, ...]) -> None:
+    """A pipe stands for every device node: one that is replaced is gone for the whole machine."""
+    os.mkfifo("pipe")
+    reader = os.open("pipe", os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        assert status([*command, "--json", "pipe"]) == 0
+        assert json.loads(os.read(reader, 1 << 16))["schema"].startswith("loadrig.")
+    finally:
+        os.close(reader)
+    assert stat.S_ISFIFO(Path("pipe").stat().st_mode)
+
+
+def test_a_link_to_what_is_no_plain_file_is_written_through() -> None:
+    """As ``/dev/stdout`` is, which leads to a pipe that has no name of its own."""
+    ours, theirs = os.pipe()
+    try:
+        Path("link").symlink_to(f"/proc/self/fd/{theirs}")
+        assert status([*CHECK, "--json", "link"]) == 0
+        assert json.loads(os.read(ours, 1 << 16))["schema"] == "loadrig.check/1"
+    finally:
+        os.close(ours)
+        os.close(theirs)
+    assert Path("link").is_symlink()
+
+
+def test_a_disk_that_fills_up_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def full(*arguments: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(places, "write_text", full)
+    assert status([*CHECK, "--json", "x.json"]) == 2
+    assert "x.json: cannot be written: No space left on device" in capsys.readouterr().err
