@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 
 from drivers.errors import DeviceError
-from drivers.interfaces import RawFrame
+from drivers.interfaces import RawFrame, ServoState
 from rig.bench import Bench
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
@@ -79,16 +79,21 @@ class _Discard:
         """Keep nothing."""
 
 
-def move(jog: Jog, bench: Bench, devices: Devices, stop: StopButton, progress: Progress) -> Outcome:
+def move(
+    jog: Jog, bench: Bench, devices: Devices, stop: StopButton, progress: Progress, reset_fault: bool = False
+) -> Outcome:
     """Make the moves and leave the drive de-energised, whatever happens.
 
-    The limits are written into the drive before each enabling, and its own back at the end.
+    The limits are written into the drive before each enabling, and its own back at the end. A fault that the drive is
+    in is cleared where ``reset_fault`` says so.
     """
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
     servo, wanted = devices.servo, servo_limits(jog.limits, bench)
     own, ending = None, None
     try:
         try:
+            if reset_fault and servo.state() is ServoState.FAULT:
+                servo.reset_fault()
             servo.prepare(bench.cycle_s)
             devices.encoder.prepare(bench.cycle_s)
             own = servo.read_limits()

@@ -16,6 +16,7 @@ from rig.mcap_reader import Log
 from rig.places import write_json
 from rig.recorder import Recorder, open_recorder
 from rig.run import (
+    DIED,
     RECORDING_FILE,
     RUN_FILE,
     RunRecord,
@@ -136,7 +137,7 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     record.cycles = sum(part.cycles for part in record.parts)
     record.state = last["event"] if last else Ending.FAILED.value
     record.message = last["message"] if last else f"the writer died; {record.cycles} samples recovered"
-    record.parts[-1].state = record.state
+    record.parts[-1].state = record.state if last else DIED
     short = [stage.name for stage in record.stages if stage.state != "done"]
     if record.state == Ending.DONE.value and short:
         record.state = Ending.FAILED.value

@@ -12,6 +12,7 @@ from rig.provenance import sha256_file
 from rig.recover import recover
 from rig.run import (
     BENCH_ATTACHMENT,
+    DIED,
     SEQUENCE_ATTACHMENT,
     RunRecord,
     discard,
@@ -31,6 +32,7 @@ class Resumption:
         sequence: The same sequence file as before.
         stage: Index of the stage to go on with.
         mended: What was wrong with recordings whose writer died, in words.
+        died: Whether the writer of the last one did, so that the drive stopped by its own watch.
     """
 
     record: RunRecord
@@ -38,6 +40,7 @@ class Resumption:
     sequence: Document[Sequence]
     stage: int
     mended: tuple[str, ...]
+    died: bool
 
 
 def prepare(folder: Path) -> Resumption:
@@ -55,7 +58,7 @@ def prepare(folder: Path) -> Resumption:
     bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
     sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
     discard(record, stage)
-    return Resumption(record, bench, sequence, stage, recovery.damage)
+    return Resumption(record, bench, sequence, stage, recovery.damage, record.parts[-1].state == DIED)
 
 
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:

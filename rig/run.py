@@ -26,6 +26,8 @@ RUN_FILE = "run.json"
 RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
+DIED = "died"
+"""State of a recording whose writer died."""
 _CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage", "supply_voltage", "temperature")
 
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
-from drivers.errors import DeviceError, StateError
-from drivers.interfaces import ServoLimits
+from drivers.errors import DeviceError, DriveFault, StateError
+from drivers.interfaces import ServoLimits, ServoState
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
 from rig.operator import Operator, OperatorStopError, StopButton, Verb
@@ -74,6 +74,7 @@ class Journal(Protocol):
         ...
 
 
+RESET_HINT = "; once its cause is removed, --reset-fault clears it"
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
 """Trips that say that a device, the bus or this computer failed, rather than that the bench went too far."""
 
@@ -92,6 +93,7 @@ class Sequencer:
         scale: Checks the weights.
         start: Index of the stage to begin with.
         segment: Number of the last excitation of an earlier part of the run.
+        reset_fault: Clear a fault that the drive is in, once the operator has answered the weight prompt.
     """
 
     def __init__(
@@ -106,6 +108,7 @@ class Sequencer:
         scale: Scale,
         start: int = 0,
         segment: int = 0,
+        reset_fault: bool = False,
     ) -> None:
         self._plan = plan
         self._scale = scale
@@ -131,6 +134,7 @@ class Sequencer:
         self._stage_index = start
         self._repeat = 0
         self._segment = segment
+        self._reset_fault = reset_fault
         self._pass = 0
         self._first_samples: list[Sample] = []
         self._own_limits: ServoLimits | None = None
@@ -189,7 +193,8 @@ class Sequencer:
         except KeyboardInterrupt:
             return Ending.STOPPED, self._where("stopped by the operator"), None
         except DeviceError as error:
-            return Ending.FAILED, self._where(str(error)), None
+            hint = RESET_HINT if isinstance(error, DriveFault) and self.phase is Phase.ENABLE else ""
+            return Ending.FAILED, self._where(str(error)) + hint, None
         except OSError as error:
             reason = error.strerror or str(error)
             return (
@@ -232,6 +237,10 @@ class Sequencer:
         self._journal.weight_confirmed(self._stage_index, confirmed)
         # Having confirmed the weight, the operator asks for the drive to be enabled, and so for the latch's reset.
         self._cycle.ask_reset()
+        if self._reset_fault and devices.servo.state() is ServoState.FAULT:
+            devices.servo.reset_fault()
+            self._recorder.event(self._cycle.now_ns, "fault reset", stage=stage.name)
+            self._operator.tell("the drive was in fault; the fault is cleared, and the drive is still off")
         if devices.hang is not None:
             devices.hang(self._operator.hangs(stage.name, stage.weight_kg))
         return Event.DONE

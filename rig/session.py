@@ -51,6 +51,7 @@ class Inputs:
         realtime: Whether a simulated bench is held to real time.
         operator: Who runs it, as given.
         reference: An accepted identification of the bench, to check the weights by.
+        reset_fault: Whether a fault that the drive is in may be cleared.
     """
 
     bench: Document[Bench]
@@ -59,6 +60,7 @@ class Inputs:
     realtime: bool
     operator: str | None = None
     reference: Reference | None = None
+    reset_fault: bool = False
 
     def files(self) -> dict[str, bytes]:
         """Return attachment name to content of both files."""
@@ -146,6 +148,7 @@ def execute(
             Scale(inputs.reference),
             start=first_unfinished(record) or 0,
             segment=len(record.segments),
+            reset_fault=inputs.reset_fault,
         )
         try:
             outcome = sequencer.run()

@@ -29,9 +29,18 @@ SCHEMA = "loadrig.jog/1"
 @click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option(
+    "--reset-fault", is_flag=True, help="Clear a fault that the drive is in; its cause must be removed first."
+)
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write how it ended to this file.")
 def command(
-    bench: str, angles: tuple[float, ...], speed: float, realtime: bool, seed: int, json_file: Path | None
+    bench: str,
+    angles: tuple[float, ...],
+    speed: float,
+    realtime: bool,
+    seed: int,
+    reset_fault: bool,
+    json_file: Path | None,
 ) -> int:
     """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and after.
 
@@ -48,7 +57,7 @@ def command(
     with connect(document, seed, realtime) as devices, StopButton() as stop:
         outcome = None
         for batch in [angles] if angles else _asked():
-            outcome = _move(document.value, batch, speed, devices, stop)
+            outcome = _move(document.value, batch, speed, devices, stop, reset_fault)
             click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
             if outcome.ending is not Ending.DONE:
                 break
@@ -71,11 +80,13 @@ def _asked() -> Iterator[tuple[float, ...]]:
             click.echo(f"{typed!r} is not an angle in degrees", err=True)
 
 
-def _move(bench: Bench, angles: tuple[float, ...], speed: float, devices: Devices, stop: StopButton) -> Outcome:
+def _move(
+    bench: Bench, angles: tuple[float, ...], speed: float, devices: Devices, stop: StopButton, reset_fault: bool
+) -> Outcome:
     jog = plan_jog(bench, angles, speed)
     span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
     with RunProgress(bench.cycle_s, len(angles) * span / jog.speed) as progress:
-        return move(jog, bench, devices, stop, progress)
+        return move(jog, bench, devices, stop, progress, reset_fault)
 
 
 def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:

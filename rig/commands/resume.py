@@ -36,6 +36,12 @@ from rig.session import Inputs, execute
     default=None,
     help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
 )
+@click.option(
+    "--reset-fault",
+    is_flag=True,
+    help="Clear a fault that the drive is in; its cause must be removed first. Always done where the writer died, "
+    "as the drive's own watch has then tripped.",
+)
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
 def command(
     run: Path,
@@ -43,6 +49,7 @@ def command(
     operator_name: str | None,
     identification: Path | None,
     first_pass: bool | None,
+    reset_fault: bool,
     json_file: Path | None,
 ) -> int:
     """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same folder.
@@ -68,7 +75,9 @@ def command(
     record = resumed.record
     # Each recording has noise of its own.
     seed = record.seed + len(record.parts)
-    inputs = Inputs(resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference)
+    inputs = Inputs(
+        resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference, reset_fault or resumed.died
+    )
     plan = make_plan(resumed.sequence, resumed.bench, True if first_pass is None and identification else first_pass)
     with connect(resumed.bench, seed, record.realtime) as devices, StopButton() as stop:
         operator = AutomaticOperator() if yes else ConsoleOperator()

@@ -51,6 +51,9 @@ from rig.session import Inputs, execute
     default=None,
     help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
 )
+@click.option(
+    "--reset-fault", is_flag=True, help="Clear a fault that the drive is in; its cause must be removed first."
+)
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
 def command(
     sequence: str,
@@ -64,6 +67,7 @@ def command(
     operator_name: str | None,
     identification: Path | None,
     first_pass: bool | None,
+    reset_fault: bool,
     json_file: Path | None,
 ) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
@@ -91,7 +95,7 @@ def command(
     require_current(bench_file, utc_now().date())
     constants = bench_constants(bench_file.value)
     reference = None if identification is None else load_reference(identification, constants)
-    inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference)
+    inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault)
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file)
     with (
         connect(bench_file, seed, realtime, None if saboteur is None else saboteur.attach) as devices,

@@ -2,6 +2,9 @@
 
 The bench answers behind a pseudo-terminal as an slcan adapter does, in real time; the controller is ``rig run`` on a
 bench file that names python-can's ``slcan``, the path of a real adapter. Both use the machine's monotonic clock.
+
+Every few kills the run is resumed on the same bench, which was never switched off: ``rig resume`` must begin at the
+first unfinished stage and end with all of them done.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ import tempfile
 import time
 import tty
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -33,19 +36,23 @@ from rig.mcap_layout import decode_frames
 from rig.mcap_reader import read_run
 from rig.packaged import resolve
 from rig.recover import recover
+from rig.run import read_record
 
 NS = 1_000_000_000
 WATCH_S = 0.2
 """1016h is 0.1 s; a heartbeat is up to 25 ms old; the ramp takes 30 ms and settling 20 ms."""
 LOG_GAP_S = 0.2
-LATEST_S = 3.4
+LATEST_S = 3.8
 """The whole run takes a little less."""
+RESUME_EVERY, ATTEMPTS = 5, 5
 SEQUENCE = """\
 sequence: 1
 name: kill
 stages:
-  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 1.6,
-     center_deg: 5, ramp_in_s: 0.3, ramp_out_s: 0.3, settle_s: 0.05}
+  - {name: first, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 0.8,
+     center_deg: 5, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
+  - {name: second, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 0.8,
+     center_deg: 5, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
 """
 _CONTROLLER = "import sys; from rig.cli import status; sys.exit(status(sys.argv[1:]))"
 _SYNC = 0x080
@@ -57,7 +64,8 @@ class Twin:
     def __init__(self, terminal: int) -> None:
         self._terminal = terminal
         self._pending = b""
-        self._fresh = False
+        self._closed = False
+        self._keep = False
         self._open()
 
     def _open(self) -> None:
@@ -75,7 +83,10 @@ class Twin:
         self._changes.append((self._began_ns + self._bench.clock.now_ns(), state in POWERED))
 
     def serve(self) -> None:
-        """Answer until the standard input ends; each line there is answered with what the drive has done."""
+        """Answer until the standard input ends; a line there is answered with what the drive has done.
+
+        The line ``keep`` has no answer: the next controller meets the bench as the last one left it, not a new one.
+        """
         while True:
             readable, _, _ = select.select([self._terminal, sys.stdin], [], [], 0.0005)
             self._bench.clock.sleep_until_ns(time.monotonic_ns() - self._began_ns)
@@ -84,8 +95,12 @@ class Twin:
                 for line in lines:
                     self._obey(line)
             if sys.stdin in readable:
-                if not sys.stdin.readline():
+                line = sys.stdin.readline()
+                if not line:
                     return
+                if line == "keep\n":
+                    self._keep = True
+                    continue
                 # Without a SYNC nobody has integrated the machine since the last change of state.
                 self._bench.drive.refresh()
                 speed = self._bench.machine.truth().velocity_rad_s
@@ -96,11 +111,13 @@ class Twin:
     def _obey(self, line: bytes) -> None:
         kind = line[:1]
         if kind == b"C":
-            self._fresh = True
-        elif kind == b"O" and self._fresh:
-            self._fresh = False
-            self.close()
-            self._open()
+            self._closed = True
+        elif kind == b"O" and self._closed:
+            self._closed = False
+            if not self._keep:
+                self.close()
+                self._open()
+            self._keep = False
             print("open", flush=True)
         elif kind == b"t":
             identifier, length = int(line[1:4], 16), int(line[4:5])
@@ -141,6 +158,7 @@ class Result:
         gap_s: How much older the recording's end is than the last cycle.
         pause_s: The longest pause between two cycles after that end: the machine was busy elsewhere.
         phase: Where the recording ended.
+        resumed: How ``rig resume`` went; None where it was not tried, empty where it was as it should be.
     """
 
     moment_s: float
@@ -150,12 +168,13 @@ class Result:
     gap_s: float | None
     pause_s: float
     phase: str
+    resumed: str | None = None
 
     @property
     def bad(self) -> bool:
         """Whether a limit was broken. A recording is written by the control loop: while it pauses, so does that."""
         late = self.off_s is None or self.off_s > WATCH_S or self.speed > 1e-3
-        return late or (self.gap_s or 0.0) - self.pause_s > LOG_GAP_S
+        return late or (self.gap_s or 0.0) - self.pause_s > LOG_GAP_S or bool(self.resumed)
 
 
 def bench_file(folder: Path, terminal: str) -> Path:
@@ -163,9 +182,12 @@ def bench_file(folder: Path, terminal: str) -> Path:
     eds = Path(drivers.mock.__file__).parent
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
     text = text.replace("interface: mock", f"interface: slcan, channel: {terminal}")
-    text = text.replace("cycle_Hz: 1000", "cycle_Hz: 250").replace(
-        "sample_age_ms: 5", "sample_age_ms: 90\n  lateness_ms: 50"
-    )
+    for here, there in (
+        ("cycle_Hz: 1000", "cycle_Hz: 250"),
+        ("age_ms: 5", "age_ms: 90"),
+        ("ness_ms: 25", "ness_ms: 50"),
+    ):
+        text = text.replace(here, there)
     text = text.replace("servo: {", f"servo: {{eds: {eds / 'drive.eds'}, ")
     text = text.replace("encoder: {", f"encoder: {{eds: {eds / 'encoder.eds'}, ")
     path = folder / "bench.yaml"
@@ -186,7 +208,11 @@ def worker(number: int, kills: int, folder: Path) -> list[Result]:
             bench = bench_file(folder, terminal)
             (folder / "sequence.yaml").write_text(SEQUENCE)
             for kill in range(kills):
-                results.append(one(twin_process, bench, folder / f"run{kill}", moments.uniform(0.0, LATEST_S)))
+                run, moment_s = folder / f"run{kill}", moments.uniform(0.0, LATEST_S)
+                result = one(twin_process, bench, run, moment_s)
+                if kill % RESUME_EVERY == 0:
+                    result = replace(result, resumed=resume(twin_process, run))
+                results.append(result)
         finally:
             twin_process.stdin.close()
             twin_process.wait(10)
@@ -205,21 +231,12 @@ def one(twin_process: Any, bench: Path, run: Path, moment_s: float) -> Result:
         "--out",
         str(run),
     ]
-    environment = os.environ | {"CAN_CONFIG": json.dumps({"sleep_after_open": 0.0})}
-    controller = subprocess.Popen(
-        [sys.executable, "-c", _CONTROLLER, *arguments],
-        env=environment,
-        cwd=bench.parent,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    while twin_process.stdout.readline() != "open\n":
-        if twin_process.poll() is not None:
-            raise RuntimeError("the simulated bench ended")
+    controller = start(arguments, bench.parent)
+    wait_for_open(twin_process, controller)
     time.sleep(moment_s)
     killed_ns = time.monotonic_ns()
     controller.send_signal(signal.SIGKILL)
-    controller.wait()
+    controller.communicate()
     time.sleep(0.5)
     twin_process.stdin.write("\n")
     twin_process.stdin.flush()
@@ -230,6 +247,57 @@ def one(twin_process: Any, bench: Path, run: Path, moment_s: float) -> Result:
     syncs_ns = [when for when in state["syncs_ns"] if when <= killed_ns]
     gap_s, pause_s, phase = _recovered(run, syncs_ns)
     return Result(moment_s, powered, off_s, abs(state["speed"]), gap_s, pause_s, phase)
+
+
+def start(arguments: list[str], folder: Path) -> subprocess.Popen[str]:
+    """Start a controller."""
+    return subprocess.Popen(
+        [sys.executable, "-c", _CONTROLLER, *arguments],
+        env=os.environ | {"CAN_CONFIG": json.dumps({"sleep_after_open": 0.0})},
+        cwd=folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def wait_for_open(twin_process: Any, controller: subprocess.Popen[str]) -> None:
+    """Wait until a controller has opened the bus."""
+    while not select.select([twin_process.stdout], [], [], 0.5)[0]:
+        if controller.poll() is not None:
+            raise RuntimeError(f"the controller never opened the bus: {controller.communicate()[1]}")
+    if twin_process.stdout.readline() != "open\n":
+        raise RuntimeError("the simulated bench ended")
+
+
+def resume(twin_process: Any, run: Path) -> str | None:
+    """Go on with a killed run on the bench as it was left; say what is wrong with how that went.
+
+    A machine too busy for real time trips the limit on the age of a sample, as it should; then it is resumed again.
+    """
+    words = ""
+    for _ in range(ATTEMPTS):
+        try:
+            before = read_record(run)
+        except InputError:
+            return None
+        wanted = [stage.name for stage in before.stages if stage.state != "done"]
+        if not wanted:
+            return None
+        twin_process.stdin.write("keep\n")
+        twin_process.stdin.flush()
+        controller = start(["resume", str(run), "--yes", "--no-first-pass"], run.parent)
+        wait_for_open(twin_process, controller)
+        words = controller.communicate(timeout=60)[1]
+        after = read_record(run)
+        again = [after.stages[s.stage_index].name for s in after.segments if s.part == len(after.parts)]
+        if again != wanted[: len(again)]:
+            return f"did {again} instead of {wanted}"
+        if controller.returncode == 0 and again == wanted:
+            return ""
+        if "sample age" not in words and "lateness" not in words:
+            break
+    return f"not finished: {words.strip()}"
 
 
 def _recovered(run: Path, syncs_ns: list[int]) -> tuple[float | None, float, str]:
@@ -285,6 +353,8 @@ def report(results: list[Result], seconds: float, workers: int) -> int:
     if gaps:
         print(f"end of the recovered recording before the last cycle: {max(gaps):.3f} s at most (limit {LOG_GAP_S})")
         print(f"longest pause of a control loop in that time: {max(r.pause_s for r in results):.3f} s")
+    resumed = [r.resumed for r in results if r.resumed is not None]
+    print(f"resumed: {len(resumed)}; went on at the first unfinished stage and finished: {resumed.count('')}")
     for result in bad:
         print(f"BAD {result}")
     print(f"{len(bad)} bad")
