@@ -12,7 +12,8 @@ from rig.cli import BAD_VERDICT, DEVICE_FAILED, DONE, STOPPED
 from rig.label_check import comparable, off_label
 from rig.places import write_asked
 from rig.reference import Reference
-from rig.run import RunFolder, RunRecord, load_run
+from rig.run import RunFolder, load_run
+from rig.run_record import RunRecord
 from rig.run_report import write_run_report
 from rig.sequencer import Ending, Outcome
 from rig.tables import table

@@ -122,6 +122,36 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
     return Document(value, path, root)
 
 
+def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
+    """Word what is wrong in a JSON file that was validated as a record or a standard dataclass, with its places.
+
+    Raises:
+        InputError: The text is too deep or too long to look for places in.
+    """
+    return _lines(path, list(_explain(_json_tree(path, text), schema, error)))
+
+
+def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> list[str]:
+    """Word problems found in a JSON file after validation, each with its place.
+
+    Raises:
+        InputError: The text is too deep or too long to look for places in.
+    """
+    root, found = _json_tree(path, text), []
+    for loc, message in problems:
+        node, mark, path_found, _ = _resolve(root, loc)
+        found.append((mark, _dotted(loc), message, node.plain() if path_found == loc else _ABSENT))
+    return _lines(path, found)
+
+
+def _json_tree(path: Path, text: str) -> Node:
+    """Read JSON, which is YAML as well, with the places of its values."""
+    try:
+        return parse(text)[0]
+    except DocumentError as error:
+        raise InputError(_format(path, error.mark, "document", error.message)) from error
+
+
 def _lines(path: Path, found: list[_Found]) -> list[str]:
     """Format in file order; one default merged into many recordings is reported once."""
     unique: dict[tuple[Mark, str], _Found] = {}

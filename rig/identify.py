@@ -18,7 +18,7 @@ from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
 from rig.results import Provenance
-from rig.run import RUN_FILE
+from rig.run_record import RUN_FILE
 from rig.sources import load_source
 
 

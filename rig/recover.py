@@ -7,6 +7,7 @@ import heapq
 import json
 import os
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,15 +16,9 @@ from rig.mcap_layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.mcap_reader import Log
 from rig.places import write_json
 from rig.recorder import Recorder, open_recorder
-from rig.run import (
-    DIED,
-    RECORDING_FILE,
-    RUN_FILE,
-    RunRecord,
-    discard,
-    read_log,
-    read_record,
-)
+from rig.run import discard, part_file, read_log
+from rig.run_file import read_record
+from rig.run_record import DIED, RECORDING_FILE, RUN_FILE, RunRecord
 from rig.sequencer import Ending
 
 _ENDINGS = {ending.value for ending in Ending}
@@ -35,7 +30,7 @@ class Recovery:
     """What was done.
 
     Attributes:
-        damage: What was wrong with each recording that was damaged, beginning with its name.
+        damage: What was wrong with each file that was damaged, beginning with its name.
         samples: How many samples there are now.
         record: ``run.json`` as it stands now.
     """
@@ -53,11 +48,10 @@ def recover(folder: Path) -> Recovery:
         OSError: The folder cannot be written.
     """
     first = read_log(folder / RECORDING_FILE)
-    record = _record(folder, first)
+    record, damage = _record(folder)
     while len(record.parts) > 1 and _never_begun(folder / record.parts[-1].file):
         record.parts.pop()
     logs = [first, *(read_log(folder / part.file) for part in record.parts[1:])]
-    damage = []
     for part, log in zip(record.parts, logs, strict=True):
         if log.damage is not None:
             damage.append(f"{part.file}: {log.damage}")
@@ -69,8 +63,8 @@ def recover(folder: Path) -> Recovery:
 
 
 def damaged_name(file: str) -> str:
-    """Return under what name the damaged form of a recording is kept."""
-    return f"{Path(file).stem}.damaged.mcap"
+    """Return under what name the damaged form of a file is kept."""
+    return f"{Path(file).stem}.damaged{Path(file).suffix}"
 
 
 def _never_begun(path: Path) -> bool:
@@ -93,16 +87,36 @@ def _mend(path: Path, log: Log) -> None:
     os.replace(clean, path)
 
 
-def _record(folder: Path, log: Log) -> RunRecord:
-    """Return the last ``run.json``, or the one attached to the recording where the file is lost."""
+def _record(folder: Path) -> tuple[RunRecord, list[str]]:
+    """Return the last ``run.json``, and what is wrong with it.
+
+    Where it is lost or cannot be used, the one that is attached to the latest recording takes its place.
+    """
+    path = folder / RUN_FILE
     try:
-        return read_record(folder)
-    except InputError:
-        attached = log.attachments.get(RUN_FILE)
+        return read_record(folder), []
+    except InputError as error:
+        attached = _attached(folder)
         if attached is None:
             raise
-    write_json(folder / RUN_FILE, json.loads(attached))
-    return read_record(folder)
+        problems = [f"{RUN_FILE}: {error.problems[0]}"] if path.exists() else []
+    if problems:
+        os.replace(path, path.with_name(damaged_name(RUN_FILE)))
+    write_json(path, json.loads(attached))
+    return read_record(folder), problems
+
+
+def _attached(folder: Path) -> bytes | None:
+    """Return the ``run.json`` attached to the latest recording that holds one."""
+    number = 1
+    while (folder / part_file(number + 1)).exists():
+        number += 1
+    for part in range(number, 0, -1):
+        with suppress(InputError):
+            attached = read_log(folder / part_file(part)).attachments.get(RUN_FILE)
+            if attached is not None:
+                return attached
+    return None
 
 
 def _copy(log: Log, recorder: Recorder) -> None:

@@ -10,15 +10,9 @@ from rig.configuration import Document
 from rig.errors import InputError
 from rig.provenance import sha256_file
 from rig.recover import recover
-from rig.run import (
-    BENCH_ATTACHMENT,
-    DIED,
-    SEQUENCE_ATTACHMENT,
-    RunRecord,
-    discard,
-    first_unfinished,
-    read_record,
-)
+from rig.run import discard, first_unfinished
+from rig.run_file import read_record
+from rig.run_record import BENCH_ATTACHMENT, DIED, SEQUENCE_ATTACHMENT, RunRecord
 from rig.sequence import Sequence, load_sequence
 
 

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
-from collections.abc import Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -19,106 +15,11 @@ from rig.mcap_reader import Log, NotARecordingError, read_run
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
+from rig.run_file import read_record
+from rig.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, StageRecord
 from rig.weight_check import Weighing
 
-SCHEMA = "loadrig.run/1"
-RUN_FILE = "run.json"
-RECORDING_FILE = "recording.mcap"
-BENCH_ATTACHMENT = "bench.yaml"
-SEQUENCE_ATTACHMENT = "sequence.yaml"
-DIED = "died"
-"""State of a recording whose writer died."""
 _CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage", "supply_voltage", "temperature")
-
-
-@dataclass
-class StageRecord:
-    """State of one stage: ``planned``, ``running`` or ``done``."""
-
-    name: str
-    stage: str
-    weight_kg: float
-    repeats: int
-    samples: int
-    state: str = "planned"
-    confirmed_kg: float | None = None
-
-    def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
-        """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
-        name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
-        return SegmentRecord(
-            index, name, self.stage, self.weight_kg, start, self.samples, stage_index=stage_index, part=part
-        )
-
-
-@dataclass
-class SegmentRecord:
-    """One excitation: which stage it belongs to, and when it ran, s since the start of its recording.
-
-    Attributes:
-        index: From 1, unique in the run; the samples carry it.
-        stage_index: Which stage.
-        part: Which recording, from 1.
-        kept: False once its stage was begun again.
-    """
-
-    index: int
-    name: str
-    stage: str
-    weight_kg: float
-    start: float
-    samples: int
-    end: float | None = None
-    stage_index: int = 0
-    part: int = 1
-    kept: bool = True
-
-
-@dataclass
-class PartRecord:
-    """One recording of a run: the first, or that of a ``rig resume``."""
-
-    file: str
-    created: str
-    seed: int
-    operator: str | None
-    versions: Mapping[str, str]
-    devices: Mapping[str, Any] = field(default_factory=dict)
-    state: str = "running"
-    cycles: int = 0
-    seconds: float = 0.0
-    timing: Mapping[str, Any] = field(default_factory=dict)
-
-
-@dataclass
-class RunRecord:
-    """Everything in ``run.json``."""
-
-    name: str
-    created: str
-    seed: int
-    simulated: bool
-    realtime: bool
-    cycle_s: float
-    versions: Mapping[str, str]
-    inputs: Mapping[str, Mapping[str, str]]
-    bench: Mapping[str, Any]
-    stages: list[StageRecord]
-    segments: list[SegmentRecord] = field(default_factory=list)
-    parts: list[PartRecord] = field(default_factory=list)
-    operator: str | None = None
-    calibrations: list[Mapping[str, Any]] = field(default_factory=list)
-    weights: list[Mapping[str, Any]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    state: str = "running"
-    message: str = ""
-    trip: Mapping[str, Any] | None = None
-    de_energised: bool | None = None
-    cycles: int = 0
-    overruns: int = 0
-    stale: int = 0
-    seconds: float = 0.0
-    schema: str = SCHEMA
 
 
 class RunFolder:
@@ -173,7 +74,7 @@ class RunFolder:
 
     def segment_finished(self, segment: int, time: float) -> None:
         """Note that it is complete."""
-        self.record.segments[segment - 1].end = time
+        next(item for item in self.record.segments if item.index == segment).end = time
         self.save()
 
 
@@ -230,31 +131,6 @@ def create_folder(path: Path) -> None:
         raise InputError(
             f"{path}: not empty (holds {occupied.name}); give --out a new folder, so that no run is overwritten"
         )
-
-
-def read_record(folder: Path) -> RunRecord:
-    """Read ``run.json``.
-
-    Raises:
-        InputError: It is missing, damaged, or of another version.
-    """
-    path = folder / RUN_FILE
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; is this a run folder?") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
-    if not isinstance(raw, dict) or raw.get("schema") != SCHEMA:
-        found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
-        raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")
-    try:
-        stages = [StageRecord(**item) for item in raw.pop("stages")]
-        segments = [SegmentRecord(**item) for item in raw.pop("segments")]
-        parts = [PartRecord(**item) for item in raw.pop("parts")]
-        return RunRecord(stages=stages, segments=segments, parts=parts, **raw)
-    except (TypeError, KeyError) as error:
-        raise InputError(f"{path}: damaged: {error}; `rig recover` rebuilds it from the recording") from error
 
 
 def load_run(folder: Path) -> Dataset:

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from rig.run import RunRecord
+from rig.run_record import RunRecord
 
 REPORT_FILE = "run.html"
 _STYLE = (
@@ -88,7 +88,9 @@ def _provenance(record: RunRecord) -> Iterator[tuple[str, str]]:
         yield f"{part.file}: seed", str(part.seed)
         yield f"{part.file}: versions", ", ".join(f"{name} {value}" for name, value in part.versions.items())
         for role in ("servo", "encoder"):
-            who = part.devices[role]
+            who = part.devices.get(role)
+            if who is None:
+                continue
             words = f"{who['name']}, serial {who['serial_number']}, revision {who['revision']:08X}h"
             yield f"{part.file}: {role}", f"{words}, software {who['software_version'] or 'not given'}"
     for item in record.calibrations:

@@ -20,17 +20,8 @@ from rig.plan import Plan
 from rig.provenance import sha256, utc_now, versions
 from rig.recorder import Recorder, open_recorder
 from rig.reference import Reference
-from rig.run import (
-    BENCH_ATTACHMENT,
-    SEQUENCE_ATTACHMENT,
-    PartRecord,
-    RunFolder,
-    RunRecord,
-    bench_constants,
-    first_unfinished,
-    part_file,
-    stage_records,
-)
+from rig.run import RunFolder, bench_constants, first_unfinished, part_file, stage_records
+from rig.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT, PartRecord, RunRecord
 from rig.scale import Scale
 from rig.sequence import Sequence
 from rig.sequencer import Ending, Outcome, Sequencer
@@ -147,7 +138,7 @@ def execute(
             progress,
             Scale(inputs.reference),
             start=first_unfinished(record) or 0,
-            segment=len(record.segments),
+            segment=max((segment.index for segment in record.segments), default=0),
             reset_fault=inputs.reset_fault,
         )
         try:

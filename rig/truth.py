@@ -11,7 +11,8 @@ from pathlib import Path
 from drivers.mock.plant.constants import Machine
 from rig.bench import Bench
 from rig.mcap_reader import read_run
-from rig.run import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE, read_record
+from rig.run_file import read_record
+from rig.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
 from rig.yaml_tree import parse
 
 

@@ -1,0 +1,118 @@
+"""What ``run.json`` holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from pydantic import ConfigDict
+
+SCHEMA = "loadrig.run/1"
+RUN_FILE = "run.json"
+RECORDING_FILE = "recording.mcap"
+BENCH_ATTACHMENT = "bench.yaml"
+SEQUENCE_ATTACHMENT = "sequence.yaml"
+DIED = "died"
+"""State of a recording whose writer died."""
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""How a record is read back; it is built without being checked."""
+Load = Literal["unloaded", "loaded"]
+
+
+@dataclass
+class StageRecord:
+    """State of one stage."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    stage: Load
+    weight_kg: float
+    repeats: int
+    samples: int
+    state: Literal["planned", "running", "done"] = "planned"
+    confirmed_kg: float | None = None
+
+    def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
+        """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
+        name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
+        return SegmentRecord(
+            index, name, self.stage, self.weight_kg, start, self.samples, stage_index=stage_index, part=part
+        )
+
+
+@dataclass
+class SegmentRecord:
+    """One excitation: which stage it belongs to, and when it ran, s since the start of its recording.
+
+    Attributes:
+        index: From 1, unique in the run; the samples carry it.
+        stage_index: Which stage.
+        part: Which recording, from 1.
+        kept: False once its stage was begun again.
+    """
+
+    __pydantic_config__ = STRICT
+
+    index: int
+    name: str
+    stage: Load
+    weight_kg: float
+    start: float
+    samples: int
+    end: float | None = None
+    stage_index: int = 0
+    part: int = 1
+    kept: bool = True
+
+
+@dataclass
+class PartRecord:
+    """One recording of a run: the first, or that of a ``rig resume``."""
+
+    __pydantic_config__ = STRICT
+
+    file: str
+    created: str
+    seed: int
+    operator: str | None
+    versions: Mapping[str, str]
+    devices: Mapping[str, Any] = field(default_factory=dict)
+    state: str = "running"
+    cycles: int = 0
+    seconds: float = 0.0
+    timing: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class RunRecord:
+    """Everything in ``run.json``."""
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    created: str
+    seed: int
+    simulated: bool
+    realtime: bool
+    cycle_s: float
+    versions: Mapping[str, str]
+    inputs: Mapping[str, Mapping[str, str]]
+    bench: Mapping[str, Any]
+    stages: list[StageRecord]
+    segments: list[SegmentRecord] = field(default_factory=list)
+    parts: list[PartRecord] = field(default_factory=list)
+    operator: str | None = None
+    calibrations: list[Mapping[str, Any]] = field(default_factory=list)
+    weights: list[Mapping[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    state: str = "running"
+    message: str = ""
+    trip: Mapping[str, Any] | None = None
+    de_energised: bool | None = None
+    cycles: int = 0
+    overruns: int = 0
+    stale: int = 0
+    seconds: float = 0.0
+    schema: str = SCHEMA

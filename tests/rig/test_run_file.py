@@ -1,0 +1,185 @@
+"""``run.json`` as people edit it, and as older programs wrote it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from rig.cli import status
+from rig.errors import InputError
+from rig.run import load_run, read_record
+
+SEQUENCE = """\
+sequence: 1
+name: one
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05, repeats: 2}
+  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
+     duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("finished")
+    (folder / "one.yaml").write_text(SEQUENCE)
+    assert status(["run", str(folder / "one.yaml"), "--yes", "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+@pytest.fixture
+def run(finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return Path(shutil.copytree(finished, tmp_path / "run"))
+
+
+def edit(run: Path, change: Callable[[Any], object]) -> None:
+    raw = json.loads((run / "run.json").read_text())
+    change(raw)
+    (run / "run.json").write_text(json.dumps(raw, indent=1))
+
+
+EDITS: dict[str, tuple[Callable[[Any], object], str]] = {
+    "a text for a number": (lambda r: r.update(seed="0"), r"seed: input should be a valid integer \(got \"0\"\)"),
+    "a truth for a mass": (lambda r: r["stages"][1].update(weight_kg=True), r"stages\[1\].weight_kg: "),
+    "no number": (lambda r: r["segments"][0].update(start=float("nan")), r"run.json"),
+    "an unknown key": (
+        lambda r: r["stages"][0].update(wieght_kg=3),
+        r"stages\[0\].wieght_kg: unknown key; did you mean",
+    ),
+    "an unknown key on top": (lambda r: r.update(remark="good"), r"remark: unknown key"),
+    "an unknown load": (lambda r: r["segments"][2].update(stage="laoded"), r"segments\[2\].stage: .*'loaded'"),
+    "an unknown state": (lambda r: r["stages"][0].update(state="finished"), r"stages\[0\].state: "),
+    "another load than its stage": (lambda r: r["segments"][2].update(stage="unloaded"), r"differs from its stage's"),
+    "another mass than its stage": (lambda r: r["segments"][2].update(weight_kg=11.0), r"differs from its stage's"),
+    "no gear ratio": (
+        lambda r: r["bench"].pop("gear_ratio"),
+        r"bench.gear_ratio: missing; every constant must be stated",
+    ),
+    "a gear ratio in words": (lambda r: r["bench"].update(gear_ratio="100"), r"bench.gear_ratio: "),
+    "an unknown constant": (lambda r: r["bench"].update(gear=100), r"bench.gear: "),
+    "a part that is not there": (lambda r: r["segments"][0].update(part=2), r"part: there are 1 recordings"),
+    "a stage that is not there": (lambda r: r["segments"][0].update(stage_index=-1), r"there are 2 stages"),
+    "a number twice": (lambda r: r["segments"][1].update(index=1), r"must be above 1"),
+    "a file elsewhere": (
+        lambda r: r["parts"][0].update(file="../x.mcap"),
+        r"parts\[0\].file: must be a file of the run",
+    ),
+    "no parts": (lambda r: r.update(parts=[]), r"parts: empty"),
+    "no inputs": (lambda r: r.update(inputs={}), r"inputs.bench.yaml.file: missing"),
+    "no identity": (lambda r: r["parts"][0]["devices"]["servo"].pop("name"), r"parts\[0\].devices.servo.name: missing"),
+    "no histogram": (lambda r: r["parts"][0]["timing"].pop("answer"), r"parts\[0\].timing.answer: missing"),
+    "a list for a mapping": (lambda r: r.update(bench=[]), r"bench: "),
+    "stages in words": (lambda r: r.update(stages="two"), r"stages: "),
+}
+
+
+@pytest.mark.parametrize("name", EDITS)
+def test_an_edit_that_cannot_be_is_named_with_its_place(
+    run: Path, name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    change, words = EDITS[name]
+    edit(run, change)
+    with pytest.raises(InputError, match=words) as caught:
+        read_record(run)
+    assert all(problem.startswith(f"{run / 'run.json'}:") for problem in caught.value.problems)
+    assert status(["export", str(run), "--out", "x.csv"]) == 2
+    assert str(run) in capsys.readouterr().err
+
+
+def test_every_error_is_told_with_line_and_column(run: Path) -> None:
+    edit(run, lambda r: (r.update(seed="0"), r["stages"][0].update(repeats=1.5)))
+    with pytest.raises(InputError) as caught:
+        read_record(run)
+    lines = (run / "run.json").read_text().splitlines()
+    assert len(caught.value.problems) == 2
+    for problem in caught.value.problems:
+        _, line, column, path, *_ = problem.split(":")
+        key = path.strip().rpartition(".")[2]
+        assert f'"{key}": ' in lines[int(line) - 1][: int(column) - 1]
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_whatever_is_put_anywhere_it_is_read_or_refused(run: Path, finished: Path, data: st.DataObject) -> None:
+    raw = json.loads((finished / "run.json").read_text())
+    place = raw
+    while True:
+        key = data.draw(st.sampled_from(sorted(place) if isinstance(place, dict) else range(len(place))))
+        if not (isinstance(place[key], dict | list) and place[key] and data.draw(st.booleans())):
+            break
+        place = place[key]
+    junk = (
+        st.none() | st.booleans() | st.integers(-5, 5) | st.floats() | st.text(max_size=3) | st.just([]) | st.just({})
+    )
+    if isinstance(place, dict) and data.draw(st.booleans()):
+        del place[key]
+    else:
+        place[key] = data.draw(junk)
+    (run / "run.json").write_text(json.dumps(raw))
+    with suppress(InputError):
+        load_run(run)
+
+
+def test_a_run_of_the_first_program_is_still_read(run: Path) -> None:
+    """What was added since is taken away; the recording has not changed."""
+
+    def back(raw: Any) -> None:
+        for key in ("parts", "operator", "calibrations", "weights", "warnings"):
+            del raw[key]
+        for stage in raw["stages"]:
+            del stage["confirmed_kg"]
+        for segment in raw["segments"]:
+            for key in ("stage_index", "part", "kept"):
+                del segment[key]
+
+    whole = load_run(run)
+    edit(run, back)
+    record = read_record(run)
+    assert [segment.stage_index for segment in record.segments] == [0, 0, 1]
+    assert [(part.file, part.state, part.cycles) for part in record.parts] == [
+        ("recording.mcap", "done", record.cycles)
+    ]
+    assert [r.name for r in load_run(run).recordings] == [r.name for r in whole.recordings]
+    assert status(["export", str(run), "--out", "x.mat", "--format", "mat"]) == 0
+    assert status(["recover", str(run)]) == 0
+
+
+def test_recovery_rebuilds_what_was_edited_to_death_from_the_latest_recording(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def stopped(raw: Any) -> None:
+        raw["stages"][1]["state"] = "running"
+
+    edit(run, stopped)
+    assert status(["resume", str(run), "--yes"]) == 0
+    whole = read_record(run)
+    edit(run, lambda r: r["bench"].pop("gear_ratio"))
+    assert status(["recover", str(run)]) == 0
+    assert "the damaged file is kept as run.damaged.json" in capsys.readouterr().out
+    assert (run / "run.damaged.json").exists()
+    mended = read_record(run)
+    assert [part.file for part in mended.parts] == [part.file for part in whole.parts]
+    assert [(s.name, s.part, s.kept, s.end is None) for s in mended.segments] == [
+        (s.name, s.part, s.kept, s.end is None) for s in whole.segments
+    ]
+    assert mended.state == "done"
+
+
+def test_an_old_run_that_stopped_goes_on(run: Path) -> None:
+    def back(raw: Any) -> None:
+        del raw["parts"]
+        raw["state"], raw["stages"][1]["state"] = "stopped", "running"
+
+    edit(run, back)
+    assert status(["resume", str(run), "--yes"]) == 0
+    assert [part.file for part in read_record(run).parts] == ["recording.mcap", "recording-2.mcap"]
