@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -12,8 +13,26 @@ from identification.recording import CHANNELS, Array, Dataset, Recording
 from rig.errors import InputError
 
 
+def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
+    """Return which files an export makes, and of which recordings.
+
+    A CSV file is one table with one time base, so that other tools (and a campaign file) can take it as it is: where
+    there are several recordings, each has a file of its own, ``path`` with the recording's name in it.
+    """
+    if kind != "csv" or len(dataset.recordings) == 1:
+        return {path: dataset}
+    found: dict[Path, Dataset] = {}
+    for recording in dataset.recordings:
+        name = re.sub(r"[^\w.-]+", "-", recording.name).strip("-")
+        place = path.with_name(f"{path.stem}-{name}{path.suffix}")
+        if place in found:
+            place = path.with_name(f"{path.stem}-{name}-{len(found) + 1}{path.suffix}")
+        found[place] = Dataset((recording,))
+    return found
+
+
 def export(dataset: Dataset, path: Path, kind: str) -> None:
-    """Write every recording of a dataset into one file.
+    """Write one file of :func:`files`.
 
     Raises:
         InputError: Parquet is asked for and not installed.
@@ -39,13 +58,14 @@ def _channel(recording: Recording, name: str) -> Array:
 
 
 def _write_csv(dataset: Dataset, path: Path) -> None:
-    """Write one table; the first column names the recording. A missing value is an empty cell."""
-    names, columns = _columns(dataset)
+    """Write the only recording as a table, one column a channel. A missing value is an empty cell."""
+    (recording,) = dataset.recordings
+    columns = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
     with open(path, "w", newline="", encoding="utf-8") as stream:
         writer = csv.writer(stream)
-        writer.writerow(["recording", *columns])
-        for name, *values in zip(names, *(column.tolist() for column in columns.values()), strict=True):
-            writer.writerow([name, *("" if value != value else value for value in values)])
+        writer.writerow(columns)
+        for values in zip(*(column.tolist() for column in columns.values()), strict=True):
+            writer.writerow(["" if value != value else value for value in values])
 
 
 def _write_mat(dataset: Dataset, path: Path) -> None:

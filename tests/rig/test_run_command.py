@@ -29,6 +29,7 @@ from rig.packaged import resolve
 from rig.progress import RunProgress
 from rig.run import load_run, read_record
 from rig.session import execute
+from rig.sources import load_source
 
 
 @pytest.fixture(autouse=True)
@@ -282,7 +283,7 @@ def test_export(finished: Path, kind: str) -> None:
         lines = Path("x.csv").read_text().splitlines()
         header = lines[0].split(",")
         assert len(lines) == 1 + len(recording.time)
-        assert lines[1].startswith("empty,")
+        assert header[0] == "time"
         angle = [float(line.split(",")[header.index("angle")]) for line in lines[1:]]
     elif kind == "mat":
         content = loadmat("x.mat", squeeze_me=True, struct_as_record=False)
@@ -295,6 +296,31 @@ def test_export(finished: Path, kind: str) -> None:
         angle = table["angle"].to_numpy()
         assert table.schema.field("angle").metadata == {b"unit": b"rad"}
     np.testing.assert_array_equal(angle, recording.channels["angle"])
+
+
+def test_csv_is_one_file_a_recording_and_a_campaign_takes_it(
+    short_sequence: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run(str(short_sequence), "--yes", "--out", "out") == 0
+    assert status(["export", "out", "--out", "x.csv"]) == 0
+    written = load_run(Path("out")).recordings
+    assert [r.name for r in written] == ["empty[1]", "empty[2]", "heavy"]
+    places = ["x-empty-1.csv", "x-empty-2.csv", "x-heavy.csv"]
+    assert [line.partition(":")[0] for line in capsys.readouterr().out.splitlines()[-3:]] == places
+    columns = "{time: time, current: {column: current, average: true}, angle: angle, motor_angle: motor_angle}"
+    Path("campaign.yaml").write_text(
+        "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095}\nrecordings:\n"
+        f"  - {{file: [x-empty-1.csv, x-empty-2.csv], stage: unloaded, channels: {columns}}}\n"
+        f"  - {{file: x-heavy.csv, stage: loaded, weight_mass: 10, channels: {columns}}}\n"
+    )
+    for there, here in zip(load_source(Path("campaign.yaml")).recordings, written, strict=True):
+        np.testing.assert_array_equal(there.channels["current"], here.channels["current"])
+        np.testing.assert_allclose(there.time, here.time)
+    # None of them is overwritten, and none is written while one is in the way.
+    Path("x-heavy.csv").rename("y-heavy.csv")
+    assert status(["export", "out", "--out", "y.csv"]) == 2
+    assert "y-heavy.csv: exists already" in capsys.readouterr().err
+    assert not Path("y-empty-1.csv").exists()
 
 
 def test_export_does_not_overwrite(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
