@@ -24,7 +24,7 @@ from drivers.units import EncoderScales, ServoScales
 from rig.bench import Bench, Bus, EncoderSection, ServoSection
 from rig.configuration import Document
 from rig.cycle import Devices
-from rig.dbc import DbcServoSection, wire
+from rig.dbc import DbcServoSection, dbc_path, wire
 from rig.errors import InputError
 from rig.serial_bus import Amt21Section, SerialBus, amt21_encoder, epos_link
 
@@ -146,6 +146,23 @@ def _dbc_servo(
         link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
     drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
     return link, DbcServo(link, link.add_channel(wiring, servo.name), drive), hang
+
+
+def device_files(document: Document[Bench]) -> dict[str, Path]:
+    """Return the files that say what the devices' objects or signals are: name to path.
+
+    Raises:
+        InputError: A real device has none.
+    """
+    bench = document.value
+    found = {}
+    if isinstance(bench.servo, DbcServoSection):
+        found["servo.dbc"] = dbc_path(bench.servo, document.path)
+    else:
+        found["servo.eds"] = _eds(document, "servo", DRIVE_EDS)
+    if isinstance(bench.encoder, EncoderSection):
+        found["encoder.eds"] = _eds(document, "encoder", ENCODER_EDS)
+    return found
 
 
 def _eds(document: Document[Bench], section: Literal["servo", "encoder"], simulated: Path) -> Path:

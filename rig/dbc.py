@@ -103,6 +103,11 @@ class DbcServoSection(Schema):
         )
 
 
+def dbc_path(section: DbcServoSection, path: Path) -> Path:
+    """Return the drive's DBC file; ``path`` is the bench file's. The simulated drive brings its own."""
+    return DRIVE_DBC if section.file is None else path.parent / section.file
+
+
 def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:
     """Read the drive's DBC file and bind the map to it.
 
@@ -119,7 +124,7 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
     if section.file is None and not simulated:
         raise InputError(problem(place, "missing; a real drive needs its DBC file, relative to this file"))
     try:
-        layouts = read_dbc(DRIVE_DBC if section.file is None else path.parent / section.file)
+        layouts = read_dbc(dbc_path(section, path))
     except ConfigurationError as error:
         raise InputError((problem(place, "cannot be used"), str(error))) from error
     try:

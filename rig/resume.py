@@ -15,6 +15,8 @@ from rig.run_file import read_record
 from rig.run_record import BENCH_ATTACHMENT, DIED, SEQUENCE_ATTACHMENT, RunRecord
 from rig.sequence import Sequence, load_sequence
 
+_ATTACHED = {BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT}
+
 
 @dataclass(frozen=True)
 class Resumption:
@@ -51,6 +53,8 @@ def prepare(folder: Path) -> Resumption:
         raise InputError(f"{folder}: all {len(record.stages)} stages are done; there is nothing to go on with")
     bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
     sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
+    for name in sorted(set(record.inputs) - _ATTACHED):
+        _unchanged(folder, record, name)
     discard(record, stage)
     return Resumption(record, bench, sequence, stage, recovery.damage, record.parts[-1].state == DIED)
 
@@ -59,7 +63,8 @@ def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     """Return the path of an input file, which must be the one the run began with."""
     entry = record.inputs[name]
     path = Path(entry["file"])
-    remedy = f"put the file of that time back (it is attached to the recording as {name}), or start a new run"
+    attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
+    remedy = f"put the file of that time back{attached}, or start a new run"
     try:
         digest = sha256_file(path)
     except OSError as error:

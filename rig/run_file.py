@@ -98,7 +98,7 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
         except ValidationError as error:
             for details in error.errors(include_url=False):
                 yield ("bench", *details["loc"]), details["msg"]
-    for name in (BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT):
+    for name in {BENCH_ATTACHMENT: None, SEQUENCE_ATTACHMENT: None, **record.inputs}:
         yield from _lacking(record.inputs.get(name, {}), "inputs", ("inputs", name))
     for name in ("calibrations", "weights"):
         for index, item in enumerate(getattr(record, name)):

@@ -14,10 +14,11 @@ from drivers.clock import NS, RealClock
 from rig.bench import Bench
 from rig.calibration import calibration_records, overdue
 from rig.configuration import Document
+from rig.connect import device_files
 from rig.cycle import Cycle, Devices, Progress
 from rig.operator import Operator, StopButton
 from rig.plan import Plan
-from rig.provenance import sha256, utc_now, versions
+from rig.provenance import sha256, sha256_file, utc_now, versions
 from rig.recorder import Recorder, open_recorder
 from rig.reference import Reference
 from rig.run import RunFolder, bench_constants, first_unfinished, part_file, stage_records
@@ -76,7 +77,8 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
         inputs={
             name: {"file": str(path), "sha256": sha256(content)}
             for (name, content), path in zip(inputs.files().items(), paths, strict=True)
-        },
+        }
+        | {name: {"file": str(path), "sha256": sha256_file(path)} for name, path in device_files(inputs.bench).items()},
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
         operator=inputs.operator,

@@ -14,7 +14,7 @@ from rig.bench import Bench, load_bench
 from rig.calibration import calibration_records, overdue
 from rig.cli import BAD_VERDICT, DONE
 from rig.configuration import Document
-from rig.connect import connect
+from rig.connect import connect, device_files
 from rig.cycle import Devices
 from rig.drive_limits import loosened, show
 from rig.places import require_file, write_asked
@@ -75,7 +75,10 @@ def examine(document: Document[Bench], devices: Devices, seed: int) -> dict[str,
         "created": utc_now().isoformat(timespec="seconds"),
         "versions": versions(),
         "seed": seed,
-        "inputs": [{"file": str(document.path), "sha256": sha256_file(document.path)}],
+        "inputs": [
+            {"file": str(path), "sha256": sha256_file(path)}
+            for path in (document.path, *device_files(document).values())
+        ],
         "bench": document.value.name,
         "state": state.value,
         "good": not problems,

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli import status
+from rig.connect import DRIVE_EDS, ENCODER_EDS
 from rig.mcap_reader import read_run
 from rig.packaged import resolve
 from rig.progress import RunProgress
@@ -183,6 +187,41 @@ def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
     page = Path("out/run.html").read_text()
     for words in ("Ann", "C-17", "simulated drive", record.inputs["bench.yaml"]["sha256"], "How late cycles started"):
         assert words in page
+
+
+@pytest.mark.parametrize(
+    ("bench", "files"),
+    [
+        ("practical", {"servo.eds": DRIVE_EDS, "encoder.eds": ENCODER_EDS}),
+        ("practical_serial", {"servo.eds": DRIVE_EDS}),
+        ("practical_dbc", {"servo.dbc": DRIVE_DBC, "encoder.eds": ENCODER_EDS}),
+    ],
+)
+def test_a_recording_says_by_which_device_files_it_was_made(bench: str, files: dict[str, Path]) -> None:
+    # Slowly enough for the serial bench, whose limits are lower.
+    Path("three.yaml").write_text(STAGES.replace("frequency_Hz: 2", "frequency_Hz: 1"))
+    assert start("--bench", bench) == 0
+    metadata = read_run(Path("out/recording.mcap")).metadata
+    digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    own = {"bench.yaml", "sequence.yaml"}
+    assert {name: digest for name, digest in metadata["sha256"].items() if name not in own} == digests
+    assert metadata["servo"]["name"]
+    assert metadata["encoder"]["name"]
+
+
+def test_a_device_file_that_changed_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copy(DRIVE_EDS, "drive.eds")
+    text = resolve("practical", "benches").read_text().replace("servo: {", "servo: {eds: drive.eds, ")
+    Path("b.yaml").write_text(text)
+    with monkeypatch.context() as context:
+        stop_in(context, "b")
+        assert start("--bench", str(Path("b.yaml").resolve())) == 3
+    with open("drive.eds", "a") as stream:
+        stream.write("; edited\n")
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "drive.eds: changed since out was run with it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])
