@@ -291,8 +291,10 @@ class EposSerialNode:
         mean, ended_ns = current.value, current.asked_ns
         if self._before is not None:
             before, began_ns = self._before
-            late = (ended_ns - position.asked_ns) / (ended_ns - began_ns)
-            current.value = round(mean + late * (before - mean))
+            # Not so in simulated time on a line that takes none, or after a step of the clock.
+            if ended_ns > began_ns:
+                late = (ended_ns - position.asked_ns) / (ended_ns - began_ns)
+                current.value = round(mean + late * (before - mean))
         self._before = mean, ended_ns
 
     def _input(self, address: ObjectAddress) -> _Input:

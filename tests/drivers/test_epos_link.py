@@ -278,6 +278,19 @@ def test_the_mean_current_ends_with_the_angle(host: SerialHost) -> None:
     assert host.drive._values[0x6078, 0].value == pytest.approx(rate * (at_position - half_cycle), abs=1.5)
 
 
+def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
+    """No time between two readings, or less than none: there is nothing to interpolate by."""
+    drive = enabled(host).drive
+    host.cycles(2)
+    position, current = drive._values[0x6064, 0], drive._values[0x6078, 0]
+    for step_ns in (0, -1_000_000):
+        current.value = 123
+        assert drive._before is not None
+        current.asked_ns = drive._before[1] + step_ns
+        drive._bring_together(position, current)
+        assert current.value == 123
+
+
 def test_another_cycle_is_refused(host: SerialHost) -> None:
     prepared(host)
     with pytest.raises(ConfigurationError, match=r"cycle of 0.001 s, the link runs at 0.002 s"):
