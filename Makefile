@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal bench paper clean
+.PHONY: help demo test lint accuracy literal bench paper weight-check transports kill clean
 .DEFAULT_GOAL := help
 
 help:
@@ -17,6 +17,9 @@ help:
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make bench     speed, as ratios within one run"
+	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
+	@echo "make transports    Figure 10 over every transport: the same parameters"
+	@echo "make kill      kill -9 at 200 random moments, resumed; and what a resumed run identifies"
 	@echo "make clean     remove the virtual environment and everything generated"
 
 $(VENV)/bin/python:
@@ -56,7 +59,17 @@ literal: $(VENV)/.runtime
 	$(BIN)/python benchmarks/literal_accuracy.py
 
 bench: $(VENV)/.runtime
-	for script in plant_speed identification_speed bus_speed; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+
+weight-check: $(VENV)/.runtime
+	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done
+
+transports: $(VENV)/.runtime
+	$(BIN)/python tests/long/transports.py
+
+kill: $(VENV)/.runtime
+	$(BIN)/python tests/long/kill.py
+	$(BIN)/python tests/long/kill_identify.py
 
 clean:
 	rm -rf $(VENV) runs out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

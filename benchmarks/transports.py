@@ -2,7 +2,9 @@
 
 The simulated devices live in a process of their own, behind pseudo-terminals and a loopback socket, in real time. The
 drive is prepared but not enabled, which makes no difference to the traffic. ``time.sleep`` is ``clock_nanosleep`` on
-Linux.
+Linux. The simulated buses have no real time to be late in; they show what the host's own code takes, plant included.
+
+At the end ``rig run --realtime`` runs a whole sequence over slcan, and its own report of its timing is printed.
 
     python benchmarks/transports.py --seconds 5
 """
@@ -11,9 +13,12 @@ from __future__ import annotations
 
 import argparse
 import multiprocessing
+import tempfile
 from collections.abc import Callable
-from contextlib import contextmanager
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from io import StringIO
 from multiprocessing.connection import Connection
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -37,11 +42,21 @@ from drivers.mock.pty import RealTimeBench
 from drivers.mock.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import PySerialPort
 from drivers.units import EncoderScales, ServoScales
+from rig.bench import load_bench
+from rig.cli import status
+from rig.connect import connect
+from rig.packaged import resolve
 from rig.tables import table
 
 SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
 MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))
 FREE_CYCLES = 1000
+SEQUENCE = """\
+sequence: 1
+name: short
+stages:
+  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 0.5}], duration_s: 4}
+"""
 Devices = tuple[Link, Cia402Servo, Encoder]
 Ports = list[str | int]
 
@@ -135,6 +150,62 @@ def measure(kind: str, cycle_s: float, seconds: float) -> list[str]:
     return [f"{free:.0f}", *_lateness(late), f"{lost} of {len(late)}"]
 
 
+def simulated(name: str) -> str:
+    """Return cycles per second on a packaged bench in simulated time."""
+    document = load_bench(name)
+    with connect(document, 0, realtime=False) as devices:
+        cycle_s = document.value.cycle_s
+        devices.servo.prepare(cycle_s)
+        devices.encoder.prepare(cycle_s)
+        clock = devices.link.clock
+        due = clock.now_ns()
+        began = perf_counter()
+        for _ in range(FREE_CYCLES):
+            due += round(cycle_s * NS)
+            clock.sleep_until_ns(due)
+            devices.link.exchange()
+            devices.link.take_frames()
+        return f"{FREE_CYCLES / (perf_counter() - began):.0f}"
+
+
+def whole_run() -> tuple[int, str]:
+    """Run a sequence over slcan in real time; return exit status and what it says."""
+    ours, theirs = multiprocessing.Pipe()
+    child = multiprocessing.get_context("spawn").Process(target=serve, args=("slcan", theirs))
+    child.start()
+    try:
+        (terminal,) = ours.recv()
+        with tempfile.TemporaryDirectory() as name:
+            folder = Path(name)
+            (folder / "sequence.yaml").write_text(SEQUENCE)
+            (folder / "bench.yaml").write_text(slcan_bench(str(terminal)))
+            words = ["run", str(folder / "sequence.yaml"), "--bench", str(folder / "bench.yaml"), "--realtime", "--yes"]
+            said = StringIO()
+            with redirect_stdout(said), redirect_stderr(said):
+                code = status([*words, "--no-first-pass", "--out", str(folder / "run")])
+            return code, said.getvalue()
+    finally:
+        ours.send(None)
+        child.join()
+
+
+def slcan_bench(terminal: str) -> str:
+    """Return the practical bench behind an slcan adapter, with a cycle and time limits for a machine that is shared."""
+    text = resolve("practical", "benches").read_text().split("mock:  ")[0]
+    changes = {
+        "interface: mock": f"interface: slcan, channel: {terminal}",
+        "cycle_Hz: 1000": "cycle_Hz: 250",
+        "sample_age_ms: 5": "sample_age_ms: 90",
+        "lateness_ms: 25": "lateness_ms: 50",
+        "counts_per_turn: 262144": f"counts_per_turn: {COUNTS_PER_TURN}",
+        "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
+        "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
+    }
+    for here, there in changes.items():
+        text = text.replace(here, there)
+    return text
+
+
 def _lateness(late: np.ndarray) -> list[str]:
     return [f"{1e3 * value:.2f}" for value in (np.median(late), np.quantile(late, 0.99), late.max())]
 
@@ -154,7 +225,15 @@ def main() -> None:
         bare = paced(RealClock(), cycle_s, seconds, lambda: None)
         rows.append([f"bare loop at {1 / cycle_s:g} Hz", "", *_lateness(bare), ""])
         rows.append([f"{name} at {1 / cycle_s:g} Hz", *measure(kind, cycle_s, seconds)])
+    for name, bench in (
+        ("CANopen", "practical"),
+        ("EPOS serial and AMT21", "practical_serial"),
+        ("DBC", "practical_dbc"),
+    ):
+        rows.append([f"{name}, in simulated time", simulated(bench), *[""] * 4])
     print(table(["loop", "cycles/s unpaced", "late p50 ms", "p99 ms", "worst ms", "incomplete"], rows))
+    code, words = whole_run()
+    print(f"rig run --realtime over slcan at 250 Hz, exit status {code}:\n{words}")
 
 
 if __name__ == "__main__":

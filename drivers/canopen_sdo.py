@@ -15,6 +15,10 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 
 _ABORTED = 0x80
+_ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
+"""An abort by a server that does not say of which object."""
+_INITIATE = (1, 2)
+"""Command specifiers of a client that begins a download or an upload (CiA 301, 7.2.4.3)."""
 
 
 class Wire(Protocol):
@@ -47,17 +51,28 @@ class PumpedSdoClient(SdoClient):
     def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
         super().__init__(rx_cobid, tx_cobid, od)  # type: ignore[no-untyped-call]
         self._wire = wire
+        self._asked: bytes | None = None
+
+    def send_request(self, request: bytes) -> None:
+        """Send a request, noting which object it asks for."""
+        self._asked = bytes(request[1:4]) if request[0] >> 5 in _INITIATE else None
+        super().send_request(request)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:
-        """Return the next response.
+        """Return the next response; one to an earlier request, that comes late, is passed over.
+
+        Otherwise every later request would be given the answer to the one before it.
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
             SdoCommunicationError: No response in time.
         """
-        if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
-            raise SdoCommunicationError(f"no SDO response within {self._wire.sdo_timeout_s:g} s")
-        response: bytes = self.responses.get_nowait()
+        while True:
+            if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
+                raise SdoCommunicationError(f"no SDO response within {self._wire.sdo_timeout_s:g} s")
+            response: bytes = self.responses.get_nowait()
+            if self._asked is None or response[1:4] == self._asked or response[:4] == _ABORTED_SOMETHING:
+                break
         if response[0] == _ABORTED:
             raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
         return response

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 
+import canopen
 import pytest
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.canopen_sdo import PumpedSdoClient
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.mock.dictionary import DeviceDictionary
 from drivers.mock.drive import DRIVE_EDS
@@ -156,3 +160,52 @@ def test_a_stopped_node_answers_no_sdo(host: Host) -> None:
     host.bench.bus.send(frame(0x000, bytes([2, 1])))
     with pytest.raises(LinkError):
         host.drive.read(0x1000)
+
+
+class LateWire:
+    """A wire that delivers the given responses one by one, whatever was asked."""
+
+    sdo_timeout_s = 0.3
+    cycle = 0
+    master_id = 127
+
+    def __init__(self, *responses: bytes) -> None:
+        self._left = list(responses)
+        self.client: PumpedSdoClient
+
+    def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
+        if self._left:
+            self.client.responses.put(self._left.pop(0))
+        return ready()
+
+    def send_message(self, identifier: int, data: bytes) -> None:
+        """The frame goes nowhere."""
+
+
+def late_client(*responses: bytes) -> PumpedSdoClient:
+    wire = LateWire(*responses)
+    wire.client = client = PumpedSdoClient(0x601, 0x581, canopen.ObjectDictionary(), wire)
+    client.network = wire
+    return client
+
+
+READ_6041 = bytes.fromhex("4041600000000000")
+LATE_6064 = bytes.fromhex("4364600001000000")
+ANSWER_6041 = bytes.fromhex("4B41600050020000")
+
+
+def test_a_late_answer_to_another_request_is_passed_over() -> None:
+    assert late_client(LATE_6064, ANSWER_6041).request_response(READ_6041) == ANSWER_6041
+    late_abort = bytes.fromhex("8064600000000205")
+    assert late_client(late_abort, ANSWER_6041).request_response(READ_6041) == ANSWER_6041
+
+
+def test_only_late_answers_are_none() -> None:
+    with pytest.raises(SdoCommunicationError, match="no SDO response"):
+        late_client(LATE_6064).request_response(READ_6041)
+
+
+@pytest.mark.parametrize("abort", ["8041600000000206", "8000000000000206"])
+def test_an_abort_is_taken_with_or_without_the_object(abort: str) -> None:
+    with pytest.raises(SdoAbortedError):
+        late_client(bytes.fromhex(abort)).request_response(READ_6041)

@@ -44,7 +44,9 @@ WATCH_S = 0.2
 LOG_GAP_S = 0.2
 LATEST_S = 3.8
 """The whole run takes a little less."""
-RESUME_EVERY, ATTEMPTS = 5, 5
+RESUME_EVERY, ATTEMPTS = 10, 8
+TOO_LATE = ("sample age", "lateness", "heartbeat", "no SDO response", "following error", "joint speed")
+"""What stops a run where the machine lets it wait; the last two as the target then jumps."""
 SEQUENCE = """\
 sequence: 1
 name: kill
@@ -273,7 +275,8 @@ def wait_for_open(twin_process: Any, controller: subprocess.Popen[str]) -> None:
 def resume(twin_process: Any, run: Path) -> str | None:
     """Go on with a killed run on the bench as it was left; say what is wrong with how that went.
 
-    A machine too busy for real time trips the limit on the age of a sample, as it should; then it is resumed again.
+    On a machine too busy for real time the drive's watch or a limit on time stops a run again, as they should; then it is
+    resumed again.
     """
     words = ""
     for _ in range(ATTEMPTS):
@@ -286,7 +289,8 @@ def resume(twin_process: Any, run: Path) -> str | None:
             return None
         twin_process.stdin.write("keep\n")
         twin_process.stdin.flush()
-        controller = start(["resume", str(run), "--yes", "--no-first-pass"], run.parent)
+        fault = ["--reset-fault"] if words else []
+        controller = start(["resume", str(run), "--yes", "--no-first-pass", *fault], run.parent)
         wait_for_open(twin_process, controller)
         words = controller.communicate(timeout=60)[1]
         after = read_record(run)
@@ -295,7 +299,7 @@ def resume(twin_process: Any, run: Path) -> str | None:
             return f"did {again} instead of {wanted}"
         if controller.returncode == 0 and again == wanted:
             return ""
-        if "sample age" not in words and "lateness" not in words:
+        if not any(late in words for late in TOO_LATE):
             break
     return f"not finished: {words.strip()}"
 
