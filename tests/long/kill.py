@@ -275,8 +275,8 @@ def wait_for_open(twin_process: Any, controller: subprocess.Popen[str]) -> None:
 def resume(twin_process: Any, run: Path) -> str | None:
     """Go on with a killed run on the bench as it was left; say what is wrong with how that went.
 
-    On a machine too busy for real time the drive's watch or a limit on time stops a run again, as they should; then it is
-    resumed again.
+    On a machine too busy for real time the drive's watch or a limit on time stops a run again, as they should; then it
+    is resumed again.
     """
     words = ""
     for _ in range(ATTEMPTS):
