@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import threading
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from enum import Enum
 from types import FrameType
 from typing import Protocol, Self
@@ -18,6 +19,8 @@ WEIGHT_TOLERANCE_KG = 0.001
 PAUSE_SIGNAL = getattr(signal, "SIGUSR1", None)
 """Asks for a pause, and ends it; None on a system that has no such signal."""
 _LOOK_NS = NS // 20
+_PAUSE_ASKED = b"\npause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back\n"
+_PAUSE_ENDED = b"\nno pause\n"
 
 
 class OperatorStopError(Exception):
@@ -101,6 +104,9 @@ class StopButton:
 
     def _on_pause(self, number: int, frame: FrameType | None) -> None:
         self.pause()
+        # Written at once and unbuffered: a handler may have come in the middle of another write.
+        with suppress(OSError):
+            os.write(2, _PAUSE_ASKED if self.pausing else _PAUSE_ENDED)
 
 
 class Operator(Protocol):

@@ -126,14 +126,16 @@ def test_the_automatic_operator_waits_for_the_second_signal() -> None:
 
 
 @pytest.mark.skipif(PAUSE_SIGNAL is None, reason="no SIGUSR1 here")
-def test_the_signal_asks_for_a_pause_and_ends_it() -> None:
+def test_the_signal_asks_for_a_pause_and_ends_it(capfd: pytest.CaptureFixture[str]) -> None:
     assert PAUSE_SIGNAL is not None
     before = signal.getsignal(PAUSE_SIGNAL)
     with StopButton() as stop:
         signal.raise_signal(PAUSE_SIGNAL)
         assert stop.pausing
+        assert "pause asked for: at the end of this stage" in capfd.readouterr().err
         signal.raise_signal(PAUSE_SIGNAL)
         assert not stop.pausing
+        assert "no pause" in capfd.readouterr().err
         assert not stop.pressed
     assert signal.getsignal(PAUSE_SIGNAL) is before
 
