@@ -31,6 +31,7 @@ from drivers.cia406 import Cia406Encoder
 from drivers.clock import NS, Clock, RealClock
 from drivers.encoder_link import EncoderLink
 from drivers.epos_serial_link import EposSerialLink
+from drivers.errors import DeviceError
 from drivers.interfaces import Encoder, Link
 from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
@@ -89,8 +90,10 @@ def devices(kind: str):
     try:
         made = _serial(ours.recv()) if kind == "serial" else _can(kind, ours.recv())
         made[0].open()
-        yield made
-        made[0].close()
+        try:
+            yield made
+        finally:
+            made[0].close()
     finally:
         ours.send(None)
         child.join()
@@ -224,7 +227,12 @@ def main() -> None:
     for name, kind, cycle_s in cases:
         bare = paced(RealClock(), cycle_s, seconds, lambda: None)
         rows.append([f"bare loop at {1 / cycle_s:g} Hz", "", *_lateness(bare), ""])
-        rows.append([f"{name} at {1 / cycle_s:g} Hz", *measure(kind, cycle_s, seconds)])
+        try:
+            measured = measure(kind, cycle_s, seconds)
+        except DeviceError as error:
+            # On a machine that is too busy a limit on silence is met; the other transports are measured all the same.
+            measured = ["", "", "", "", str(error)]
+        rows.append([f"{name} at {1 / cycle_s:g} Hz", *measured])
     for name, bench in (
         ("CANopen", "practical"),
         ("EPOS serial and AMT21", "practical_serial"),

@@ -8,12 +8,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from drivers.mock.plant.constants import Machine
 from rig.bench import Bench
 from rig.mcap_reader import read_run
 from rig.run_file import read_record
 from rig.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
-from rig.yaml_tree import parse
+from rig.yaml_tree import DocumentError, parse
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
@@ -33,7 +35,8 @@ def true_parameters(machine: Machine) -> dict[str, float]:
 
 
 def truth_of(source: Path) -> dict[str, float] | None:
-    """Return the true parameters of a run on the simulated bench, or None for anything else.
+    """Return the true parameters of a run on the simulated bench, or None for anything else, or where
+    its bench file is of a version that is not understood.
 
     They come from the bench file that is attached to the run's recording.
 
@@ -45,6 +48,10 @@ def truth_of(source: Path) -> dict[str, float] | None:
     attached = read_run(source / RECORDING_FILE).attachments.get(BENCH_ATTACHMENT)
     if attached is None:
         return None
-    tree, _ = parse(attached.decode("utf-8"))
-    machine = Bench.model_validate_json(json.dumps(tree.plain()), strict=True).mock
+    try:
+        tree, _ = parse(attached.decode("utf-8"))
+        machine = Bench.model_validate_json(json.dumps(tree.plain()), strict=True).mock
+    except (ValidationError, DocumentError, UnicodeDecodeError):
+        # A bench file that this version does not know; the recording can be identified all the same.
+        return None
     return None if machine is None else true_parameters(machine)

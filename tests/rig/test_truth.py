@@ -1,9 +1,11 @@
 """The truth of a run on the simulated bench: read for the tables, absent everywhere else."""
 
+import dataclasses
 from pathlib import Path
 
 import pytest
 
+from rig import truth
 from rig.bench import load_bench
 from rig.cli import status
 from rig.sources import load_source
@@ -64,3 +66,10 @@ def test_the_report_goes_into_the_run_folder_with_the_truth_beside(
     assert "error" in header
     assert (run / "report.html").is_file()
     assert (run / "identify.json").is_file()
+
+
+@pytest.mark.parametrize("attached", [b"bench: 99", b"]", b"\xff"])
+def test_a_bench_file_of_another_version_has_none(run: Path, monkeypatch: pytest.MonkeyPatch, attached: bytes) -> None:
+    log = dataclasses.replace(truth.read_run(run / "recording.mcap"), attachments={"bench.yaml": attached})
+    monkeypatch.setattr(truth, "read_run", lambda path: log)
+    assert truth.truth_of(run) is None
