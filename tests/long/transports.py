@@ -148,7 +148,9 @@ Found = list[dict[str, dict[str, Any]]]
 
 
 def overlaps(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
-    """Whether two intervals have a value in common."""
+    """Whether two intervals have a value in common; none does with what could not be identified."""
+    if one["value"] is None or other["value"] is None:
+        return False
     return bool(one["low"] <= other["high"] and other["low"] <= one["high"])
 
 
@@ -185,16 +187,22 @@ def report(found: Mapping[str, Found], truth: Mapping[str, float], seeds: int) -
     print(table(head, rows))
     rows = []
     for name, true in truth.items():
-        errors = [median(abs(run[name]["value"] / true - 1.0) for run in found[transport]) for transport in found]
-        held = [sum(run[name]["low"] <= true <= run[name]["high"] for run in found[transport]) for transport in found]
-        rows.append([name, *(f"{100 * e:.3f} ({h}/{seeds})" for e, h in zip(errors, held, strict=True))])
+        cells = []
+        for runs in found.values():
+            known = [run[name] for run in runs if run[name]["value"] is not None]
+            error = median(abs(item["value"] / true - 1.0) for item in known) if known else None
+            held = sum(item["low"] <= true <= item["high"] for item in known)
+            cells.append(f"{number(None if error is None else 100 * error, 3)} ({held}/{len(known)})")
+        rows.append([name, *cells])
     print(table(["error %, truth in interval", *found], rows, right=range(1, 1 + len(found))))
     bad = False
     for transport in others:
         pairs = [(a[name], b[name]) for a, b in zip(found[first], found[transport], strict=True) for name in truth]
         apart = sum(not overlaps(*pair) for pair in pairs)
         bad |= apart > MISSES * len(pairs)
-        print(f"{transport}: {apart} of {len(pairs)} pairs of intervals do not overlap those of {first}")
+        print(
+            f"{transport}: {apart} of {len(pairs)} pairs of intervals do not overlap those of {first}, or are missing"
+        )
     return 1 if bad else 0
 
 
