@@ -150,7 +150,7 @@ class EposSerialLink(Link):
         self._frames.clear()
         return frames
 
-    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True) -> bytes:
+    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
         """Send one request and return the data of its answer, outside the cycle.
 
         Args:
@@ -158,6 +158,7 @@ class EposSerialLink(Link):
             data: Its fields.
             what: What to call it in messages.
             repeat: Try again where the answer is lost; for what may be done twice.
+            insist: Send it even while the line is out of step, as what can't be heard may still hear: for stops.
 
         Raises:
             LinkError: No good answer.
@@ -165,6 +166,9 @@ class EposSerialLink(Link):
         frame = encode(opcode, data)
         attempts = _ATTEMPTS if repeat else 1
         for _ in range(attempts):
+            if insist and not self._in_step:
+                self._send(frame)
+                self._receive(self.clock.now_ns() + _QUIET_NS)
             answer = self._ask(frame, self.clock.now_ns() + 2 * self._answer_wait_ns)
             if answer is not None:
                 return answer

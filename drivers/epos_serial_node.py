@@ -46,7 +46,7 @@ class Line(Protocol):
     cycle: int
     clock: Clock
 
-    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True) -> bytes:
+    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
         """Send one request and return the data of its answer; :class:`LinkError` where there is none."""
         ...
 
@@ -184,6 +184,13 @@ class EposSerialNode:
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
+        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
+
+    def insist(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object, sending it even while the line is out of step; raises as :meth:`write`."""
+        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True)
+
+    def _written(self, index: int, subindex: int, value: int) -> bytes:
         try:
             data = self._packing(index, subindex).pack(value)
         except struct.error as error:
@@ -191,8 +198,7 @@ class EposSerialNode:
             raise ConfigurationError(
                 f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({name})"
             ) from error
-        fields = OBJECT.pack(self.node_id, index, subindex) + data.ljust(_VALUE_BYTES, b"\0")
-        self._request(Opcode.WRITE_OBJECT, fields, index, subindex)
+        return OBJECT.pack(self.node_id, index, subindex) + data.ljust(_VALUE_BYTES, b"\0")
 
     def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
         """Write an object of any length, in segments; raises as :meth:`write`."""
@@ -302,9 +308,11 @@ class EposSerialNode:
     def _packing(self, index: int, subindex: int) -> struct.Struct:
         return packing(self._dictionary, PdoLayout(0, ((index, subindex),)))
 
-    def _request(self, opcode: Opcode, fields: bytes, index: int, subindex: int, repeat: bool = True) -> bytes:
+    def _request(
+        self, opcode: Opcode, fields: bytes, index: int, subindex: int, repeat: bool = True, insist: bool = False
+    ) -> bytes:
         what = f"{self.label}, object {index:04X}h:{subindex:02X}h" if index else self.label
-        answer = self._line.request(opcode, fields, what, repeat)
+        answer = self._line.request(opcode, fields, what, repeat, insist)
         (error,) = ERROR.unpack_from(answer)
         if error:
             reason = _REASONS.get(error) or SdoAbortedError.CODES.get(error, "unknown reason")

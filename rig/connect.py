@@ -19,7 +19,7 @@ from drivers.encoder_link import EncoderLink
 from drivers.epos_serial_link import EposSerialLink
 from drivers.interfaces import Encoder, Link, Servo
 from drivers.mock.bench import SimulatedBench, simulated_bench
-from drivers.mock.dbc_bench import simulated_dbc_bench
+from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.units import EncoderScales, ServoScales
 from rig.bench import Bench, Bus, EncoderSection, ServoSection
 from rig.configuration import Document
@@ -39,7 +39,7 @@ _OPTIONS: Mapping[str, Mapping[str, object]] = {"slcan": {"timeout": 1e-4}}
 
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
-Attach = Callable[[SimulatedBench], Clock]
+Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 """Called with a simulated bench before its bus is opened; returns the clock that the host is to see."""
 
 
@@ -136,12 +136,10 @@ def _dbc_servo(
     wiring = wire(servo, document.path, bench.simulated, document.problem)
     hang: Hang | None = None
     if bench.mock is not None and bench.simulated:
-        if attach is not None:
-            text = "faults can only be injected on a bench with a CANopen servo; name another bench"
-            raise InputError(document.problem(("servo", "kind"), text))
         assert isinstance(bench.encoder, EncoderSection)
         mock = simulated_dbc_bench(bench.mock, seed, bus.bitrate, bench.encoder.node)
-        link, hang = DbcLink(mock.clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
+        clock = mock.clock if attach is None else attach(mock)
+        link, hang = DbcLink(clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
     else:
         link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
     drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)

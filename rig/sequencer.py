@@ -175,6 +175,8 @@ class Sequencer:
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
+                # What went over the wire outside the control cycle, before anything else can go wrong.
+                self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
                 if self._devices.observer is not None:
                     self._devices.observer(self._stage.name, self.phase)
                 self.phase = next_phase(self.phase, self._handlers[self.phase]())

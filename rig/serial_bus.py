@@ -84,7 +84,7 @@ def epos_link(bus: SerialBus, twin: SimulatedBench | None, clock: Clock) -> Epos
     if twin is None:
         return EposSerialLink(clock, lambda: PySerialPort(bus.port, bus.baud), f"EPOS4 at {bus.port}")
     station = SimulatedEposPort(twin.bus, twin.clock, twin.drive)
-    return EposSerialLink(clock, _simulated(twin, bus.baud, station), "simulated EPOS4")
+    return EposSerialLink(clock, _simulated(twin, "drive", bus.baud, station), "simulated EPOS4")
 
 
 def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clock) -> Amt21Encoder:
@@ -94,13 +94,13 @@ def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clo
         connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
     else:
         station = SimulatedAmt21(twin.clock, twin.sampler, section.address)
-        connect, name = _simulated(twin, section.baud, station), "simulated AMT21"
+        connect, name = _simulated(twin, "encoder", section.baud, station), "simulated AMT21"
     line = Amt21Line(clock, connect, name, section.address)
     scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
     gate = Gate(math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2))
     return Amt21Encoder(line, scales, gate)
 
 
-def _simulated(twin: SimulatedBench, baud: int, station: Station) -> Callable[[], BytePort]:
-    line = SimulatedLine(twin.clock, baud, station)
+def _simulated(twin: SimulatedBench, device: str, baud: int, station: Station) -> Callable[[], BytePort]:
+    line = twin.lines[device] = SimulatedLine(twin.clock, baud, station)
     return lambda: line

@@ -24,6 +24,7 @@ ROOT = Path(__file__).resolve().parents[2]
 TARGETS: Mapping[str, tuple[str, ...]] = {
     "drivers.cia402": ("tests/drivers/test_cia402.py",),
     "rig.safety": ("tests/rig/test_safety.py",),
+    "rig.drive_limits": ("tests/rig/test_drive_limits.py",),
 }
 """Module to the tests that guard it."""
 
