@@ -24,7 +24,7 @@ from rig.configuration import Document, nearest
 from rig.cycle import Devices, Progress
 from rig.errors import InputError
 from rig.faults import FaultRow, FaultSchedule, load_faults
-from rig.operator import Operator, OperatorStopError, StopButton, Verb
+from rig.operator import Operator, OperatorStopError, StopButton, Verb, unanswered
 from rig.phases import Phase
 from rig.plan import Plan
 from rig.recorder import Recorder
@@ -70,9 +70,11 @@ class Saboteur:
     Args:
         schedule: The faults.
         sequence: What is run; places the phase ``ramp_out``.
+        patience_s: How long the run waits for an answer; None for ever.
     """
 
-    def __init__(self, schedule: FaultSchedule, sequence: Sequence) -> None:
+    def __init__(self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None) -> None:
+        self._patience_s = patience_s
         self._rows = rows = schedule.rows
         self._ramp_out = {stage.name: stage.duration_s - stage.ramp_out_s for stage in sequence.stages}
         self._waiting = set(range(len(rows)))
@@ -205,11 +207,14 @@ class Saboteur:
         """Be the operator who does not answer, where one is scheduled.
 
         Raises:
-            OperatorStopError: The input ended.
+            OperatorStopError: The input ended, or the run's patience did before it.
         """
         if self._answer_after_s is not None:
-            clock = self._scene.clock
-            clock.sleep_until_ns(clock.now_ns() + round(self._answer_after_s * NS))
+            clock, patience_s = self._scene.clock, self._patience_s
+            waited_s = self._answer_after_s if patience_s is None else min(patience_s, self._answer_after_s)
+            clock.sleep_until_ns(clock.now_ns() + round(waited_s * NS))
+            if waited_s == patience_s:
+                raise unanswered(waited_s)
             raise OperatorStopError(f"stopped at the weight prompt of {stage}: the input ended without an answer")
 
     def _kill(self, row: FaultRow) -> None:
@@ -254,8 +259,10 @@ ACTIONS: Mapping[tuple[str, str], _Action] = {
 """Target and name to what is done to this program and its operator; the bench's are in :mod:`rig.scene`."""
 
 
-def sabotage(path: Path, bench: Document[Bench], sequence: Document[Sequence]) -> Saboteur:
-    """Read a schedule for a run on a simulated bench.
+def sabotage(
+    path: Path, bench: Document[Bench], sequence: Document[Sequence], patience_s: float | None = None
+) -> Saboteur:
+    """Read a schedule for a run on a simulated bench, which waits ``patience_s`` for answers.
 
     Raises:
         InputError: The schedule is not valid, or the bench is real.
@@ -275,7 +282,7 @@ def sabotage(path: Path, bench: Document[Bench], sequence: Document[Sequence]) -
         for number, row in enumerate(schedule.value.rows)
         if row.stage is not None and row.stage not in names
     )
-    return Saboteur(schedule.value, sequence.value)
+    return Saboteur(schedule.value, sequence.value, patience_s)
 
 
 def describe(findings: list[Finding]) -> str:

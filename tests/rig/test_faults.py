@@ -213,6 +213,16 @@ def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "without an answer" in read_record(Path("out")).message
 
 
+def test_a_prompt_that_nobody_answers_in_time() -> None:
+    code, (finding,) = run(
+        "phase: prompt, target: operator, fault: unanswered, value: 3600", options=("--yes", "--prompt-timeout", "60")
+    )
+    assert (code, finding["off_after_s"]) == (3, 0.0)
+    record = read_record(Path("out"))
+    assert "nobody answered the prompt within 60 s" in record.message
+    assert record.de_energised
+
+
 def test_a_step_of_the_wall_clock_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     assert status(["run", "sequence.yaml", "--yes", "--out", "calm"]) == 0
