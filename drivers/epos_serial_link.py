@@ -13,7 +13,7 @@ import canopen
 from drivers.can_timing import ANSWER_SHARE
 from drivers.clock import NS, Clock
 from drivers.epos_serial import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
-from drivers.epos_serial_node import IDENTITY, EposSerialNode
+from drivers.epos_serial_node import IDENTITY, EposSerialNode, Guard
 from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import Link, RawFrame
 from drivers.serial_port import BytePort, raw_frames
@@ -41,6 +41,7 @@ class EposSerialLink(Link):
         connect: Opens the port.
         name: What to call the line in messages.
         answer_s: How long a drive may take to answer outside the cycle.
+        guard: Stands by while a drive may be under power; None for nobody.
 
     Attributes:
         cycle: Number of exchanges so far.
@@ -50,9 +51,15 @@ class EposSerialLink(Link):
     has_watchdog = False
 
     def __init__(
-        self, clock: Clock, connect: Callable[[], BytePort], name: str = "serial line", answer_s: float = 0.2
+        self,
+        clock: Clock,
+        connect: Callable[[], BytePort],
+        name: str = "serial line",
+        answer_s: float = 0.2,
+        guard: Guard | None = None,
     ) -> None:
         self.clock = clock
+        self.guard = guard
         self.cycle = 0
         self.lost = 0
         self._name = name

@@ -40,11 +40,28 @@ _REASONS: Final = {
 }
 
 
+class Guard(Protocol):
+    """Whoever takes the power off when this program dies; the drive has no such watch of its own."""
+
+    def arm(self) -> None:
+        """Stand by from now on.
+
+        Raises:
+            LinkError: Nobody does.
+        """
+        ...
+
+    def release(self) -> None:
+        """Stand down: the drive is verified off."""
+        ...
+
+
 class Line(Protocol):
     """What a node needs of its link."""
 
     cycle: int
     clock: Clock
+    guard: Guard | None
 
     def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
         """Send one request and return the data of its answer; :class:`LinkError` where there is none."""
@@ -253,10 +270,18 @@ class EposSerialNode:
         )
 
     def watch(self, limit_s: float) -> None:
-        """Do nothing: the protocol has no such watch, which :attr:`Link.has_watchdog` says."""
+        """Have the link's guard stand by; the protocol has no watch of its own, which :attr:`Link.has_watchdog` says.
+
+        Raises:
+            LinkError: There should be a guard, and is none.
+        """
+        if self._line.guard is not None:
+            self._line.guard.arm()
 
     def unwatch(self) -> None:
-        """Do nothing; see :meth:`watch`."""
+        """Have the guard stand down."""
+        if self._line.guard is not None:
+            self._line.guard.release()
 
     def exchange(self, cycle: int, ask: Callable[[bytes], bytes | None]) -> None:
         """Write and read what this cycle is to; stops where an answer is lost.

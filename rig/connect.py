@@ -26,6 +26,7 @@ from rig.configuration import Document
 from rig.cycle import Devices
 from rig.dbc import DbcServoSection, wire
 from rig.errors import InputError
+from rig.guard import Guard
 from rig.serial_bus import Amt21Section, SerialBus, amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
@@ -65,8 +66,9 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
     hang: Hang | None
     link: Link
     servo: Servo
+    guard: Guard | None = None
     if isinstance(bench.bus, SerialBus):
-        link, servo, twin = _epos(document, bench.bus, seed, attach)
+        link, servo, twin, guard = _epos(document, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
     elif isinstance(bench.servo, DbcServoSection):
         link, servo, hang = _dbc_servo(document, bench.servo, bench.bus, seed, attach)
@@ -84,21 +86,26 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     link.open()
     try:
-        yield Devices(link, servo, encoder, hang, RealClock() if realtime and bench.simulated else None)
+        pacer = RealClock() if realtime and bench.simulated else None
+        yield Devices(link, servo, encoder, hang, pacer, guard=guard)
     finally:
         link.close()
+        if guard is not None:
+            guard.close()
 
 
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
-) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None]:
-    """Return the link of a drive on a serial line, the drive, and the bench where they are simulated."""
+) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
+    """Return the link of a drive on a serial line, the drive, the bench where they are simulated, else the guard."""
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
-    link = epos_link(bus, twin, clock)
-    drive = link.add_node(bench.servo.node, _eds(document, "servo", DRIVE_EDS))
-    return link, Cia402Servo(drive, link, servo_scales(bench.servo, bench.machine.gear_ratio)), twin
+    eds, node = _eds(document, "servo", DRIVE_EDS), bench.servo.node
+    scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+    guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
+    link = epos_link(bus, twin, clock, guard)
+    return link, Cia402Servo(link.add_node(node, eds), link, scales), twin, guard
 
 
 def _twin(

@@ -115,6 +115,7 @@ def move(jog: Jog, bench: Bench, devices: Devices, stop: StopButton, progress: P
             bench.cycle_ns,
             brake=ending is not Ending.DONE,
             hurry=lambda: stop.presses > presses,
+            watched=devices.link.has_watchdog,
         )
         if own is not None:
             give_back(servo, own, safe)

@@ -163,6 +163,7 @@ class Sequencer:
                 self._plan.cycle_ns,
                 brake=brake,
                 hurry=lambda: self._stop.presses > presses,
+                watched=self._devices.link.has_watchdog,
             )
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
