@@ -88,7 +88,7 @@ DBC: Mapping[str, Case] = {
     "life counter stuck": Case(
         (fault("drive", "counter_stuck"),),
         replace(STALE, verified=False),
-        at("prompt prepare disable", replace(_MUTE, verified=False))
+        at("prompt prepare disable", replace(_LOST, within_s=BRAKE_S))
         | at("enable", replace(_NO_ENABLE, verified=False)),
     ),
     "drive fault": Case(

@@ -39,8 +39,10 @@ from .fault_cases import PHASES
 STOP_S = 0.25
 """The kernel closes the pipe and the guardian wakes, on a busy machine; then the ramp, and 20 ms to settle."""
 AFTER_S = 1.5
+_WITHOUT_POWER = ("prompt", "prepare", "enable", "disable", "any")
 _STEP_NS = 50_000_000
 LATEST_S = 2.2
+_PATIENCE = 4
 SEQUENCE = """\
 sequence: 1
 name: guarded
@@ -49,7 +51,7 @@ stages:
      center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.05}
 """
 _CONTROLLER = """
-import dataclasses, os, signal, sys, threading
+import dataclasses, os, signal, sys, threading, time
 import rig.commands.run as run
 from rig.cli import status
 
@@ -58,17 +60,18 @@ names = {"load": "prompt", "release": "disable"}
 execute = run.execute
 
 def die():
+    print(time.monotonic_ns(), flush=True)
     os.kill(os.getpid(), signal.SIGKILL)
 
 def observe(stage, phase):
     name = names.get(phase.value, phase.value)
-    print(name, flush=True)
-    if name == where or (name, where) == ("excite", "ramp_out"):
+    if name == where or (name, where) in (("excite", "ramp_out"), ("prepare", "any")):
         threading.Timer(after_s + (0.6 if where == "ramp_out" else 0.0), die).start()
 
 def watched(inputs, plan, devices, *more):
     # On a busy machine the run would end before it is killed.
-    plan = dataclasses.replace(plan, limits=dataclasses.replace(plan.limits, lateness=1.0, sample_age=1.0))
+    limits = dataclasses.replace(plan.limits, lateness=1.0, sample_age=1.0, encoder_disagreement=1.0)
+    plan = dataclasses.replace(plan, limits=limits)
     return execute(inputs, plan, dataclasses.replace(devices, observer=observe), *more)
 
 run.execute = watched
@@ -173,17 +176,18 @@ def kill(process: Any, bench: Path, run: Path, where: str, after_s: float) -> Re
     )
     with controller:
         assert controller.stdout is not None
-        controller.stdout.read()
+        said = controller.stdout.read().split()
         code = controller.wait()
-    killed_ns = time.monotonic_ns()
     if code != -signal.SIGKILL:
         raise RunError(f"the controller ended with status {code} before it was killed")
+    killed_ns = int(said[-1])
     time.sleep(AFTER_S)
     process.stdin.write("\n")
     process.stdin.flush()
     changes = json.loads(process.stdout.readline())
-    before = [on for when, on in changes if when <= killed_ns - 5_000_000]
-    powered = before[-1]
+    powered = [on for when, on in changes if when <= killed_ns][-1]
+    if not powered and where not in _WITHOUT_POWER:
+        raise RunError("the run was over, though not its process")
     last_ns, on = changes[-1]
     off_s = None if on else max(0.0, (last_ns - killed_ns) / 1e9) if powered else 0.0
     report = run / REPORT_FILE
@@ -202,7 +206,7 @@ def main() -> int:
         twin()
         return 0
     moments = random.Random(options.seed)
-    plan = list(PHASES.items()) + [("approach", moments.uniform(0.0, LATEST_S)) for _ in range(options.kills)]
+    plan = list(PHASES.items()) + [("any", moments.uniform(0.0, LATEST_S)) for _ in range(options.kills)]
     results: list[Result] = []
     failed = 0
     with tempfile.TemporaryDirectory() as folder, bench_process(Path(folder)) as (process, bench):
@@ -214,7 +218,7 @@ def main() -> int:
                 except RunError as error:
                     failed += 1
                     print(f"  {error}; again", flush=True)
-                    if failed > len(plan):
+                    if failed > _PATIENCE * len(plan):
                         raise
             results.append(result)
             print(f"{after_s:.3f} s into {result}", *result.problems, sep="; ", flush=True)
