@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal bench paper weight-check transports kill clean
+.PHONY: help demo test lint accuracy literal bench paper weight-check transports fault-matrix kill fuzz mutants clean
 .DEFAULT_GOAL := help
 
 help:
@@ -19,7 +19,10 @@ help:
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
-	@echo "make kill      kill -9 at 200 random moments, resumed; and what a resumed run identifies"
+	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
+	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
+	@echo "make fuzz      a million frames or bytes for every decoder"
+	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make clean     remove the virtual environment and everything generated"
 
 $(VENV)/bin/python:
@@ -67,9 +70,22 @@ weight-check: $(VENV)/.runtime
 transports: $(VENV)/.runtime
 	$(BIN)/python tests/long/transports.py
 
-kill: $(VENV)/.runtime
+fault-matrix: $(VENV)/.dev
+	$(BIN)/python -m tests.long.fault_matrix
+
+kill: $(VENV)/.dev
 	$(BIN)/python tests/long/kill.py
 	$(BIN)/python tests/long/kill_identify.py
+	$(BIN)/python -m tests.long.guardian
+
+fuzz: $(VENV)/.dev
+	$(BIN)/python tests/long/fuzz.py
+	$(BIN)/python tests/long/dbc_fuzz.py
+
+mutants: $(VENV)/.dev
+	$(BIN)/python tests/long/mutants.py
+	$(BIN)/pytest -q --cov=rig.safety --cov=rig.drive_limits --cov=drivers.cia402 --cov-branch \
+	  --cov-report=term-missing tests/rig/test_safety.py tests/rig/test_drive_limits.py tests/drivers/test_cia402.py
 
 clean:
 	rm -rf $(VENV) runs out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -115,6 +115,10 @@ class CanopenNode:
         with translated(self.node_id, index, subindex):
             self.remote.sdo.download(index, subindex, data)
 
+    def insist(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object; an SDO request goes out before its answer is waited for. Raises as :meth:`write`."""
+        self.write(index, subindex, value)
+
     def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
         """Configure PDOs and heartbeat by SDO in PRE-OPERATIONAL, then start the node.
 

@@ -226,7 +226,7 @@ class Cia402Servo(Servo):
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
         if self._cycle_ns:
             self._stage(self._target)
-        self._channel.write(*cia402.CONTROLWORD, self._word)
+        self._channel.insist(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
         deadline = self._clock.now_ns() + round(self._timeout_s * NS)

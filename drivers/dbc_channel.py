@@ -7,7 +7,7 @@ from typing import Final
 
 from drivers.clock import NS
 from drivers.dbc_wiring import BoundMessage, Images, Wiring
-from drivers.errors import DriveFault
+from drivers.errors import DriveFault, StateError
 from drivers.interfaces import ServoState
 
 PERIODS_KEPT: Final = 2.5
@@ -113,6 +113,9 @@ class DbcChannel:
         self._timed: list[Slot] = []
         self._outputs = {name: _Output(message) for name, message in wiring.sent.items()}
         self._settings = {name: _Output(message) for name, message in wiring.settings.items()}
+        self._pinned: dict[str, float] = {}
+        self._limit_slots = [by_name[name] for name in sorted({limit.held.message for limit in wiring.limits.values()})]
+        self._limits_heard = 0
         self._target_bits = 0
         self._holding = False
         self._begun_ns = 0
@@ -161,6 +164,15 @@ class DbcChannel:
             self._settings[name].image = image
         return [(output.message.identifier, output.frame()) for output in self._settings.values()]
 
+    def limits(self) -> dict[str, float]:
+        """Return the limits in the last good frames that carry them, by the name they have in the map."""
+        held = {name: limit.held for name, limit in self.wiring.limits.items()}
+        return {name: quantity.read(self._by_name[quantity.message].data) for name, quantity in held.items()}
+
+    def pin(self, limits: dict[str, float]) -> None:
+        """Expect the drive to go on holding these limits; none to expect nothing."""
+        self._pinned = limits
+
     def begin(self, now_ns: int) -> None:
         """Start an exchange."""
         self.cycle += 1
@@ -196,12 +208,27 @@ class DbcChannel:
 
         Raises:
             DriveFault: It went into fault while it was running.
+            StateError: It holds other limits than those written into it; told once.
         """
+        self._check_limits()
         if not self._holding or (state := self.state) is ServoState.OPERATION_ENABLED:
             return
         self.order(self.wiring.disable)
         if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
             raise self.fault()
+
+    def _check_limits(self) -> None:
+        heard = sum(slot.count for slot in self._limit_slots)
+        if heard == self._limits_heard:
+            return
+        self._limits_heard = heard
+        changed = [name for name, value in self.limits().items() if self._pinned.get(name, value) != value]
+        if changed:
+            self._pinned = {}
+            raise StateError(
+                f"{self.label} no longer holds the limits written into it ({', '.join(changed)}): it has restarted, "
+                "or something else has written into it; check its supply and what else is on the bus"
+            )
 
     def fault(self) -> DriveFault:
         """Return the fault that the drive reports."""

@@ -100,9 +100,12 @@ class DbcServo(Servo):
         """
         wanted = dbc_limits.encode(limits, self._drive)
         settable = self._wiring.limits
+        self._channel.pin({})
         for identifier, data in self._channel.settings(dbc_limits.images(self._wiring, wanted)):
             self._link.send(identifier, data)
-        dbc_limits.verify(wanted, self._held(), settable, self._channel.label)
+        held = self._held()
+        dbc_limits.verify(wanted, held, settable, self._channel.label)
+        self._channel.pin(held)
         dbc_limits.require_room(limits, self._drive.held, settable, self._channel.label)
 
     def prepare(self, cycle_s: float) -> None:
@@ -229,10 +232,9 @@ class DbcServo(Servo):
 
     def _held(self) -> dict[str, float]:
         """Return the limits that the drive says it holds, as it says them next."""
-        limits = self._wiring.limits
-        for message in sorted({limit.held.message for limit in limits.values()}):
+        for message in sorted({limit.held.message for limit in self._wiring.limits.values()}):
             self._await_frame(message)
-        return {name: limit.held.read(self._channel.slot(limit.held.message).data) for name, limit in limits.items()}
+        return self._channel.limits()
 
     def _value(self, name: str) -> float:
         slot, read = self._reads[name]

@@ -13,7 +13,7 @@ import canopen
 from drivers.can_timing import ANSWER_SHARE
 from drivers.clock import NS, Clock
 from drivers.epos_serial import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
-from drivers.epos_serial_node import IDENTITY, EposSerialNode
+from drivers.epos_serial_node import IDENTITY, EposSerialNode, Guard
 from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import Link, RawFrame
 from drivers.serial_port import BytePort, raw_frames
@@ -41,6 +41,7 @@ class EposSerialLink(Link):
         connect: Opens the port.
         name: What to call the line in messages.
         answer_s: How long a drive may take to answer outside the cycle.
+        guard: Stands by while a drive may be under power; None for nobody.
 
     Attributes:
         cycle: Number of exchanges so far.
@@ -50,9 +51,15 @@ class EposSerialLink(Link):
     has_watchdog = False
 
     def __init__(
-        self, clock: Clock, connect: Callable[[], BytePort], name: str = "serial line", answer_s: float = 0.2
+        self,
+        clock: Clock,
+        connect: Callable[[], BytePort],
+        name: str = "serial line",
+        answer_s: float = 0.2,
+        guard: Guard | None = None,
     ) -> None:
         self.clock = clock
+        self.guard = guard
         self.cycle = 0
         self.lost = 0
         self._name = name
@@ -150,7 +157,7 @@ class EposSerialLink(Link):
         self._frames.clear()
         return frames
 
-    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True) -> bytes:
+    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
         """Send one request and return the data of its answer, outside the cycle.
 
         Args:
@@ -158,6 +165,7 @@ class EposSerialLink(Link):
             data: Its fields.
             what: What to call it in messages.
             repeat: Try again where the answer is lost; for what may be done twice.
+            insist: Send it even while the line is out of step, as what can't be heard may still hear: for stops.
 
         Raises:
             LinkError: No good answer.
@@ -165,6 +173,9 @@ class EposSerialLink(Link):
         frame = encode(opcode, data)
         attempts = _ATTEMPTS if repeat else 1
         for _ in range(attempts):
+            if insist and not self._in_step:
+                self._send(frame)
+                self._receive(self.clock.now_ns() + _QUIET_NS)
             answer = self._ask(frame, self.clock.now_ns() + 2 * self._answer_wait_ns)
             if answer is not None:
                 return answer

@@ -40,13 +40,30 @@ _REASONS: Final = {
 }
 
 
+class Guard(Protocol):
+    """Whoever takes the power off when this program dies; the drive has no such watch of its own."""
+
+    def arm(self) -> None:
+        """Stand by from now on.
+
+        Raises:
+            LinkError: Nobody does.
+        """
+        ...
+
+    def release(self) -> None:
+        """Stand down: the drive is verified off."""
+        ...
+
+
 class Line(Protocol):
     """What a node needs of its link."""
 
     cycle: int
     clock: Clock
+    guard: Guard | None
 
-    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True) -> bytes:
+    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
         """Send one request and return the data of its answer; :class:`LinkError` where there is none."""
         ...
 
@@ -184,6 +201,13 @@ class EposSerialNode:
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
+        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
+
+    def insist(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object, sending it even while the line is out of step; raises as :meth:`write`."""
+        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True)
+
+    def _written(self, index: int, subindex: int, value: int) -> bytes:
         try:
             data = self._packing(index, subindex).pack(value)
         except struct.error as error:
@@ -191,8 +215,7 @@ class EposSerialNode:
             raise ConfigurationError(
                 f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({name})"
             ) from error
-        fields = OBJECT.pack(self.node_id, index, subindex) + data.ljust(_VALUE_BYTES, b"\0")
-        self._request(Opcode.WRITE_OBJECT, fields, index, subindex)
+        return OBJECT.pack(self.node_id, index, subindex) + data.ljust(_VALUE_BYTES, b"\0")
 
     def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
         """Write an object of any length, in segments; raises as :meth:`write`."""
@@ -247,10 +270,18 @@ class EposSerialNode:
         )
 
     def watch(self, limit_s: float) -> None:
-        """Do nothing: the protocol has no such watch, which :attr:`Link.has_watchdog` says."""
+        """Have the link's guard stand by; the protocol has no watch of its own, which :attr:`Link.has_watchdog` says.
+
+        Raises:
+            LinkError: There should be a guard, and is none.
+        """
+        if self._line.guard is not None:
+            self._line.guard.arm()
 
     def unwatch(self) -> None:
-        """Do nothing; see :meth:`watch`."""
+        """Have the guard stand down."""
+        if self._line.guard is not None:
+            self._line.guard.release()
 
     def exchange(self, cycle: int, ask: Callable[[bytes], bytes | None]) -> None:
         """Write and read what this cycle is to; stops where an answer is lost.
@@ -304,9 +335,11 @@ class EposSerialNode:
     def _packing(self, index: int, subindex: int) -> struct.Struct:
         return packing(self._dictionary, PdoLayout(0, ((index, subindex),)))
 
-    def _request(self, opcode: Opcode, fields: bytes, index: int, subindex: int, repeat: bool = True) -> bytes:
+    def _request(
+        self, opcode: Opcode, fields: bytes, index: int, subindex: int, repeat: bool = True, insist: bool = False
+    ) -> bytes:
         what = f"{self.label}, object {index:04X}h:{subindex:02X}h" if index else self.label
-        answer = self._line.request(opcode, fields, what, repeat)
+        answer = self._line.request(opcode, fields, what, repeat, insist)
         (error,) = ERROR.unpack_from(answer)
         if error:
             reason = _REASONS.get(error) or SdoAbortedError.CODES.get(error, "unknown reason")

@@ -69,6 +69,13 @@ class ProcessChannel(ObjectAccess, Protocol):
         """Whether everything that was due at the last exchange arrived whole."""
         ...
 
+    def insist(self, index: int, subindex: int, value: int) -> None:
+        """Write an object that must be sent even where the device can't be heard; raises as :meth:`write`.
+
+        Only for what takes power away: it may arrive more than once.
+        """
+        ...
+
     def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
         """Configure what is exchanged and how often, and start it. Energises nothing.
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import select
+import termios
 from collections.abc import Iterator
 from contextlib import suppress
 from typing import Final, Protocol
@@ -14,6 +16,7 @@ from drivers.interfaces import RawFrame
 SERIAL_FLAG: Final = 0x10000000
 """Set in :attr:`RawFrame.identifier` for bytes of a serial line; the low bits are the line's number."""
 _FRAME_BYTES: Final = 8
+_CHUNK: Final = 4096
 
 
 class BytePort(Protocol):
@@ -79,9 +82,51 @@ class PySerialPort:
         """Drop what has come in."""
         self._serial.reset_input_buffer()
 
+    def fileno(self) -> int:
+        """Return its file descriptor."""
+        descriptor: int = self._serial.fileno()
+        return descriptor
+
     def close(self) -> None:
         """Close the port."""
         self._serial.close()
+
+
+class InheritedPort:
+    """A serial port that another program opened and set up.
+
+    Args:
+        descriptor: Its file descriptor.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+
+    def write(self, data: bytes) -> None:
+        """Send bytes."""
+        while data:
+            select.select([], [self._descriptor], [])
+            data = data[os.write(self._descriptor, data) :]
+
+    def read(self, timeout_s: float) -> bytes:
+        """Return what has come in."""
+        ready, _, _ = select.select([self._descriptor], [], [], max(0.0, timeout_s))
+        return os.read(self._descriptor, _CHUNK) if ready else b""
+
+    def discard(self) -> None:
+        """Drop what has come in.
+
+        Raises:
+            OSError: The line is gone.
+        """
+        try:
+            termios.tcflush(self._descriptor, termios.TCIFLUSH)
+        except termios.error as error:
+            raise OSError(*error.args) from error
+
+    def close(self) -> None:
+        """Close it."""
+        os.close(self._descriptor)
 
 
 def raw_frames(time_ns: int, line: int, data: bytes, sent: bool) -> Iterator[RawFrame]:

@@ -165,7 +165,8 @@ class Calibration(Schema):
 class Bench(Schema):
     """One bench, as written in its file.
 
-    ``overdue_calibration`` says what a run does where the day of a calibration has passed.
+    ``overdue_calibration`` says what a run does where the day of a calibration has passed, ``prompt_timeout_s`` how
+    long an answer of the operator is waited for; null is for ever.
     """
 
     bench: Literal[1]
@@ -186,6 +187,7 @@ class Bench(Schema):
     limits: LimitsSection
     calibrations: tuple[Calibration, ...] = ()
     overdue_calibration: Literal["warn", "refuse"] = "warn"
+    prompt_timeout_s: Positive | None = None
     mock: constants.Machine | None = None
 
     @field_validator("cycle_Hz")

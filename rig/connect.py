@@ -19,13 +19,14 @@ from drivers.encoder_link import EncoderLink
 from drivers.epos_serial_link import EposSerialLink
 from drivers.interfaces import Encoder, Link, Servo
 from drivers.mock.bench import SimulatedBench, simulated_bench
-from drivers.mock.dbc_bench import simulated_dbc_bench
+from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.units import EncoderScales, ServoScales
 from rig.bench import Bench, Bus, EncoderSection, ServoSection
 from rig.configuration import Document
 from rig.cycle import Devices
 from rig.dbc import DbcServoSection, dbc_path, wire
 from rig.errors import InputError
+from rig.guard import Guard
 from rig.serial_bus import Amt21Section, SerialBus, amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
@@ -39,7 +40,7 @@ _OPTIONS: Mapping[str, Mapping[str, object]] = {"slcan": {"timeout": 1e-4}}
 
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
-Attach = Callable[[SimulatedBench], Clock]
+Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 """Called with a simulated bench before its bus is opened; returns the clock that the host is to see."""
 
 
@@ -65,8 +66,9 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
     hang: Hang | None
     link: Link
     servo: Servo
+    guard: Guard | None = None
     if isinstance(bench.bus, SerialBus):
-        link, servo, twin = _epos(document, bench.bus, seed, attach)
+        link, servo, twin, guard = _epos(document, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
     elif isinstance(bench.servo, DbcServoSection):
         link, servo, hang = _dbc_servo(document, bench.servo, bench.bus, seed, attach)
@@ -84,21 +86,26 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     link.open()
     try:
-        yield Devices(link, servo, encoder, hang, RealClock() if realtime and bench.simulated else None)
+        pacer = RealClock() if realtime and bench.simulated else None
+        yield Devices(link, servo, encoder, hang, pacer, guard=guard)
     finally:
         link.close()
+        if guard is not None:
+            guard.close()
 
 
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
-) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None]:
-    """Return the link of a drive on a serial line, the drive, and the bench where they are simulated."""
+) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
+    """Return the link of a drive on a serial line, the drive, the bench where they are simulated, else the guard."""
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
-    link = epos_link(bus, twin, clock)
-    drive = link.add_node(bench.servo.node, _eds(document, "servo", DRIVE_EDS))
-    return link, Cia402Servo(drive, link, servo_scales(bench.servo, bench.machine.gear_ratio)), twin
+    eds, node = _eds(document, "servo", DRIVE_EDS), bench.servo.node
+    scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+    guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
+    link = epos_link(bus, twin, clock, guard)
+    return link, Cia402Servo(link.add_node(node, eds), link, scales), twin, guard
 
 
 def _twin(
@@ -136,12 +143,10 @@ def _dbc_servo(
     wiring = wire(servo, document.path, bench.simulated, document.problem)
     hang: Hang | None = None
     if bench.mock is not None and bench.simulated:
-        if attach is not None:
-            text = "faults can only be injected on a bench with a CANopen servo; name another bench"
-            raise InputError(document.problem(("servo", "kind"), text))
         assert isinstance(bench.encoder, EncoderSection)
         mock = simulated_dbc_bench(bench.mock, seed, bus.bitrate, bench.encoder.node)
-        link, hang = DbcLink(mock.clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
+        clock = mock.clock if attach is None else attach(mock)
+        link, hang = DbcLink(clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
     else:
         link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
     drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)

@@ -9,6 +9,7 @@ from typing import Protocol
 
 from drivers.clock import NS, Clock
 from drivers.interfaces import Encoder, Link, RawFrame, Servo
+from rig.guard import Guard
 from rig.operator import StopButton
 from rig.phases import Phase
 from rig.safety import Latch, Limits, Trip, check_stage_time
@@ -29,6 +30,7 @@ class Devices:
         hang: Puts a mass in kg on a simulated lever; None where a person does.
         pacer: Real clock that holds simulated time back to real time; None to run on the link's clock alone.
         observer: Told the stage's name and every phase as it begins.
+        guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
     """
 
     link: Link
@@ -37,6 +39,7 @@ class Devices:
     hang: Callable[[float], None] | None = None
     pacer: Clock | None = None
     observer: Callable[[str, Phase], None] | None = None
+    guard: Guard | None = None
 
 
 Progress = Callable[[str, int, Sample], None]

@@ -16,7 +16,7 @@ from rig.configuration import Document, Schema, load_located, nearest, validated
 from rig.errors import InputError
 from rig.yaml_tree import DocumentError, Mark, Node, Scalar, read_text
 
-Target = Literal["bus", "drive", "encoder", "host", "disk", "operator"]
+Target = Literal["bus", "line", "encoder_line", "drive", "encoder", "host", "disk", "operator"]
 PhaseName = Literal["prompt", "prepare", "enable", "approach", "settle", "excite", "ramp_out", "hold", "disable"]
 StateName = Literal[
     "switch_on_disabled", "ready", "switched_on", "operation_enabled", "quick_stop_active", "fault_reaction", "fault"
@@ -51,6 +51,20 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("bus", "short"): Kind("the last byte missing, unseen by the check sum", counted=True),
     ("bus", "bus_off"): Kind("the host's controller leaves the bus; for good without a value", "s"),
     ("bus", "error_frames"): Kind("error frames at the host", counted=True),
+    ("line", "lost"): Kind("messages of the drive's serial line vanish", counted=True),
+    ("line", "byte_lost"): Kind("one byte of a message vanishes", "byte", 5, counted=True, integer=True),
+    ("line", "corrupt"): Kind("one bit inverted: a CRC error", "bit", 37, counted=True, integer=True),
+    ("line", "stuffing"): Kind("a 90h that is not doubled", counted=True),
+    ("line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
+    ("line", "repeated"): Kind("messages arrive twice", counted=True),
+    ("line", "refused"): Kind("requests are answered with an error code", counted=True),
+    ("line", "cut"): Kind("unplugged; for good without a value", "s"),
+    ("encoder_line", "lost"): Kind("messages of the encoder's serial line vanish", counted=True),
+    ("encoder_line", "byte_lost"): Kind("one byte of a message vanishes", "byte", 1, counted=True, integer=True),
+    ("encoder_line", "corrupt"): Kind("one bit inverted: check bits wrong", "bit", 3, counted=True, integer=True),
+    ("encoder_line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
+    ("encoder_line", "repeated"): Kind("messages arrive twice", counted=True),
+    ("encoder_line", "cut"): Kind("unplugged; for good without a value", "s"),
     ("drive", "emcy"): Kind("an emergency message, without a reaction", "code", 0x2310, integer=True),
     ("drive", "fault"): Kind("a fault of its own", "code", 0x7320, integer=True),
     ("drive", "restart"): Kind("boots again, as after a dip of its supply"),
@@ -58,6 +72,8 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("drive", "mode_refused"): Kind("6060h is taken, 6061h stays 0"),
     ("drive", "sdo_abort"): Kind("SDO requests are refused", counted=True),
     ("drive", "sdo_timeout"): Kind("SDO requests go unanswered", counted=True),
+    ("drive", "limits_refused"): Kind("keeps its limits, whatever it is told"),
+    ("drive", "counter_stuck"): Kind("its life counters stand still"),
     ("encoder", "bit"): Kind("one bit of the position inverted", "bit", 13, counted=True, integer=True),
     ("encoder", "jump"): Kind("the position shifts for good", "deg", 5.0),
     ("encoder", "frozen"): Kind("the position stays, time stamps go on"),
@@ -71,7 +87,7 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("operator", "unanswered"): Kind("the prompt's input ends without an answer, after this long", "s", 0.0),
     ("operator", "wrong_weight"): Kind("hangs this mass and types the planned one", "kg", 60.0),
 }
-"""Target and name to what it is. A simulated serial line adds its own (check sum and stuffing errors) here."""
+"""Target and name to what it is."""
 
 COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
     "sync": (0x080,),
@@ -87,7 +103,10 @@ COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
 
 
 class Frames(Schema):
-    """Which frames a bus fault meets: of a device or of the host, and of one function. Left out: all."""
+    """Which frames a bus fault meets: of a device or of the host, and of one function. Left out: all.
+
+    On a serial line ``host`` means its requests, the device its answers.
+    """
 
     device: Literal["drive", "encoder", "host"] | None = None
     function: str | None = None
@@ -151,8 +170,10 @@ class FaultRow(Schema):
             raise ValueError(f"{self.target} {self.fault} takes no value; leave it out")
         if kind.integer and self.value is not None and self.value != int(self.value):
             raise ValueError(f"{self.target} {self.fault} takes a whole number ({kind.unit}), found {self.value:g}")
-        if self.frames != Frames() and self.target != "bus":
-            raise ValueError("'frames' is for faults of the bus; leave it out")
+        if self.frames != Frames() and self.target not in ("bus", "line", "encoder_line"):
+            raise ValueError("'frames' is for faults of a bus or line; leave it out")
+        if self.frames.function is not None and self.target != "bus":
+            raise ValueError("'function' is for faults of a CAN bus; leave it out")
         return self
 
     @property

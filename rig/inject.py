@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import errno
 import io
-import math
 import os
 import re
 import resource
@@ -17,22 +16,21 @@ from pathlib import Path
 from typing import Any
 
 from drivers.clock import NS, Clock
-from drivers.mock import sensor_faults
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.faults import Match, WireFaults
-from drivers.mock.power_state import POWERED, State
+from drivers.mock.dbc_bench import SimulatedDbcBench
 from drivers.mock.stepped_clock import SteppedClock
 from rig.bench import Bench
 from rig.configuration import Document, nearest
 from rig.cycle import Devices, Progress
 from rig.errors import InputError
-from rig.faults import COUNTED_FRAMES, FaultRow, FaultSchedule, Frames, load_faults
-from rig.operator import Operator, OperatorStopError, StopButton, Verb
+from rig.faults import FaultRow, FaultSchedule, load_faults
+from rig.operator import Operator, OperatorStopError, StopButton, Verb, unanswered
 from rig.phases import Phase
 from rig.places import write_json
 from rig.plan import Plan
 from rig.recorder import Recorder
 from rig.run import RunFolder
+from rig.scene import Scene, impossible
 from rig.sequence import Sequence
 from rig.sequencer import Outcome
 from rig.session import Inputs, execute
@@ -73,9 +71,11 @@ class Saboteur:
     Args:
         schedule: The faults.
         sequence: What is run; places the phase ``ramp_out``.
+        patience_s: How long the run waits for an answer; None for ever.
     """
 
-    def __init__(self, schedule: FaultSchedule, sequence: Sequence) -> None:
+    def __init__(self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None) -> None:
+        self._patience_s = patience_s
         self._rows = rows = schedule.rows
         self._ramp_out = {stage.name: stage.duration_s - stage.ramp_out_s for stage in sequence.stages}
         self._waiting = set(range(len(rows)))
@@ -86,12 +86,11 @@ class Saboteur:
         self._file: _DyingFile | None = None
         self._limits = resource.getrlimit(resource.RLIMIT_FSIZE)
 
-    def attach(self, bench: SimulatedBench) -> Clock:
+    def attach(self, bench: SimulatedBench | SimulatedDbcBench) -> Clock:
         """Take hold of a bench; returns the clock that the host is to see."""
-        self._bench = bench
-        self._wire = WireFaults(bench.bus, bench.clock)
+        self._scene = Scene(bench)
         self._clock = SteppedClock(bench.clock)
-        bench.drive.entered.append(self._entered)
+        self._scene.watch(self._entered)
         for number, row in enumerate(self._rows):
             if row.time_s is not None:
                 self._schedule(number, row.time_s)
@@ -130,7 +129,7 @@ class Saboteur:
 
     def _hang(self, mass_kg: float) -> None:
         """Hang a weight on the simulated lever: the right one, or the scheduled wrong one."""
-        self._bench.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
+        self._scene.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
 
     def _start_recording(self, path: Path) -> Recorder:
         """Create the recording on a file that can fail."""
@@ -147,7 +146,7 @@ class Saboteur:
         Raises:
             OSError: The findings cannot be written.
         """
-        clock = self._bench.clock
+        clock = self._scene.clock
         if self._off_ns is None:
             clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))
         findings = [self._judge(number, row, status, message) for number, row in enumerate(self._rows)]
@@ -159,24 +158,28 @@ class Saboteur:
         row = self._rows[number]
         delay_s += row.after_s
         if delay_s or row.state is not None:
-            clock = self._bench.clock
+            clock = self._scene.clock
             clock.call_at(clock.now_ns() + round(delay_s * NS), partial(self._apply, number))
         else:
             self._apply(number)
 
-    def _entered(self, state: State) -> None:
-        if state in POWERED:
+    def _entered(self, state: str, powered: bool) -> None:
+        if powered:
             self._off_ns = None
         elif self._off_ns is None:
-            self._off_ns = self._bench.clock.now_ns()
+            self._off_ns = self._scene.clock.now_ns()
         for number in sorted(self._waiting):
-            if self._rows[number].state == state.name.lower():
+            if self._rows[number].state == state:
                 self._schedule(number, 0.0)
 
     def _apply(self, number: int) -> None:
         row = self._rows[number]
-        self._applied_ns[number] = self._bench.clock.now_ns()
-        _ACTIONS[row.target, row.fault](self, row)
+        self._applied_ns[number] = self._scene.clock.now_ns()
+        action = ACTIONS.get((row.target, row.fault))
+        if action is None:
+            self._scene.apply(row)
+        else:
+            action(self, row)
 
     def _judge(self, number: int, row: FaultRow, status: int | None, message: str) -> Finding:
         finding = Finding(number + 1, row.when, row.target, row.fault, row.amount)
@@ -205,37 +208,24 @@ class Saboteur:
         """Be the operator who does not answer, where one is scheduled.
 
         Raises:
-            OperatorStopError: The input ended.
+            OperatorStopError: The input ended, or the run's patience did before it.
         """
         if self._answer_after_s is not None:
-            clock = self._bench.clock
-            clock.sleep_until_ns(clock.now_ns() + round(self._answer_after_s * NS))
+            clock, patience_s = self._scene.clock, self._patience_s
+            waited_s = self._answer_after_s if patience_s is None else min(patience_s, self._answer_after_s)
+            clock.sleep_until_ns(clock.now_ns() + round(waited_s * NS))
+            if waited_s == patience_s:
+                raise unanswered(waited_s)
             raise OperatorStopError(f"stopped at the weight prompt of {stage}: the input ended without an answer")
 
-    def _match(self, frames: Frames) -> Match:
-        bench = self._bench
-        nodes = {"drive": bench.drive.node_id, "encoder": bench.encoder.node_id, "host": None}
-        device, function = frames.device, frames.function
-        node = nodes[device] if device is not None else None
-        codes = COUNTED_FRAMES[function] if function is not None else None
-
-        def match(identifier: int, host: bool) -> bool:
-            if device == "host" and not host:
-                return False
-            if node is not None and identifier & 0x7F != node:
-                return False
-            return codes is None or identifier & 0x780 in codes
-
-        return match
-
     def _kill(self, row: FaultRow) -> None:
-        clock = self._bench.clock
+        clock = self._scene.clock
         clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
         self.conclude(None, "")
         os.kill(os.getpid(), signal.SIGKILL)
 
     def _hang_up(self, row: FaultRow) -> None:
-        clock = self._bench.clock
+        clock = self._scene.clock
         clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
 
     def _fill_disk(self) -> None:
@@ -245,14 +235,10 @@ class Saboteur:
         if self._file is not None:
             self._file.dead = True
 
-    def _joint_counts(self, degrees: float) -> int:
-        sensing = self._bench.machine.constants.sensing
-        return round(math.radians(degrees) / (2.0 * math.pi) * sensing.joint_counts_per_turn)
-
     def _hang_wrong(self, row: FaultRow) -> None:
         self._weight_kg = row.amount
         if self._off_ns is not None and self._weight_kg is not None:
-            self._bench.machine.hang(self._weight_kg)
+            self._scene.machine.hang(self._weight_kg)
 
     def _be_silent(self, row: FaultRow) -> None:
         self._answer_after_s = row.amount
@@ -261,31 +247,7 @@ class Saboteur:
 _Action = Callable[[Saboteur, FaultRow], None]
 
 
-def _whole(row: FaultRow) -> int:
-    return int(row.amount or 0)
-
-
-_ACTIONS: Mapping[tuple[str, str], _Action] = {
-    ("bus", "lost"): lambda s, r: s._wire.lose(s._match(r.frames), r.count),
-    ("bus", "repeated"): lambda s, r: s._wire.repeat(s._match(r.frames), r.count),
-    ("bus", "late"): lambda s, r: s._wire.delay(s._match(r.frames), r.count, r.amount or 0.0),
-    ("bus", "flipped"): lambda s, r: s._wire.flip(s._match(r.frames), r.count, _whole(r)),
-    ("bus", "short"): lambda s, r: s._wire.shorten(s._match(r.frames), r.count),
-    ("bus", "bus_off"): lambda s, r: s._wire.bus_off(r.amount),
-    ("bus", "error_frames"): lambda s, r: s._wire.error_frames(r.count),
-    ("drive", "emcy"): lambda s, r: s._bench.drive.emergency(_whole(r), 0x01),
-    ("drive", "fault"): lambda s, r: s._bench.drive.fail(_whole(r)),
-    ("drive", "restart"): lambda s, r: s._wire.restart(s._bench.drive.node_id),
-    ("drive", "quick_stop_option"): lambda s, r: s._bench.drive.objects.values.update({0x605A00: _whole(r)}),
-    ("drive", "mode_refused"): lambda s, _: sensor_faults.refuse_mode(s._bench.drive),
-    ("drive", "sdo_abort"): lambda s, r: s._wire.refuse_sdo(s._bench.drive.node_id, r.count),
-    ("drive", "sdo_timeout"): lambda s, r: s._wire.lose(
-        s._match(Frames(device="drive", function="sdo_request")), r.count
-    ),
-    ("encoder", "bit"): lambda s, r: sensor_faults.flip_bit(s._bench.encoder, _whole(r), r.count),
-    ("encoder", "jump"): lambda s, r: sensor_faults.jump(s._bench.encoder, s._joint_counts(r.amount or 0.0)),
-    ("encoder", "frozen"): lambda s, _: sensor_faults.freeze(s._bench.encoder),
-    ("encoder", "reversed"): lambda s, _: sensor_faults.reverse(s._bench.encoder),
+ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("host", "killed"): Saboteur._kill,
     ("host", "hangs"): Saboteur._hang_up,
     ("host", "clock_step"): lambda s, r: s._clock.step(r.amount or 0.0),
@@ -295,10 +257,13 @@ _ACTIONS: Mapping[tuple[str, str], _Action] = {
     ("operator", "unanswered"): Saboteur._be_silent,
     ("operator", "wrong_weight"): Saboteur._hang_wrong,
 }
+"""Target and name to what is done to this program and its operator; the bench's are in :mod:`rig.scene`."""
 
 
-def sabotage(path: Path, bench: Document[Bench], sequence: Document[Sequence]) -> Saboteur:
-    """Read a schedule for a run on a simulated bench.
+def sabotage(
+    path: Path, bench: Document[Bench], sequence: Document[Sequence], patience_s: float | None = None
+) -> Saboteur:
+    """Read a schedule for a run on a simulated bench, which waits ``patience_s`` for answers.
 
     Raises:
         InputError: The schedule is not valid, or the bench is real.
@@ -307,13 +272,18 @@ def sabotage(path: Path, bench: Document[Bench], sequence: Document[Sequence]) -
     if not bench.value.simulated:
         text = "faults can only be brought about on a simulated bench; set bus.interface to mock"
         raise InputError(bench.problem(("bus", "interface"), text))
+    schedule.require(
+        (("rows", number), why)
+        for number, row in enumerate(schedule.value.rows)
+        if (why := impossible(row, bench.value)) is not None
+    )
     names = [stage.name for stage in sequence.value.stages]
     schedule.require(
         (("rows", number, "stage"), f"the sequence has no such stage; {nearest(row.stage, names)}")
         for number, row in enumerate(schedule.value.rows)
         if row.stage is not None and row.stage not in names
     )
-    return Saboteur(schedule.value, sequence.value)
+    return Saboteur(schedule.value, sequence.value, patience_s)
 
 
 def describe(findings: list[Finding]) -> str:

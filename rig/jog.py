@@ -120,6 +120,7 @@ def move(
             bench.cycle_ns,
             brake=ending is not Ending.DONE,
             hurry=lambda: stop.presses > presses,
+            watched=devices.link.has_watchdog,
         )
         if own is not None:
             give_back(servo, own, safe)

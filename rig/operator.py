@@ -21,10 +21,43 @@ PAUSE_SIGNAL = getattr(signal, "SIGUSR1", None)
 _LOOK_NS = NS // 20
 _PAUSE_ASKED = b"\npause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back\n"
 _PAUSE_ENDED = b"\nno pause\n"
+_ALARM = getattr(signal, "SIGALRM", None)
 
 
 class OperatorStopError(Exception):
     """The operator asked to stop."""
+
+
+def unanswered(patience_s: float) -> OperatorStopError:
+    """Return the end of a run whose prompt nobody answered in time."""
+    return OperatorStopError(
+        f"nobody answered the prompt within {patience_s:g} s; `rig resume` goes on, or raise prompt_timeout_s"
+    )
+
+
+@contextmanager
+def answered_within(patience_s: float | None) -> Iterator[None]:
+    """Wait for an answer for so long at the most, s; None waits for ever.
+
+    Outside the main thread, where signals cannot be caught, it waits for ever too.
+
+    Raises:
+        OperatorStopError: Nobody answered.
+    """
+    if patience_s is None or _ALARM is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def ring(number: int, frame: FrameType | None) -> None:
+        raise unanswered(patience_s)
+
+    previous = signal.signal(_ALARM, ring)
+    signal.setitimer(signal.ITIMER_REAL, patience_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(_ALARM, previous)
 
 
 class Verb(Enum):
@@ -170,20 +203,29 @@ class AutomaticOperator:
 
 
 class ConsoleOperator(AutomaticOperator):
-    """Asks at the terminal."""
+    """Asks at the terminal.
+
+    Args:
+        patience_s: How long an answer is waited for; None for ever.
+    """
+
+    def __init__(self, patience_s: float | None = None) -> None:
+        super().__init__()
+        self._patience_s = patience_s
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
         """Ask until the typed mass is the planned one, or another verb is typed.
 
         Raises:
-            OperatorStopError: Ctrl-C, ``abort``, or the input ended.
+            OperatorStopError: Ctrl-C, ``abort``, the input ended, or nobody answered in time.
         """
         action = f"Hang {weight_kg:g} kg on the lever" if weight_kg else "Take every weight off the lever"
         self.tell(f"Stage {stage}: the drive is off. {action}, and let it come to rest. No hurry: this is a pause.")
         self.tell("Then type its mass; or `repeat` for the stage before, or `abort`.")
         while True:
             try:
-                typed = click.prompt("Mass on the lever now, kg", err=True).strip().lower()
+                with answered_within(self._patience_s):
+                    typed = click.prompt("Mass on the lever now, kg", err=True).strip().lower()
             except click.Abort as error:
                 raise OperatorStopError("stopped at the weight prompt") from error
             if typed == Verb.ABORT.value:
@@ -202,11 +244,16 @@ class ConsoleOperator(AutomaticOperator):
                 )
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
-        """Ask how to go on."""
+        """Ask how to go on.
+
+        Raises:
+            OperatorStopError: Nobody answered in time.
+        """
         self.tell(f"Paused after stage {stage}; the drive is off.")
         words = click.Choice([verb.value for verb in Verb], case_sensitive=False)
         try:
-            answer = Verb(click.prompt("What now", type=words, default=Verb.GO_ON.value, err=True))
+            with answered_within(self._patience_s):
+                answer = Verb(click.prompt("What now", type=words, default=Verb.GO_ON.value, err=True))
         except click.Abort:
             answer = Verb.ABORT
         stop.pausing = False

@@ -85,7 +85,7 @@ class Recorder:
             self._writer.flush()
 
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
-        """Record frames seen outside the control cycle (configuration, state changes).
+        """Record frames seen outside the control cycle, and hand them to the operating system at once.
 
         Raises:
             OSError: They cannot be written.
@@ -94,6 +94,7 @@ class Recorder:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
             with self._writing():
                 self._writer.message(self._frames, time_ns, encode_frames(frames))
+                self._writer.flush()
 
     def copy(self, topic: str, time_ns: int, message: bytes) -> None:
         """Record a message just as another recording holds it.

@@ -168,6 +168,7 @@ class Sequencer:
                 self._plan.cycle_ns,
                 brake=brake,
                 hurry=lambda: self._stop.presses > presses,
+                watched=self._devices.link.has_watchdog,
             )
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
@@ -180,6 +181,8 @@ class Sequencer:
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
+                # What went over the wire outside the control cycle, before anything else can go wrong.
+                self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
                 if self._devices.observer is not None:
                     self._devices.observer(self._stage.name, self.phase)
                 self.phase = next_phase(self.phase, self._handlers[self.phase]())

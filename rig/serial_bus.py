@@ -21,14 +21,20 @@ from drivers.mock.serial_line import SimulatedLine, Station
 from drivers.serial_port import BytePort, PySerialPort
 from drivers.units import EncoderScales
 from rig.configuration import Schema
+from rig.guard import Guard
 
 MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
 """Share of the bench's torque, current and speed limits that is in force where the drive has no watchdog."""
-NO_WATCHDOG: Final = (
-    "this drive has no watchdog: if this program, its computer or the cable dies, the drive goes on holding its last "
-    "target under power, and nothing but the main switch or the emergency stop takes it off. Stay beside it. Torque, "
-    f"current and speed limits are cut to {UNWATCHED_SHARE:.0%} of the bench file's"
+_ALONE: Final = (
+    "the drive goes on holding its last target under power, and nothing but the main switch or the emergency stop "
+    "takes it off. Stay beside it. Torque, current and speed limits are cut to "
+    f"{UNWATCHED_SHARE:.0%} of the bench file's"
+)
+NO_WATCHDOG: Final = f"this drive has no watchdog: if this program, its computer or the cable dies, {_ALONE}"
+GUARDED: Final = (
+    "this drive has no watchdog: if this program dies, a second process, its guardian, brakes and takes the power off; "
+    f"if the computer or the cable dies, {_ALONE}"
 )
 
 _Positive = Annotated[float, Field(gt=0)]
@@ -79,12 +85,13 @@ def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
         )
 
 
-def epos_link(bus: SerialBus, twin: SimulatedBench | None, clock: Clock) -> EposSerialLink:
-    """Return the link of a drive on a serial line: a real port, or the twin's in simulated time."""
+def epos_link(bus: SerialBus, twin: SimulatedBench | None, clock: Clock, guard: Guard | None) -> EposSerialLink:
+    """Return the link of a drive on a serial line: a real port with its guard, or the twin's in simulated time."""
     if twin is None:
-        return EposSerialLink(clock, lambda: PySerialPort(bus.port, bus.baud), f"EPOS4 at {bus.port}")
+        assert guard is not None
+        return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
     station = SimulatedEposPort(twin.bus, twin.clock, twin.drive)
-    return EposSerialLink(clock, _simulated(twin, bus.baud, station), "simulated EPOS4")
+    return EposSerialLink(clock, _simulated(twin, "drive", bus.baud, station), "simulated EPOS4")
 
 
 def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clock) -> Amt21Encoder:
@@ -94,13 +101,13 @@ def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clo
         connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
     else:
         station = SimulatedAmt21(twin.clock, twin.sampler, section.address)
-        connect, name = _simulated(twin, section.baud, station), "simulated AMT21"
+        connect, name = _simulated(twin, "encoder", section.baud, station), "simulated AMT21"
     line = Amt21Line(clock, connect, name, section.address)
     scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
     gate = Gate(math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2))
     return Amt21Encoder(line, scales, gate)
 
 
-def _simulated(twin: SimulatedBench, baud: int, station: Station) -> Callable[[], BytePort]:
-    line = SimulatedLine(twin.clock, baud, station)
+def _simulated(twin: SimulatedBench, device: str, baud: int, station: Station) -> Callable[[], BytePort]:
+    line = twin.lines[device] = SimulatedLine(twin.clock, baud, station)
     return lambda: line

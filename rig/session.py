@@ -26,7 +26,7 @@ from rig.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT, PartRecord, Ru
 from rig.scale import Scale
 from rig.sequence import Sequence
 from rig.sequencer import Ending, Outcome, Sequencer
-from rig.serial_bus import NO_WATCHDOG
+from rig.serial_bus import GUARDED, NO_WATCHDOG
 
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
@@ -121,11 +121,14 @@ def execute(
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
     if not devices.link.has_watchdog:
-        operator.tell(NO_WATCHDOG)
-        if NO_WATCHDOG not in record.warnings:
-            record.warnings.append(NO_WATCHDOG)
+        words = NO_WATCHDOG if devices.guard is None else GUARDED
+        operator.tell(words)
+        if words not in record.warnings:
+            record.warnings.append(words)
     folder = RunFolder(path, record)
     folder.save()
+    if devices.guard is not None:
+        devices.guard.record_in(path)
     recorder = start_recording(folder.recording)
     outcome = None
     try:

@@ -21,26 +21,38 @@ class SafeState:
         verified: Whether 6041h was read and shows a de-energised state.
         state: That state in words, or ``unknown``.
         problems: What went wrong on the way.
+        watched: Whether the drive takes its power off by itself once nobody commands it.
     """
 
     verified: bool
     state: str
     problems: tuple[str, ...] = ()
+    watched: bool = True
 
     @property
     def message(self) -> str:
         """One sentence for the operator."""
         if self.verified:
             return f"the drive is de-energised (read back: {self.state})"
+        by_itself = (
+            "its own heartbeat watch takes the power off; switch the main supply off before approaching the bench"
+            if self.watched
+            else "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main supply off now"
+        )
         return (
             "it could NOT be verified that the drive is de-energised "
-            f"(state {self.state}; {'; '.join(self.problems)}); "
-            "its own heartbeat watch takes the power off; switch the main supply off before approaching the bench"
+            f"(state {self.state}; {'; '.join(self.problems)}); {by_itself}"
         )
 
 
 def make_safe(
-    servo: Servo, watch: Callable[[], None], cycle_ns: int, *, brake: bool, hurry: Callable[[], bool]
+    servo: Servo,
+    watch: Callable[[], None],
+    cycle_ns: int,
+    *,
+    brake: bool,
+    hurry: Callable[[], bool],
+    watched: bool = True,
 ) -> SafeState:
     """Brake if asked to, take the power off and read the state back. Never raises a device error.
 
@@ -53,6 +65,7 @@ def make_safe(
         cycle_ns: Control cycle, ns.
         brake: Start with a quick stop: after anything but an orderly end.
         hurry: Whether the operator asks again: then the power goes off without waiting for the end of the ramp.
+        watched: Whether the drive takes its power off by itself once nobody commands it.
     """
     problems: list[str] = []
     if brake:
@@ -62,8 +75,8 @@ def make_safe(
         _attempt(servo.disable, problems)
     state = _state(servo, problems)
     if state is None:
-        return SafeState(False, "unknown", tuple(problems))
-    return SafeState(not state.energised, state.value, tuple(problems))
+        return SafeState(False, "unknown", tuple(problems), watched)
+    return SafeState(not state.energised, state.value, tuple(problems), watched)
 
 
 def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]) -> None:

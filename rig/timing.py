@@ -90,8 +90,8 @@ class Timing:
 def summary(timing: Mapping[str, Any]) -> str:
     """Return one line for the terminal, from a record."""
     late, answer = timing["lateness"], timing["answer"]
-    if late["p99_us"] is None:
-        return "no cycle was run"
+    if late["p99_us"] is None or answer["p99_us"] is None:
+        return "no cycle was completed"
     return (
         f"lateness p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer p99 {answer['p99_us']:.0f} us; "
         f"{timing['missed_syncs']} SYNCs missed, samples lost: {timing['lost_servo']} drive, "

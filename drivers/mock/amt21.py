@@ -26,6 +26,8 @@ class SimulatedAmt21:
         distort: What a faulty sensor makes of its counts; None for a good one.
     """
 
+    counts_per_turn: Final = COUNTS_PER_TURN
+
     def __init__(self, clock: SimulatedClock, sampler: Sampler, address: int = DEFAULT_ADDRESS) -> None:
         self.distort: Callable[[int], int] | None = None
         self._clock = clock

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -14,6 +14,7 @@ from drivers.mock.encoder import SimulatedEncoder
 from drivers.mock.plant import constants
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.sampler import Sampler
+from drivers.mock.serial_line import SimulatedLine
 
 DRIVE_NODE: Final = 1
 ENCODER_NODE: Final = 2
@@ -21,7 +22,10 @@ ENCODER_NODE: Final = 2
 
 @dataclass(frozen=True)
 class SimulatedBench:
-    """The parts of one simulated bench."""
+    """The parts of one simulated bench.
+
+    ``lines`` are the serial lines of ``drive`` and ``encoder``, where it has any.
+    """
 
     clock: SimulatedClock
     bus: SimulatedBus
@@ -29,6 +33,7 @@ class SimulatedBench:
     drive: SimulatedDrive
     encoder: SimulatedEncoder
     sampler: Sampler
+    lines: dict[str, SimulatedLine] = field(default_factory=dict)
 
 
 def simulated_bench(

@@ -101,11 +101,19 @@ class DbcDrive:
         state: Where it is.
         fault_code: Why it is in fault; 0 if it is not.
         limits: What it holds, as in ``DRV_Limits``.
+        entered: Told every state as it is entered, in the instant of the change.
+        deaf_to: Orders that it ignores.
+        locked: Whether it keeps its limits, whatever it is told.
+        counting: Whether its life counters go on.
     """
 
     def __init__(self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler, clock_offset_us: int = 0) -> None:
         self.state = State.OFF
         self.fault_code = 0
+        self.entered: list[Callable[[State], None]] = []
+        self.deaf_to: frozenset[Order] = frozenset()
+        self.locked = False
+        self.counting = True
         self._clock = clock
         self._clock_offset_us = clock_offset_us
         self._sampler = sampler
@@ -137,6 +145,14 @@ class DbcDrive:
         self._tell_when_idle()
         self._tell_status()
         self._tell_info()
+
+    def restart(self) -> None:
+        """Begin anew, as after a dip of its supply."""
+        self._enter(State.OFF)
+        self.fault_code = 0
+        self._order, self._heard_life = Order.OFF, -1
+        self._life = dict.fromkeys(self._life, 0)
+        self._take_limits(COMMISSIONED)
 
     def fail(self, code: int) -> None:
         """Go into fault for an internal reason."""
@@ -180,7 +196,7 @@ class DbcDrive:
         self._tell()
 
     def _on_limits(self, data: bytes) -> None:
-        if len(data) == 8 and self.state not in POWERED:
+        if len(data) == 8 and self.state not in POWERED and not self.locked:
             self._take_limits(data)
         self._port.send(LIMITS_HELD, self.limits)
 
@@ -195,7 +211,7 @@ class DbcDrive:
 
     def _obey(self, order: Order) -> None:
         first, self._order = order is not self._order, order
-        following = TRANSITIONS.get((self.state, order))
+        following = None if order in self.deaf_to else TRANSITIONS.get((self.state, order))
         if following is None or (order is Order.RESET and not first):
             return
         if order is Order.RESET:
@@ -208,6 +224,8 @@ class DbcDrive:
         now = self._clock.now_ns()
         self._sampler.advance(now)
         was, self.state = self.state, state
+        for told in self.entered:
+            told(state)
         if was is State.OFF:
             self._watchdog.start(now + WATCHDOG_NS)
         if state is State.RUN:
@@ -298,7 +316,7 @@ class DbcDrive:
         self._port.send(LIMITS_HELD, self.limits)
 
     def _next_life(self, message: int) -> int:
-        self._life[message] = life = self._life[message] + 1 & 0x0F
+        self._life[message] = life = self._life[message] + self.counting & 0x0F
         return life
 
 

@@ -45,6 +45,11 @@ class SimulatedEncoder(SimulatedNode):
         self.objects.written[0x6003] = lambda _sub, value: self._preset(value)
         self.restore()
 
+    @property
+    def counts_per_turn(self) -> int:
+        """Joint counts of one turn, as :attr:`distort` sees them."""
+        return self._resolution
+
     def restore(self) -> None:
         """Put resolution and range of this machine's encoder into the dictionary."""
         values = self._values

@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from drivers.mock.dictionary import key
 from drivers.mock.drive import SimulatedDrive
-from drivers.mock.encoder import SimulatedEncoder
 
 _MODE_DISPLAY = key(0x6061)
 
 
-def flip_bit(encoder: SimulatedEncoder, bit: int, count: int) -> None:
+class Sensor(Protocol):
+    """A simulated encoder of any kind; ``distort`` is what a fault makes of its counts, None for a good one."""
+
+    distort: Callable[[int], int] | None
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Counts of one turn, as ``distort`` sees them."""
+        ...
+
+
+def flip_bit(encoder: Sensor, bit: int, count: int) -> None:
     """Invert one bit of the position in the next ``count`` readings (0: in all)."""
     left = count or None
 
@@ -26,12 +37,12 @@ def flip_bit(encoder: SimulatedEncoder, bit: int, count: int) -> None:
     encoder.distort = distort
 
 
-def jump(encoder: SimulatedEncoder, by_counts: int) -> None:
+def jump(encoder: Sensor, by_counts: int) -> None:
     """Shift the position for good, as after a lost reference or a slipped coupling."""
     encoder.distort = lambda counts: counts + by_counts
 
 
-def freeze(encoder: SimulatedEncoder) -> None:
+def freeze(encoder: Sensor) -> None:
     """Hold the position at its next reading, while time stamps go on."""
     held: int | None = None
 
@@ -43,7 +54,7 @@ def freeze(encoder: SimulatedEncoder) -> None:
     encoder.distort = distort
 
 
-def reverse(encoder: SimulatedEncoder) -> None:
+def reverse(encoder: Sensor) -> None:
     """Count the other way from zero, as with two wires swapped."""
     encoder.distort = _negated
 

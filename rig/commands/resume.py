@@ -80,7 +80,7 @@ def command(
     )
     plan = make_plan(resumed.sequence, resumed.bench, True if first_pass is None and identification else first_pass)
     with connect(resumed.bench, seed, record.realtime) as devices, StopButton() as stop:
-        operator = AutomaticOperator() if yes else ConsoleOperator()
+        operator = AutomaticOperator() if yes else ConsoleOperator(resumed.bench.value.prompt_timeout_s)
         with RunProgress(plan.cycle_s, plan.duration_s) as progress:
             try:
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress, record=record)

@@ -54,6 +54,12 @@ from rig.session import Inputs, execute
 @click.option(
     "--reset-fault", is_flag=True, help="Clear a fault that the drive is in; its cause must be removed first."
 )
+@click.option(
+    "--prompt-timeout",
+    "prompt_timeout_s",
+    type=click.FloatRange(min=0, min_open=True),
+    help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of the bench file]",
+)
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
 def command(
     sequence: str,
@@ -68,6 +74,7 @@ def command(
     identification: Path | None,
     first_pass: bool | None,
     reset_fault: bool,
+    prompt_timeout_s: float | None,
     json_file: Path | None,
 ) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
@@ -96,13 +103,14 @@ def command(
     constants = bench_constants(bench_file.value)
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault)
-    saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file)
+    patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
+    saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
     with (
         connect(bench_file, seed, realtime, None if saboteur is None else saboteur.attach) as devices,
         StopButton() as stop,
     ):
         create_folder(path)
-        operator = AutomaticOperator() if yes else ConsoleOperator()
+        operator = AutomaticOperator() if yes else ConsoleOperator(patience_s)
         carry_out = execute if saboteur is None else saboteur.execute
         with RunProgress(plan.cycle_s, plan.duration_s) as progress:
             try:

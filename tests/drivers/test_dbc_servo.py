@@ -9,7 +9,7 @@ import pytest
 from drivers.dbc_map import LimitMap, Protection, Quantity
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
-from drivers.mock.dbc_drive import COMMAND_LOST, FIRMWARE, POWERED, SERIAL_NUMBER, Order, State
+from drivers.mock.dbc_drive import COMMAND_LOST, COMMISSIONED, FIRMWARE, POWERED, SERIAL_NUMBER, Order, State
 
 from .dbc_host import DRIVE, HELD, MAP, DbcHost, enabled, make_dbc_host, prepared
 
@@ -306,3 +306,21 @@ def test_an_energised_drive_is_not_prepared(host: DbcHost) -> None:
     enabled(host)
     with pytest.raises(StateError, match="'operation enabled': disable it before"):
         host.servo.prepare(host.cycle_s)
+
+
+def test_limits_that_a_restart_took_away_are_missed(host: DbcHost) -> None:
+    host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
+    enabled(host)
+    host.cycles(300)
+    host.bench.drive.limits = COMMISSIONED
+    with pytest.raises(StateError, match=r"no longer holds the limits written into it .*speed.* restarted"):
+        host.cycles(300)
+    # Told once, so that the drive can be stopped.
+    host.cycles(300)
+    host.servo.disable()
+
+
+def test_limits_may_be_written_again(host: DbcHost) -> None:
+    host.servo.write_limits(replace(HELD, speed_rad_s=1.0))
+    host.servo.write_limits(replace(HELD, speed_rad_s=0.5))
+    enabled(host).cycles(300)

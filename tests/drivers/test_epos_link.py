@@ -319,3 +319,28 @@ def test_a_closed_line_is_a_link_error(host: SerialHost) -> None:
     host.line.close()
     with pytest.raises(LinkError, match="is gone: the simulated line is closed"):
         host.epos.exchange()
+
+
+@pytest.mark.parametrize(
+    ("verb", "state"), [("quick_stop", State.QUICK_STOP_ACTIVE), ("disable", State.SWITCH_ON_DISABLED)]
+)
+def test_a_stop_is_said_even_where_nobody_is_heard(host: SerialHost, verb: str, state: State) -> None:
+    enabled(host).cycles(5)
+    host.line.filters.append(lambda _now, data, from_host: data if from_host else b"")
+    host.cycles(1)
+    entered: list[State] = []
+    host.bench.drive.entered.append(entered.append)
+    with pytest.raises(LinkError, match="no good answer"):
+        getattr(host.servo, verb)()
+    assert entered[0] is state
+
+
+def test_nothing_else_is_said_where_nobody_is_heard(host: SerialHost) -> None:
+    prepared(host)
+    heard: list[bytes] = []
+    host.line.filters.append(lambda _now, data, from_host: b"" if not from_host else heard.append(data) or data)
+    with pytest.raises(LinkError, match="no good answer"):
+        host.drive.write(*CONTROLWORD, 0x0F)
+    assert heard
+    frames = [frame for data in heard for frame in FrameDecoder().feed(data)]
+    assert [frame.opcode for frame in frames].count(Opcode.WRITE_OBJECT) <= 1

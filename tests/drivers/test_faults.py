@@ -7,12 +7,15 @@ import math
 import pytest
 
 from drivers.clock import SimulatedClock
+from drivers.epos_serial import ERROR, FrameDecoder, Opcode, encode
 from drivers.errors import DriveFault, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import ServoState
 from drivers.mock import sensor_faults
 from drivers.mock.bus import SimulatedBus
-from drivers.mock.faults import FOR_GOOD, WireFaults
+from drivers.mock.faults import FOR_GOOD, GENERAL_ERROR, WireFaults
+from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import POWERED, State
+from drivers.mock.serial_line import SimulatedLine
 from drivers.mock.stepped_clock import SteppedClock
 
 from .host import Host, enabled, prepared
@@ -228,3 +231,82 @@ def test_a_frame_of_the_wrong_length_updates_nothing_and_raises_nothing(
     assert not host.link.pump(lambda: False, 0.0005)
     assert [slot.values for slot in host.drive.inputs.values()] == before
     host.cycles(3)
+
+
+class Line:
+    """A serial line with an station that answers every request."""
+
+    def __init__(self) -> None:
+        self.clock = SimulatedClock()
+        self.heard: list[tuple[float, bytes]] = []
+        self.line = SimulatedLine(self.clock, 1_000_000, self)
+        self.faults = LineFaults(self.line, self.clock)
+
+    def receive(self, data: bytes) -> bytes:
+        if data:
+            self.heard.append((round(self.clock.now_ns() * 1e-9, 6), data))
+        return ANSWER if data else b""
+
+    def ask(self, *requests: bytes) -> list[bytes]:
+        answers = []
+        for request in requests:
+            self.line.write(request)
+            self.clock.sleep_until_ns(self.clock.now_ns() + 1_000_000)
+            answers.append(self.line.read(0.0))
+        return answers
+
+
+ANSWER = encode(Opcode.ANSWER, ERROR.pack(0) + b"\x11\x22\x33\x44")
+
+
+def test_messages_of_a_line_are_lost_one_way_or_both() -> None:
+    line = Line()
+    line.faults.lose(True, 1)
+    line.faults.lose(False, 1)
+    assert line.ask(b"ab", b"cd", b"ef") == [b"", b"", ANSWER]
+    assert [data for _, data in line.heard] == [b"cd", b"ef"]
+
+
+def test_a_spoiled_answer_is_dropped_by_the_decoder_and_the_next_is_found() -> None:
+    line = Line()
+    line.faults.flip(False, 1, 37)
+    line.faults.drop_byte(False, 1, 5)
+    line.faults.break_stuffing(False, 1)
+    decoder = FrameDecoder()
+    found = [decoder.feed(answer) for answer in line.ask(b"1", b"2", b"3", b"4")]
+    assert [len(frames) for frames in found] == [0, 0, 0, 1]
+    assert decoder.bad == 3
+
+
+def test_short_messages_are_spoiled_at_their_end() -> None:
+    line = Line()
+    line.faults.drop_byte(True, 1, 5)
+    line.faults.flip(True, 1, 100)
+    line.ask(b"ab", b"ab")
+    assert [data for _, data in line.heard] == [b"a", bytes([ord("a"), ord("b") ^ 0x10])]
+
+
+def test_what_is_late_on_a_line_holds_up_what_is_behind_it() -> None:
+    line = Line()
+    line.faults.delay(True, 1, 0.005)
+    line.ask(b"1", b"2")
+    line.clock.sleep_until_ns(10_000_000)
+    assert line.heard == [(0.00501, b"1"), (0.00501, b"2")]
+
+
+def test_a_repeated_request_is_heard_twice_and_a_refused_one_never() -> None:
+    line = Line()
+    line.faults.repeat(True, 1)
+    line.faults.refuse(1)
+    _, refusal = line.ask(b"1", b"2")
+    assert [data for _, data in line.heard] == [b"11"]
+    (frame,) = FrameDecoder().feed(refusal)
+    assert ERROR.unpack_from(frame.data) == (GENERAL_ERROR,)
+
+
+@pytest.mark.parametrize(("for_s", "heard"), [(0.0015, [b"3"]), (None, [])])
+def test_a_line_is_cut_for_a_time_or_for_good(for_s: float | None, heard: list[bytes]) -> None:
+    line = Line()
+    line.faults.cut(for_s)
+    line.ask(b"1", b"2", b"3")
+    assert [data for _, data in line.heard] == heard

@@ -24,13 +24,17 @@ ROOT = Path(__file__).resolve().parents[2]
 TARGETS: Mapping[str, tuple[str, ...]] = {
     "drivers.cia402": ("tests/drivers/test_cia402.py",),
     "rig.safety": ("tests/rig/test_safety.py",),
+    "rig.drive_limits": ("tests/rig/test_drive_limits.py",),
 }
 """Module to the tests that guard it."""
 
 _NO_SUCH_STATE = "no state has all of bits 0 to 3, 5 and 6 set, so that the last number looked at decides nothing"
+_OUTSIDE = "asked only of a value outside its limits, which cannot be equal to one of them"
 ARGUED: Mapping[tuple[str, str], str] = {
     ("drivers.cia402", "112 -> 111"): _NO_SUCH_STATE,
     ("drivers.cia402", "112 -> 113"): _NO_SUCH_STATE,
+    ("rig.safety", "angle < limits.angle_min -> angle <= limits.angle_min"): _OUTSIDE,
+    ("rig.safety", "supply < limits.supply_min -> supply <= limits.supply_min"): _OUTSIDE,
 }
 """Living mutants that change nothing: (module, description) to why. See docs/faults.md."""
 

@@ -12,13 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rig.bench import load_bench
 from rig.cli import status
 from rig.errors import InputError
 from rig.faults import FAULTS, FaultRow, load_faults
-from rig.inject import _ACTIONS
+from rig.inject import ACTIONS
 from rig.mcap_reader import read_run
 from rig.packaged import resolve
 from rig.run import read_record
+from rig.scene import ACTIONS as BENCH_ACTIONS
+from rig.scene import impossible
 
 from ..long import fault_matrix, fuzz
 
@@ -71,7 +74,10 @@ def test_yaml_and_csv_say_the_same() -> None:
         ("phase: hold, target: bus, fault: lots", "'bus' has no fault 'lots'; did you mean 'lost'"),
         ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
         ("phase: hold, target: encoder, fault: bit, value: 1.5", "takes a whole number (bit), found 1.5"),
-        ("phase: hold, target: drive, fault: fault, frames: {device: drive}", "'frames' is for faults of the bus"),
+        (
+            "phase: hold, target: drive, fault: fault, frames: {device: drive}",
+            "'frames' is for faults of a bus or line",
+        ),
         ("phase: hold, target: bus, fault: lost, frames: {function: motoin}", "did you mean 'motion'"),
         ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "not a regular expression"),
         ("phase: never, target: bus, fault: lost", "phase: input should be 'prompt'"),
@@ -114,9 +120,47 @@ def test_a_schedule_that_is_not_there() -> None:
 
 
 def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None:
-    assert set(_ACTIONS) == set(FAULTS)
-    used = {(row["target"], row["fault"]) for case in fault_matrix.CASES.values() for row in case.rows}
+    assert set(ACTIONS) | set(BENCH_ACTIONS) == set(FAULTS)
+    assert not set(ACTIONS) & set(BENCH_ACTIONS)
+    used: set[tuple[str, str]] = set()
+    for transport in fault_matrix.TRANSPORTS.values():
+        rows = [FaultRow(phase="hold", **row) for case in transport.cases.values() for row in case.rows]
+        used |= {(row.target, row.fault) for row in rows}
+        bench = load_bench(transport.bench).value
+        possible = {
+            fault
+            for fault in FAULTS
+            if impossible(
+                FaultRow(phase="hold", target=fault[0], fault=fault[1], value=2 if FAULTS[fault].unit else None), bench
+            )
+            is None
+        }
+        assert {(row.target, row.fault) for row in rows} == possible
     assert used == set(FAULTS)
+
+
+@pytest.mark.parametrize(
+    ("bench", "row", "words"),
+    [
+        ("practical", "phase: hold, target: line, fault: cut", "this bench has no line; it has bus"),
+        ("practical_serial", "phase: hold, target: bus, fault: lost", "has no bus; it has line and encoder_line"),
+        ("practical_serial", "phase: hold, target: drive, fault: emcy", "is for CANopen drives on CAN"),
+        ("practical", "phase: hold, target: drive, fault: counter_stuck", "is for drives of kind dbc"),
+        ("practical_dbc", "phase: hold, target: drive, fault: quick_stop_option", "has no 605Ah"),
+        ("practical_dbc", "phase: hold, target: drive, fault: fault", "go up to FFh; give a lower value (got 29472)"),
+        ("practical_dbc", "state: switched_on, target: bus, fault: lost", "no state switched_on"),
+    ],
+)
+def test_a_fault_that_a_bench_cannot_have_is_refused(
+    bench: str, row: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
+    path = schedule("phase: hold, target: operator, fault: stop", row)
+    assert status(["run", "sequence.yaml", "--bench", bench, "--yes", "--out", "out", "--faults", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert f"{path}:4:" in told
+    assert words in told
+    assert not Path("out").exists()
 
 
 def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> None:
@@ -169,6 +213,16 @@ def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "without an answer" in read_record(Path("out")).message
 
 
+def test_a_prompt_that_nobody_answers_in_time() -> None:
+    code, (finding,) = run(
+        "phase: prompt, target: operator, fault: unanswered, value: 3600", options=("--yes", "--prompt-timeout", "60")
+    )
+    assert (code, finding["off_after_s"]) == (3, 0.0)
+    record = read_record(Path("out"))
+    assert "nobody answered the prompt within 60 s" in record.message
+    assert record.de_energised
+
+
 def test_a_step_of_the_wall_clock_does_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     assert status(["run", "sequence.yaml", "--yes", "--out", "calm"]) == 0
@@ -190,9 +244,13 @@ def test_reduced_matrix(line: str, name: str, phase: str, tmp_path: Path) -> Non
     assert fault_matrix.run_case(transport.cases[name], phase, transport.bench, tmp_path / "case").problems == ()
 
 
-@pytest.mark.parametrize("state", fault_matrix.STATES)
-def test_a_drive_fault_in_every_state(state: str, tmp_path: Path) -> None:
-    assert fault_matrix.run_rows(*fault_matrix.state_rows(state), "practical", tmp_path / "case").problems == ()
+@pytest.mark.parametrize(
+    ("line", "state"), [(line, state) for line, t in fault_matrix.TRANSPORTS.items() for state in t.states]
+)
+def test_a_drive_fault_in_every_state(line: str, state: str, tmp_path: Path) -> None:
+    transport = fault_matrix.TRANSPORTS[line]
+    rows, must = fault_matrix.state_rows(state, transport)
+    assert fault_matrix.run_rows(rows, must, transport.bench, tmp_path / "case").problems == ()
 
 
 def test_the_printed_matrix_is_whole() -> None:

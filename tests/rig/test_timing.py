@@ -38,7 +38,13 @@ def test_a_share_is_never_beyond_the_worst() -> None:
 
 def test_nothing_counted() -> None:
     assert Histogram().share_within_us(0.5) is None
-    assert summary(Timing().record()) == "no cycle was run"
+    assert summary(Timing().record()) == "no cycle was completed"
+
+
+def test_a_first_cycle_that_failed_is_no_cycle() -> None:
+    timing = Timing()
+    timing.lateness.note(130_000)
+    assert summary(timing.record()) == "no cycle was completed"
 
 
 def test_a_summary_states_every_loss() -> None:

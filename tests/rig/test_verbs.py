@@ -200,3 +200,33 @@ def test_ctrl_c_during_the_reading_back_changes_nothing(runner: Any, fake_bench:
     assert outcome.ending is Ending.TRIPPED
     assert outcome.safe.verified
     assert read_record(folder.path).de_energised is True
+
+
+def test_a_prompt_that_nobody_answers_in_time_ends_the_run(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timers: list[float] = []
+
+    def nobody(prompt: str = "") -> str:
+        signal.raise_signal(signal.SIGALRM)
+        raise AssertionError("the alarm was not heard")
+
+    monkeypatch.setattr(signal, "setitimer", lambda _which, seconds: timers.append(seconds))
+    monkeypatch.setattr("click.termui.visible_prompt_func", nobody)
+    before = signal.getsignal(signal.SIGALRM)
+    bench = fake_bench()
+    _, outcome = runner(bench, ConsoleOperator(600.0))
+    assert outcome.ending is Ending.STOPPED
+    assert "nobody answered the prompt within 600 s; `rig resume` goes on" in outcome.message
+    assert outcome.safe.verified
+    assert bench.calls["enable"] == 0
+    assert timers == [600.0, 0.0]
+    assert signal.getsignal(signal.SIGALRM) is before
+
+
+def test_an_answer_in_time_stops_the_alarm(monkeypatch: pytest.MonkeyPatch) -> None:
+    timers: list[float] = []
+    monkeypatch.setattr(signal, "setitimer", lambda _which, seconds: timers.append(seconds))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("3\n5\n"))
+    assert ConsoleOperator(600.0).confirm_weight("heavy", 5.0) == 5.0
+    assert timers == [600.0, 0.0, 600.0, 0.0]
