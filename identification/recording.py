@@ -82,6 +82,15 @@ class Pendulum:
     length: float
     zero: float = 0.0
 
+    @property
+    def inertia(self) -> float:
+        """Inertia m l^2 about the joint, kg m^2."""
+        return self.mass * self.length**2
+
+    def torque(self, angle: Array, gravity: float) -> Array:
+        """Return the weight's torque on the joint at ``angle``, N m, with ``gravity`` in m/s^2."""
+        return np.asarray(-self.mass * gravity * self.length * np.sin(angle - self.zero))
+
 
 @dataclass(frozen=True)
 class Model:
@@ -91,11 +100,13 @@ class Model:
         terms: Declared physics of the bench by catalogue name, or ``offset``; fitted, never "found".
         fixed: Parameter name to value, not fitted.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
+        friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
     """
 
     terms: tuple[str, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     alpha: float = 2.0
+    friction: str = "stribeck"
 
 
 @dataclass(frozen=True)
