@@ -21,6 +21,7 @@ CHANNELS: Mapping[str, str] = {
     "angle": "rad",
     "velocity": "rad/s",
     "command": "rad",
+    "feedforward": "1",
     "load_force": "N",
     "temperature": "deg C",
     "pressure": "Pa",
@@ -29,7 +30,7 @@ CHANNELS: Mapping[str, str] = {
 """Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N).
 
 ``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear; ``motor_angle``, ``current`` and
-``voltage`` at the motor.
+``voltage`` at the motor; ``feedforward`` is added to the controller's output, in its unit.
 """
 
 
@@ -93,6 +94,23 @@ class Pendulum:
 
 
 @dataclass(frozen=True)
+class Controller:
+    """The position loop a recording was made in: output = clip(kp (command - angle) - kv velocity, limit).
+
+    Attributes:
+        output: ``duty`` (share of the supply voltage), ``voltage`` (V at the motor) or ``torque`` (N m at the joint).
+        position_gain: kp, output per rad.
+        velocity_gain: kv, output per rad/s.
+        limit: Greatest magnitude of the output; None where nothing limits it.
+    """
+
+    output: Literal["duty", "voltage", "torque"]
+    position_gain: float
+    velocity_gain: float = 0.0
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
 class Model:
     """What is fitted beyond, or held out of, the nominal nine parameters.
 
@@ -121,6 +139,7 @@ class Recording:
         stage: ``unloaded`` or ``loaded``.
         weight_mass: m_w on the lever, kg.
         pendulum: A weight that turns with the joint, or None.
+        controller: The loop it was made in, where that is known; only simulations need it.
         role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
         averaged: Channels whose samples are means over the period that ends at their time.
         source: File the samples came from.
@@ -134,6 +153,7 @@ class Recording:
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: float = 0.0
     pendulum: Pendulum | None = None
+    controller: Controller | None = None
     role: Literal["fit", "validate"] = "fit"
     averaged: frozenset[str] = frozenset()
     source: str = ""

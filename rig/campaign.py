@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, field_validator, mode
 
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.ladder import LADDER, NOMINAL, bears_load, rises
-from identification.recording import CHANNELS, Bench, Model, Pendulum
+from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
 from rig.catalogue import EFFECTS
 from rig.configuration import Document, Loc, Schema, load_located, nearest
 from rig.yaml_tree import Node
@@ -136,6 +136,26 @@ class GravitySection(Schema):
         return Pendulum(self.mass, self.length, self.zero)
 
 
+class ControllerSection(Schema):
+    """The position loop: output = clip(position_gain (command - angle) - velocity_gain velocity, limit).
+
+    Attributes:
+        output: ``duty`` of the supply voltage, ``voltage`` at the motor (V), or ``torque`` at the joint (N m, N).
+        position_gain: Output per rad (m).
+        velocity_gain: Output per rad/s (m/s).
+        limit: Greatest magnitude of the output.
+    """
+
+    output: Literal["duty", "voltage", "torque"]
+    position_gain: PositiveFloat
+    velocity_gain: Annotated[float, Field(ge=0.0)] = 0.0
+    limit: PositiveFloat | None = None
+
+    def controller(self) -> Controller:
+        """Return the record the numerics use."""
+        return Controller(**self.model_dump())
+
+
 class ReadSection(Schema):
     """How to read a delimited text file; other formats need nothing.
 
@@ -184,6 +204,7 @@ class RecordingSection(Schema):
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
     gravity: GravitySection | None = None
+    controller: ControllerSection | None = None
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
@@ -246,7 +267,7 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if bears_load(campaign.model.rung) and not any(r.gravity and r.role == "fit" for r in campaign.recordings):
         yield (
             ("model",),
-            f"friction {campaign.model.rung} grows with the torque of a pendulum, and no recording to fit has `gravity`",
+            f"friction {campaign.model.rung} grows with a pendulum's torque, and no recording to fit has `gravity`",
         )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):

@@ -223,8 +223,8 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
         raise RecordingError(
-            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded recording to fit has one; "
-            "declare its `gravity`, or another friction"
+            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded recording to fit has "
+            "one; declare its `gravity`, or another friction"
         )
     gear = [{"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")]
     others = ("sigma_2", "J", *gear, *(("offset",) if "offset" in model.terms else ()))
