@@ -261,10 +261,12 @@ def _motion(recording: Recording, grid: Array, rate: float, cutoff: float) -> tu
             return series, central_difference(series, 1.0 / rate), still
     elif "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
-    velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
+    raw = resample(recording.time, recording.channels["velocity"], grid)
+    velocity = smooth(raw, rate, cutoff)
     if position is None:
         series = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-        still = np.asarray(velocity == 0.0)
+        # Within one step of the channel, rest and motion look alike.
+        still = np.asarray(np.abs(raw) <= 1.01 * quantum(recording.channels["velocity"]))
     return series, velocity, still
 
 

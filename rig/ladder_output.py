@@ -47,8 +47,8 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     first = rungs[0]
     where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
     lines = [
-        f"Torque errors at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are over recordings, drawn anew for "
-        "fit and score.",
+        f"Torque errors at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are over recordings, drawn anew "
+        "for fit and score.",
         f"Best in: share of the draws in which a rung has the least torque error on {where}.",
     ]
     if first.angle is not None:

@@ -23,8 +23,8 @@ SAME = 2e-3
 """Greatest difference of inputs that count as equal, over their range."""
 LEAST_CORRELATION = 0.95
 """Autocorrelation of the command near its period."""
-NEAR, ROWS = 0.03, 2000
-"""Lags tried around that of the greatest autocorrelation, as a share of it; samples compared at each."""
+NEAR, ROWS = 0.05, 2000
+"""Lags tried around that of the first great autocorrelation, as a share of it; samples compared at each."""
 NEIGHBOURS = 0.02
 """Inputs must be equal for this share of the period, or of a repeat, on either side of a sample."""
 LEAST_SAMPLES = 100
@@ -95,10 +95,12 @@ def command_period(recording: Recording) -> float | None:
     away = np.flatnonzero(correlation < 0.5)
     if away.size == 0:
         return None
-    best = int(away[0] + np.argmax(correlation[away[0] :]))
-    if correlation[best] < LEAST_CORRELATION:
+    peak = float(np.max(correlation[away[0] :]))
+    if peak < LEAST_CORRELATION:
         return None
-    return _sharpened(series, best) * recording.period
+    # Whole multiples of the period reach the same peak: the first counts.
+    first = int(away[0] + np.argmax(correlation[away[0] :] > peak - 0.005))
+    return _sharpened(series, first) * recording.period
 
 
 def _sharpened(series: Array, lag: int) -> int:

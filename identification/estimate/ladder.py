@@ -7,32 +7,25 @@ Bootstrap, ch. 8). Samples within a recording hang together far too much to coun
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from identification.estimate.assemble import fit_of
 from identification.estimate.default import identify
-from identification.estimate.regression import Stage, unloaded_stage
+from identification.estimate.redraw import Indices, Redraw, Score
 from identification.estimate.result import Identification
 from identification.estimate.uncertainty import CONFIDENCE
-from identification.estimate.varpro import GRID, Design, bounded_least_squares
 from identification.model.ladder import LADDER, bears_load
-from identification.prepare import Prepared, prepare
-from identification.recording import Array, Dataset, Model, Recording, RecordingError
+from identification.prepare import Prepared, default_bandwidth, prepare
+from identification.recording import Dataset, RecordingError
 from identification.simulate.closed_loop import replay
-from identification.simulate.score import Sums, compare, pooled
+from identification.simulate.score import compare, pooled
 
 REPLICATES = 100
 """Draws of the bootstrap."""
-STEP_S = 1e-3
-"""Integration step within the bootstrap: it costs 0.04 mrad rms on errors of 20 mrad and more."""
 
 Progress = Callable[[str, float], None]
-Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -89,118 +82,57 @@ def climb(
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
         raise RecordingError(f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out")
-    fitted = dataset.part("fit")
-    hanging = any(r.pendulum is not None for r in fitted)
-    names = [name for name in LADDER if hanging or not bears_load(name)]
-    scored = dataset.part("validate") or fitted
-    simulated = all(r.controller is not None and "command" in r.channels for r in scored)
+    to_fit = dataset.part("fit")
+    to_score = dataset.part("validate") or to_fit
+    if not to_fit:
+        raise RecordingError("no recording has role 'fit'; at least one is needed")
+    if bandwidth_Hz is None:
+        bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
+    fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
+    simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
     draws = [(_draw(rng, len(fitted)), _draw(rng, len(scored))) for _ in range(replicates)]
-    results, errors, angles = [], [], []
+    hanging = any(r.pendulum is not None for r in to_fit)
+    names = [name for name in LADDER if hanging or not bears_load(name)]
+    results: list[Identification] = []
+    found: list[list[Score]] = []
     for k, name in enumerate(names):
-        tell(f"{name}: fit", k / len(names))
         model = replace(dataset.model, friction=name)
-        result = identify(replace(dataset, model=model), bandwidth_Hz=bandwidth_Hz)
-        bandwidth_Hz = result.fit.bandwidth_Hz
-        done = (k / len(names), 1.0 / len(names))
-        replica = _Replica(model, fitted, scored, bandwidth_Hz, simulated)
-        pairs = []
-        for n, (to_fit, to_score) in enumerate(draws):
-            tell(f"{name}: draw {n + 1} of {replicates}", done[0] + done[1] * n / replicates)
-            pairs.append(replica(to_fit, to_score))
-        results.append(result)
-        errors.append([(train, score) for train, score, _ in pairs])
-        angles.append([angle for _, _, angle in pairs if angle is not None])
-    spread = np.array(errors)  # rung, draw, (train, scored)
-    winners = np.argmin(spread[:, :, 1], axis=0)
-    rungs = []
-    for k, (name, result) in enumerate(zip(names, results, strict=True)):
-        fit = result.fit
-        angle = None
-        if simulated:
-            value = pooled(_simulate(p, result.fitted, result.alpha) for p in _prepared(scored, fit.bandwidth_Hz))
-            angle = _interval(value.angle_rms, angles[k])
-        rungs.append(
-            Rung(
-                friction=name,
-                result=result,
-                train=_interval(fit.train_rms, spread[k, :, 0]),
-                scored=None if fit.validate_rms is None else _interval(fit.validate_rms, spread[k, :, 1]),
-                angle=angle,
-                best=float(np.mean(winners == k)),
-            )
-        )
+        tell(f"{name}: fit", k / len(names))
+        results.append(identify(replace(dataset, model=model), bandwidth_Hz=bandwidth_Hz))
+        redraw = Redraw(model, fitted, scored, results[-1].fitted.get("omega_sf", 1.0), simulated)
+        found.append([])
+        for n, draw in enumerate(draws):
+            tell(f"{name}: draw {n + 1} of {replicates}", (k + n / replicates) / len(names))
+            found[-1].append(redraw(*draw))
+    winners = np.argmin([[score.torque for score in scores] for scores in found], axis=0)
     tell("ladder", 1.0)
-    return tuple(rungs)
+    return tuple(
+        Rung(
+            friction=name,
+            result=result,
+            train=_interval(result.fit.train_rms, [s.train for s in scores]),
+            scored=_scored(result, scores),
+            angle=_angle(result, scored, scores) if simulated else None,
+            best=float(np.mean(winners == k)),
+        )
+        for k, (name, result, scores) in enumerate(zip(names, results, found, strict=True))
+    )
 
 
-class _Replica:
-    """Fits one rung to a draw of recordings and scores it on another draw.
-
-    Each recording is reduced once, at every trial Stribeck speed, to the triangle of its QR decomposition; a draw is
-    then fitted from the stacked triangles. The Stribeck speed is searched on the grid alone.
-    """
-
-    def __init__(
-        self,
-        model: Model,
-        fitted: Sequence[Recording],
-        scored: Sequence[Recording],
-        bandwidth_Hz: float,
-        simulated: bool,
-    ) -> None:
-        self._model = model
-        self._fitted = _prepared(fitted, bandwidth_Hz)
-        self._scored = _prepared(scored, bandwidth_Hz)
-        self._simulated = simulated
-        self._stage = unloaded_stage(self._fitted, model)
-        low, high = self._stage.speed_range()
-        self._speeds = np.geomspace(low, high, GRID) if low < high else np.array([low])
-        alone = [replace(self._stage, prepared=(p,)) for p in self._fitted]
-        self._triangles = [[_triangle(stage, float(w)) for stage in alone] for w in self._speeds]
-
-    def __call__(self, to_fit: Indices, to_score: Indices) -> tuple[float, float, float | None]:
-        """Return train and scored torque error in the fit's unit, and the angle error in rad."""
-        values = self._solve(to_fit)
-        alpha = self._model.alpha
-        train = fit_of([self._fitted[k] for k in to_fit], values, alpha).train_rms
-        score = fit_of([self._scored[k] for k in to_score], values, alpha).train_rms
-        if not self._simulated:
-            return train, score, None
-        sums: dict[int, Sums] = {}
-        for k in to_score.tolist():
-            if k not in sums:
-                sums[k] = _simulate(self._scored[k], values, alpha, STEP_S)
-        return train, score, pooled(sums[k] for k in to_score.tolist()).angle_rms
-
-    def _solve(self, drawn: Indices) -> dict[str, float]:
-        low, high = self._stage.bounds()
-        best: tuple[float, dict[str, float]] = (math.inf, {})
-        for omega_s, triangles in zip(self._speeds, self._triangles, strict=True):
-            stacked = np.concatenate([triangles[k] for k in drawn])
-            coefficients, cost = bounded_least_squares(Design(stacked[:, :-1], stacked[:, -1], low, high))
-            if cost < best[0]:
-                best = (cost, self._stage.named(float(omega_s), coefficients))
-        return best[1]
+def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:
+    value = result.fit.validate_rms
+    return None if value is None else _interval(value, [s.torque for s in scores])
 
 
-def _triangle(stage: Stage, omega_s: float) -> Array:
-    design = stage.design(omega_s)
-    return np.asarray(np.linalg.qr(np.column_stack([design.columns, design.target]), mode="r"))
-
-
-def _simulate(p: Prepared, values: Mapping[str, float], alpha: float, step: float | None = None) -> Sums:
-    response = replay(p.recording, values, alpha) if step is None else replay(p.recording, values, alpha, step)
-    return compare(p, response)
-
-
-def _prepared(recordings: Sequence[Recording], bandwidth_Hz: float) -> tuple[Prepared, ...]:
-    return tuple(prepare(r, bandwidth_Hz) for r in recordings)
+def _angle(result: Identification, prepared: Sequence[Prepared], scores: Sequence[Score]) -> Interval:
+    sums = pooled(compare(p, replay(p.recording, result.fitted, result.alpha)) for p in prepared)
+    return _interval(sums.angle_rms, [s.angle for s in scores if s.angle is not None])
 
 
 def _draw(rng: np.random.Generator, count: int) -> Indices:
     return np.asarray(rng.integers(0, count, size=count), dtype=np.int64)
 
 
-def _interval(value: float, draws: Sequence[float] | Array) -> Interval:
+def _interval(value: float, draws: Sequence[float]) -> Interval:
     low, high = np.quantile(draws, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
     return Interval(value, float(low), float(high))

@@ -127,14 +127,14 @@ class Identification:
         parameters: Name to estimate with its credentials.
         fit: Error over all recordings.
         stages: How each search went.
-        fitted: Name to the value the fit ended with, those that are not identifiable by themselves included: what a
-            simulation of the fitted model needs.
-        friction: Rung of :data:`identification.model.ladder.LADDER`.
         warnings: What to know about the result, in words.
         traces: Signals of every recording.
         fits_by_recording: Error of every recording.
         evaluations: Residual evaluations spent.
         seconds: Wall-clock time spent.
+        fitted: Name to the value the fit ended with, those that are not identifiable by themselves included: what a
+            simulation of the fitted model needs.
+        friction: Rung of :data:`identification.model.ladder.LADDER`.
     """
 
     method: str
@@ -143,13 +143,13 @@ class Identification:
     parameters: Mapping[str, Parameter]
     fit: Fit
     stages: tuple[Convergence, ...]
-    fitted: Mapping[str, float] = field(default_factory=dict)
-    friction: str = "stribeck"
     warnings: tuple[str, ...] = ()
     traces: tuple[Trace, ...] = ()
     fits_by_recording: Mapping[str, Fit] = field(default_factory=dict)
     evaluations: int = 0
     seconds: float = 0.0
+    fitted: Mapping[str, float] = field(default_factory=dict)
+    friction: str = "stribeck"
 
     @property
     def torque_unit(self) -> str:
