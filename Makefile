@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal bench paper clean
+.PHONY: help demo test lint accuracy literal real bench paper clean
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make paper     the paper's tables and Fig. 12 and 13, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
+	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make clean     remove the virtual environment and everything generated"
 
@@ -54,6 +55,9 @@ accuracy: $(VENV)/.runtime
 
 literal: $(VENV)/.runtime
 	$(BIN)/python benchmarks/literal_accuracy.py
+
+real: $(VENV)/.runtime
+	$(BIN)/python benchmarks/real_recordings.py
 
 bench: $(VENV)/.runtime
 	for script in plant_speed identification_speed bus_speed; do $(BIN)/python benchmarks/$$script.py || exit 1; done

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from identification.estimate.assemble import fit_of
 from identification.estimate.default import identify
@@ -61,7 +61,8 @@ class Transfer:
 def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfer:
     """Score a fitted model on other recordings, and compare it with what they say alone.
 
-    The other recordings are identified with the same model and bandwidth; their role does not matter here.
+    The other recordings are identified with the same model and bandwidth; those that their own campaign sets aside stay
+    set aside.
 
     Args:
         first: The fit to carry over.
@@ -72,19 +73,19 @@ def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfe
         RecordingError: The other recordings cannot bear the model, or hold one that it was fitted to.
     """
     seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
-    known = [r.name for r in other.recordings if r.sha256 in seen and r.sha256]
+    recordings = other.part("fit")
+    known = [r.name for r in recordings if r.sha256 in seen]
     if known:
         raise RecordingError(f"{known[0]}: was fitted to already; score on recordings that were not")
-    loaded = [r.name for r in other.recordings if r.stage == "loaded"]
+    loaded = [r.name for r in recordings if r.stage == "loaded"]
     if loaded and not set(LOAD_PARAMETERS) & first.fitted.keys():
         raise RecordingError(f"{loaded[0]}: loaded, and the model to score was fitted to unloaded recordings only")
     mine, theirs = dataset.recordings[0].bench.motion, other.recordings[0].bench.motion
     if mine != theirs:
         raise RecordingError(f"a {mine} bench cannot be scored on a {theirs} one")
     bandwidth_Hz = first.fit.bandwidth_Hz
-    everything = tuple(replace(r, role="fit") for r in other.recordings)
-    own = identify(Dataset(everything, dataset.model), bandwidth_Hz=bandwidth_Hz)
-    prepared = [prepare(r, bandwidth_Hz) for r in everything]
+    own = identify(Dataset(recordings, dataset.model), bandwidth_Hz=bandwidth_Hz)
+    prepared = [prepare(r, bandwidth_Hz) for r in recordings]
     names = [name for name in first.parameters if name in own.parameters and name not in dataset.model.fixed]
     return Transfer(
         fit=fit_of(prepared, first.fitted, first.alpha),
