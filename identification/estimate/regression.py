@@ -142,7 +142,8 @@ class Stage:
             high[self.free.index("rise")] = max(*peaks, 1e-300)
         if "gear_rise" in self.free:
             peak = max(float(np.max(np.abs(p.torque))) for p in self.prepared)
-            high[self.free.index("gear_rise")] = peak / max(float(np.max(p.raw_load)) for p in self.prepared)
+            load = max(float(np.max(p.raw_load)) for p in self.prepared)
+            high[self.free.index("gear_rise")] = peak / load if load > 0.0 else np.inf
         return low, high
 
     def speed_range(self) -> tuple[float, float]:

@@ -15,6 +15,9 @@ from identification.simulate import kernel
 STEP_S = 2.5e-4
 """Greatest integration step: the error it leaves is far below what recordings show (tests/identification)."""
 
+OPEN_LOOP = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
+"""No controller: ``Inputs.added`` is the torque that drives the joint, N m."""
+
 
 @dataclass(frozen=True)
 class Response:
@@ -140,11 +143,11 @@ def inputs_of(recording: Recording) -> Inputs:
 
 
 def simulate(body: Array, loop: Array, inputs: Inputs, angle: float, velocity: float, step: float = STEP_S) -> Response:
-    """Simulate the closed loop with set-valued friction from an initial state.
+    """Simulate a loop around a joint with set-valued friction from an initial state.
 
     Args:
         body: Of :func:`body_of`.
-        loop: Of :func:`loop_of`.
+        loop: Of :func:`loop_of`, or :data:`OPEN_LOOP`.
         inputs: What acts on it.
         angle: At the first time stamp, rad.
         velocity: At the first time stamp, rad/s.

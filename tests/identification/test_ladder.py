@@ -70,6 +70,18 @@ def test_the_ladder_ranks_the_rung_that_made_the_data_first_on_another_mass() ->
     )
 
 
+def test_recordings_with_and_without_a_pendulum_go_together() -> None:
+    """Only the ones with it show mu_gc and mu_gs."""
+    mixed = Dataset((loaded_gear(12.0), sine(name="free", rate=200.0)))
+    (best,) = [
+        rung
+        for rung in climb(mixed, bandwidth_Hz=100.0, rng=np.random.default_rng(2), replicates=2)
+        if rung.friction == "stribeck_load_dependent"
+    ]
+    assert best.scored is None
+    assert best.result.fitted["mu_gc"] == pytest.approx(GEAR["mu_gc"], rel=0.05)
+
+
 def test_rungs_that_bear_a_load_need_one() -> None:
     plain = Dataset((sine(rate=200.0),))
     rungs = climb(plain, bandwidth_Hz=100.0, rng=np.random.default_rng(0), replicates=2)

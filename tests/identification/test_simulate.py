@@ -10,12 +10,10 @@ from scipy import integrate
 
 from identification.prepare import prepare
 from identification.recording import Bench, Controller, Pendulum, Recording, RecordingError
-from identification.simulate.closed_loop import Inputs, body_of, inputs_of, loop_of, replay, simulate
+from identification.simulate.closed_loop import OPEN_LOOP, Inputs, body_of, inputs_of, loop_of, replay, simulate
 from identification.simulate.score import compare, pooled, with_friction
 
 from .synthetic import TRUTH
-
-FREE = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
 
 
 def recording(
@@ -36,7 +34,7 @@ def inputs(time: np.ndarray, command: np.ndarray | None = None, added: np.ndarra
 def test_coulomb_friction_stops_a_free_shaft_where_its_energy_says_and_holds_it_exactly() -> None:
     time = np.linspace(0.0, 1.0, 501)
     body = body_of({"J": 0.2, "Mc": 1.0}, recording(), 2.0)
-    out = simulate(body, FREE, inputs(time), 0.1, 3.0)
+    out = simulate(body, OPEN_LOOP, inputs(time), 0.1, 3.0)
     stop_s, way = 0.2 * 3.0 / 1.0, 0.2 * 9.0 / 2.0
     assert out.angle[-1] == pytest.approx(0.1 + way, abs=3.0 * 2.5e-4)
     moving = time < stop_s - 1e-9
@@ -51,7 +49,7 @@ def test_a_shaft_breaks_away_when_the_torque_passes_the_static_limit(side: float
     time = np.linspace(0.0, 1.0, 2001)
     torque = side * 20.0 * time
     body = body_of(TRUTH, recording(), 2.0)
-    out = simulate(body, FREE, inputs(time, added=torque), 0.0, 0.0)
+    out = simulate(body, OPEN_LOOP, inputs(time, added=torque), 0.0, 0.0)
     first = time[np.flatnonzero(out.velocity)[0]]
     assert first == pytest.approx(TRUTH["Ms"] / 20.0, abs=1.5e-3)
     assert np.all(side * out.velocity >= 0.0)
@@ -85,7 +83,7 @@ def test_friction_under_a_load_is_felt_and_energy_only_falls() -> None:
     energies = []
     for mu in (0.0, 0.1):
         values = {"J": 0.002, "mu_gc": mu, "mu_gs": 2.0 * mu, "omega_sf": 0.5, "Mc": 1e-3}
-        out = simulate(body_of(values, r, 2.0), FREE, inputs(time), 1.5, 0.0)
+        out = simulate(body_of(values, r, 2.0), OPEN_LOOP, inputs(time), 1.5, 0.0)
         energy = 0.5 * (0.002 + 0.004) * out.velocity**2 - 0.4 * 9.80665 * 0.1 * np.cos(out.angle)
         energies.append(energy)
     assert energies[1][-1] < energies[0][-1]
