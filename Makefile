@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal bench paper weight-check transports fault-matrix kill fuzz mutants clean
+.PHONY: help demo test lint accuracy literal real bench paper weight-check transports fault-matrix kill fuzz mutants clean
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make paper     the paper's tables and Fig. 12 and 13, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
+	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
@@ -60,6 +61,9 @@ accuracy: $(VENV)/.runtime
 
 literal: $(VENV)/.runtime
 	$(BIN)/python benchmarks/literal_accuracy.py
+
+real: $(VENV)/.runtime
+	$(BIN)/python benchmarks/real_recordings.py
 
 bench: $(VENV)/.runtime
 	for script in plant_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done

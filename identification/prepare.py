@@ -53,6 +53,7 @@ class Prepared:
         bandwidth_Hz: Of all of the above.
         filter: The filter, for regressors that are not linear in the velocity.
         raw_velocity: Velocity before that filter, shape (m,), for those regressors.
+        raw_load: Magnitude of the pendulum's torque before that filter, N m, shape (m,).
     """
 
     recording: Recording
@@ -67,6 +68,7 @@ class Prepared:
     bandwidth_Hz: float
     filter: Decimator
     raw_velocity: Array
+    raw_load: Array
 
 
 def uniform_grid(recording: Recording) -> Array:
@@ -224,11 +226,11 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
     drive = drive_torque(recording, grid, velocity)
     if not exact:
         drive = smooth(drive, rate, cutoff)
-    known = np.zeros(len(grid))
+    known, hanging = np.zeros(len(grid)), np.zeros(len(grid))
     if recording.pendulum is not None:
         pendulum = recording.pendulum
-        weight = pendulum.mass * recording.bench.gravity * pendulum.length
-        known = -weight * np.sin(angle - pendulum.zero) - pendulum.mass * pendulum.length**2 * acceleration
+        hanging = pendulum.torque(angle, recording.bench.gravity)
+        known = hanging - pendulum.inertia * acceleration
     bad = _unresolved(velocity, rate) | still if exact else widened(still, round(1.5 * rate / cutoff))
     lead = slice(low_pass.half, len(grid) - low_pass.half, low_pass.factor)
     return Prepared(
@@ -244,6 +246,7 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         bandwidth_Hz=min(bandwidth_Hz, 0.5 * rate),
         filter=low_pass,
         raw_velocity=velocity,
+        raw_load=np.abs(hanging),
     )
 
 
@@ -258,10 +261,12 @@ def _motion(recording: Recording, grid: Array, rate: float, cutoff: float) -> tu
             return series, central_difference(series, 1.0 / rate), still
     elif "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
-    velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
+    raw = resample(recording.time, recording.channels["velocity"], grid)
+    velocity = smooth(raw, rate, cutoff)
     if position is None:
         series = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-        still = np.asarray(velocity == 0.0)
+        # Within one step of the channel, rest and motion look alike.
+        still = np.asarray(np.abs(raw) <= 1.01 * quantum(recording.channels["velocity"]))
     return series, velocity, still
 
 

@@ -21,6 +21,7 @@ CHANNELS: Mapping[str, str] = {
     "angle": "rad",
     "velocity": "rad/s",
     "command": "rad",
+    "feedforward": "1",
     "load_force": "N",
     "temperature": "deg C",
     "pressure": "Pa",
@@ -29,7 +30,7 @@ CHANNELS: Mapping[str, str] = {
 """Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N).
 
 ``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear; ``motor_angle``, ``current`` and
-``voltage`` at the motor.
+``voltage`` at the motor; ``feedforward`` is added to the controller's output, in its unit.
 """
 
 
@@ -82,6 +83,32 @@ class Pendulum:
     length: float
     zero: float = 0.0
 
+    @property
+    def inertia(self) -> float:
+        """Inertia m l^2 about the joint, kg m^2."""
+        return self.mass * self.length**2
+
+    def torque(self, angle: Array, gravity: float) -> Array:
+        """Return the weight's torque on the joint at ``angle``, N m, with ``gravity`` in m/s^2."""
+        return np.asarray(-self.mass * gravity * self.length * np.sin(angle - self.zero))
+
+
+@dataclass(frozen=True)
+class Controller:
+    """The position loop a recording was made in: output = clip(kp (command - angle) - kv velocity, limit).
+
+    Attributes:
+        output: ``duty`` (share of the supply voltage), ``voltage`` (V at the motor) or ``torque`` (N m at the joint).
+        position_gain: kp, output per rad.
+        velocity_gain: kv, output per rad/s.
+        limit: Greatest magnitude of the output; None where nothing limits it.
+    """
+
+    output: Literal["duty", "voltage", "torque"]
+    position_gain: float
+    velocity_gain: float = 0.0
+    limit: float | None = None
+
 
 @dataclass(frozen=True)
 class Model:
@@ -91,11 +118,13 @@ class Model:
         terms: Declared physics of the bench by catalogue name, or ``offset``; fitted, never "found".
         fixed: Parameter name to value, not fitted.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
+        friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
     """
 
     terms: tuple[str, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     alpha: float = 2.0
+    friction: str = "stribeck"
 
 
 @dataclass(frozen=True)
@@ -110,6 +139,7 @@ class Recording:
         stage: ``unloaded`` or ``loaded``.
         weight_mass: m_w on the lever, kg.
         pendulum: A weight that turns with the joint, or None.
+        controller: The loop it was made in, where that is known; only simulations need it.
         role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
         averaged: Channels whose samples are means over the period that ends at their time.
         source: File the samples came from.
@@ -123,6 +153,7 @@ class Recording:
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: float = 0.0
     pendulum: Pendulum | None = None
+    controller: Controller | None = None
     role: Literal["fit", "validate"] = "fit"
     averaged: frozenset[str] = frozenset()
     source: str = ""

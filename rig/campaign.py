@@ -9,13 +9,16 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.recording import CHANNELS, Bench, Model, Pendulum
+from identification.model.ladder import LADDER, NOMINAL, bears_load, rises
+from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
 from rig.catalogue import EFFECTS
 from rig.configuration import Document, Loc, Schema, load_located, nearest
 from rig.yaml_tree import Node
 
-FITTED_TERMS = ("offset",)
+FITTED_TERMS = ("offset", "load_dependent_friction")
 """Terms that the estimators of this version can fit."""
+_BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
+"""Rung to the one with `load_dependent_friction` declared beside it."""
 PARAMETERS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset")
 
 
@@ -26,6 +29,12 @@ def _known_term(name: str) -> str:
         remedy = "; a known weight is declared by `gravity:` of a recording" if name == "gravity_imbalance" else ""
         raise ValueError(f"this version cannot fit the effect {name!r}, only {', '.join(FITTED_TERMS)}{remedy}")
     raise ValueError(f"unknown effect; {nearest(name, [*FITTED_TERMS, *EFFECTS])}")
+
+
+def _known_friction(name: str) -> str:
+    if name not in LADDER:
+        raise ValueError(f"unknown friction; {nearest(name, list(LADDER))}")
+    return name
 
 
 def _known_parameter(name: str) -> str:
@@ -75,8 +84,15 @@ class BenchSection(Schema):
 
 
 class ModelSection(Schema):
-    """Declared physics beyond the nominal nine, and values that are not fitted."""
+    """Declared physics beyond the nominal nine, and values that are not fitted.
 
+    Attributes:
+        friction: Rung of the ladder of friction models.
+        terms: Further physics by catalogue name, or ``offset``; ``load_dependent_friction`` takes the rung that has it.
+        fixed: Name to value, not fitted.
+    """
+
+    friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
     fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(default_factory=dict)
 
@@ -98,7 +114,14 @@ class ModelSection(Schema):
 
     def model(self) -> Model:
         """Return the record the numerics use."""
-        return Model(terms=self.terms, fixed=dict(self.fixed))
+        return Model(terms=self.terms, fixed=dict(self.fixed), friction=self.rung)
+
+    @property
+    def rung(self) -> str:
+        """The rung of the ladder after `terms`."""
+        if "load_dependent_friction" in self.terms:
+            return _BEARING_LOAD.get(self.friction, self.friction)
+        return self.friction
 
 
 class GravitySection(Schema):
@@ -111,6 +134,26 @@ class GravitySection(Schema):
     def pendulum(self) -> Pendulum:
         """Return the record the numerics use."""
         return Pendulum(self.mass, self.length, self.zero)
+
+
+class ControllerSection(Schema):
+    """The position loop: output = clip(position_gain (command - angle) - velocity_gain velocity, limit).
+
+    Attributes:
+        output: ``duty`` of the supply voltage, ``voltage`` at the motor (V), or ``torque`` at the joint (N m, N).
+        position_gain: Output per rad (m).
+        velocity_gain: Output per rad/s (m/s).
+        limit: Greatest magnitude of the output.
+    """
+
+    output: Literal["duty", "voltage", "torque"]
+    position_gain: PositiveFloat
+    velocity_gain: Annotated[float, Field(ge=0.0)] = 0.0
+    limit: PositiveFloat | None = None
+
+    def controller(self) -> Controller:
+        """Return the record the numerics use."""
+        return Controller(**self.model_dump())
 
 
 class ReadSection(Schema):
@@ -161,6 +204,7 @@ class RecordingSection(Schema):
     stage: Literal["unloaded", "loaded"] = "unloaded"
     weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
     gravity: GravitySection | None = None
+    controller: ControllerSection | None = None
     role: Literal["fit", "validate"] = "fit"
     rate: Constant | None = None
     read: ReadSection = ReadSection()
@@ -217,6 +261,14 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     fixed = campaign.model.fixed
     if "Mc" in fixed and "Ms" in fixed and fixed["Ms"] < fixed["Mc"]:
         yield ("model", "fixed", "Ms"), f"static friction below Coulomb friction Mc = {fixed['Mc']:g}; Ms >= Mc"
+    if not rises(campaign.model.rung):
+        for name in sorted({"Ms", "omega_sf"} & fixed.keys()):
+            yield ("model", "fixed", name), f"friction {campaign.model.rung} does not rise toward rest; remove it"
+    if bears_load(campaign.model.rung) and not any(r.gravity and r.role == "fit" for r in campaign.recordings):
+        yield (
+            ("model",),
+            f"friction {campaign.model.rung} grows with a pendulum's torque, and no recording to fit has `gravity`",
+        )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):
             yield ("recordings", index, *loc), message

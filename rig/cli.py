@@ -20,6 +20,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "jog": ("rig.commands.jog:command", "Move a bench by hand, at low limits."),
     "check": ("rig.commands.check:command", "Connect to a bench and read it back; nothing moves."),
     "identify": ("rig.commands.identify:command", "Identify friction and inertia from a run or a campaign."),
+    "simulate": ("rig.commands.simulate:command", "Simulate recordings in closed loop with a fitted model."),
     "paper": ("rig.commands.paper:command", "Reproduce the paper's tables and figures."),
     "export": ("rig.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.commands.recover:command", "Mend a run whose writer died."),

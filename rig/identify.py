@@ -12,8 +12,10 @@ from typing import Protocol
 import numpy as np
 
 from identification.estimate.default import identify
+from identification.estimate.ladder import Rung, climb
 from identification.estimate.paper import identify_paper
 from identification.estimate.result import Identification
+from identification.estimate.transfer import Transfer, transfer
 from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
@@ -49,11 +51,17 @@ class Outcome:
         dataset: What was identified.
         results: One per method, in the order asked for.
         provenance: Seed, inputs, time.
+        ladder: Every rung of the friction models, where asked for.
+        transfer: The first result scored on other recordings, where asked for.
+        scored_on: Where those are.
     """
 
     dataset: Dataset
     results: tuple[Identification, ...]
     provenance: Provenance
+    ladder: tuple[Rung, ...] = ()
+    transfer: Transfer | None = None
+    scored_on: Path | None = None
 
 
 def identify_source(
@@ -62,6 +70,9 @@ def identify_source(
     bandwidth_Hz: float | None,
     seed: int,
     progress: Callable[[str, float], None],
+    *,
+    ladder: bool = False,
+    score: Path | None = None,
 ) -> Outcome:
     """Identify a run folder or campaign file.
 
@@ -71,13 +82,16 @@ def identify_source(
         bandwidth_Hz: Bandwidth of the fit; None leaves it to the recordings.
         seed: Of the random generator.
         progress: Called with what is being done and the share that is done.
+        ladder: Whether to fit and score every rung of the friction models as well.
+        score: Another source to score the first result on.
 
     Raises:
-        InputError: The source cannot be read, or its recordings cannot be identified.
+        InputError: A source cannot be read, or its recordings cannot be identified.
     """
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source)
+    other = None if score is None else load_source(score)
     described_by = source / RUN_FILE if source.is_dir() else source
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
     results = []
@@ -94,5 +108,19 @@ def identify_source(
             raise InputError(f"{source}: {error}") from error
         warnings = (*result.warnings, *off)
         results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings))
-    provenance = Provenance.of(seed, dataset.recordings, time.perf_counter() - started, described_by)
-    return Outcome(dataset, tuple(results), provenance)
+    rungs: tuple[Rung, ...] = ()
+    if ladder:
+        try:
+            rungs = climb(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+        except RecordingError as error:
+            raise InputError(f"{source}: {error}") from error
+    carried = None
+    if other is not None:
+        progress("scoring", 0.0)
+        try:
+            carried = transfer(results[0], dataset, other)
+        except RecordingError as error:
+            raise InputError(f"{score}: {error}") from error
+    read = (*dataset.recordings, *(other.recordings if other is not None else ()))
+    provenance = Provenance.of(seed, read, time.perf_counter() - started, described_by)
+    return Outcome(dataset, tuple(results), provenance, rungs, carried, score)

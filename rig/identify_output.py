@@ -10,11 +10,13 @@ from identification.estimate.result import Identification
 from identification.recording import Recording
 from rig.errors import InputError
 from rig.identify import Outcome
-from rig.parameter_table import parameter_notes, parameter_table
+from rig.ladder_output import ladder_notes, ladder_record, ladder_table
+from rig.parameter_table import Table, parameter_notes, parameter_table
 from rig.places import write_json
 from rig.report import write_report
 from rig.results import identification_record
 from rig.tables import number, percent, table
+from rig.transfer_output import transfer_notes, transfer_record, transfer_table
 
 RESULT_FILE = "identify.json"
 _NUMBER = re.compile(r"\d[\d.e+-]*")
@@ -25,10 +27,22 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     cells = parameter_table(outcome.results, truth)
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
+    for title, cells, notes in _extras(outcome):
+        lines += ["", title, table(cells.header, cells.rows, cells.right), *notes, ""]
     lines += reading_notes(outcome.dataset.recordings)
     lines += [f"note: {line}" for line in parameter_notes(outcome.results)]
     lines += [f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings]
     return "\n".join(lines)
+
+
+def _extras(outcome: Outcome) -> list[tuple[str, Table, list[str]]]:
+    """Return title, table and notes of what was asked for beside the identification."""
+    extras = []
+    if outcome.ladder:
+        extras.append(("Ladder of friction models", ladder_table(outcome.ladder), ladder_notes(outcome.ladder)))
+    if outcome.transfer is not None:
+        extras.append(("Transfer", transfer_table(outcome.transfer), transfer_notes(outcome.transfer)))
+    return extras
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
@@ -54,12 +68,22 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)
+    if outcome.ladder:
+        record["ladder"] = ladder_record(outcome.ladder)
+    if outcome.transfer is not None:
+        record["transfer"] = transfer_record(outcome.transfer, str(outcome.scored_on))
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(path, record)
         return write_report(
-            folder, f"Identification of {name}", outcome.dataset, outcome.results, outcome.provenance, truth
+            folder,
+            f"Identification of {name}",
+            outcome.dataset,
+            outcome.results,
+            outcome.provenance,
+            truth,
+            [{"title": title, "table": cells, "notes": notes} for title, cells, notes in _extras(outcome)],
         )
     except OSError as error:
         places = " or ".join(str(place) for place in (folder, json_file) if place)

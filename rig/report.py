@@ -29,6 +29,7 @@ def write_report(
     results: Sequence[Identification],
     provenance: Provenance,
     truth: Mapping[str, float] | None = None,
+    extras: Sequence[Mapping[str, Any]] = (),
 ) -> Path:
     """Write ``report.html`` and ``figures/*.png`` of one identification, by one method or several side by side.
 
@@ -39,6 +40,7 @@ def write_report(
         results: One per method; the first is the one the figures of single recordings show.
         provenance: Seed, inputs, time.
         truth: True values of a simulated bench, for display only.
+        extras: Further sections: ``title``, ``table`` and ``notes`` each.
 
     Returns:
         The page.
@@ -68,6 +70,7 @@ def write_report(
         parameter_notes=parameter_notes(results),
         has_truth=truth is not None,
         fits=_fit_table(results),
+        extras=extras,
         recording_fits=_recording_fit_table(results),
         stages=_stage_table(results),
         recordings=_recording_table(dataset.recordings),

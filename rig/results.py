@@ -73,6 +73,8 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
         "method": result.method,
         "motion": result.motion,
         "alpha": result.alpha,
+        "friction": result.friction,
+        "fitted": {name: finite(value) for name, value in result.fitted.items()},
         "parameters": {name: parameter_record(p) for name, p in result.parameters.items()},
         "fit": fit_record(result.fit),
         "fit_by_recording": {name: fit_record(fit) for name, fit in result.fits_by_recording.items()},

@@ -13,6 +13,7 @@ from identification.estimate.regression import (
     model_torque,
 )
 from identification.estimate.result import (
+    GEAR_PARAMETERS,
     LOAD_PARAMETERS,
     SYSTEM_PARAMETERS,
     UNITS_LINEAR,
@@ -27,6 +28,8 @@ from identification.recording import Model
 
 WIDEST = 0.5
 """Half width of the 90 % interval over the value, above which a parameter counts as not identified."""
+RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
+"""Coulomb level, static level and Stribeck speed of each part of friction that may rise toward rest."""
 LEAST_RISE = 1e-3
 """Rise toward rest over the Coulomb level, below which nothing of it counts as seen."""
 
@@ -102,7 +105,7 @@ def parameter_table(
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
     table: dict[str, Parameter] = {}
-    order = [n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset") if n in values]
+    order = [n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, *GEAR_PARAMETERS, "offset") if n in values]
     for name in order:
         value = values[name]
         if name in model.fixed:
@@ -111,22 +114,36 @@ def parameter_table(
             table[name] = Parameter(name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name))
         else:
             table[name] = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
-    for names in (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL")):
+    seen = {names for names in RISES if names[1] in spread.names and _rise_is_seen(names, values, spread)}
+    for names in RISES:
         if names[1] in spread.names:
-            _judge_rise(table, names, values, spread)
+            shared = any(other[2] == names[2] for other in seen - {names})
+            _judge_rise(table, names, values, spread, keep_speed=shared)
     return table
 
 
+def _rise_is_seen(names: tuple[str, str, str], values: Mapping[str, float], spread: Spread) -> bool:
+    coulomb, static, _ = names
+    half = spread.half_width_above(static, coulomb)
+    return values[static] - values[coulomb] >= max(half, LEAST_RISE * values[coulomb])
+
+
 def _judge_rise(
-    table: dict[str, Parameter], names: tuple[str, str, str], values: Mapping[str, float], spread: Spread
+    table: dict[str, Parameter],
+    names: tuple[str, str, str],
+    values: Mapping[str, float],
+    spread: Spread,
+    *,
+    keep_speed: bool,
 ) -> None:
-    """Withhold static friction and Stribeck speed where friction's rise toward rest is not seen."""
+    """Withhold static friction, and the Stribeck speed unless another rise shows it, where the rise is not seen."""
     coulomb, static, speed = names
     rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
-    if rise < max(half, LEAST_RISE * values[coulomb]):
+    if not _rise_is_seen(names, values, spread):
         unit = "" if table[static].unit == "1" else f" {table[static].unit}"
         reason = f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not seen in these recordings"
-        for name in (n for n in (static, speed) if n in spread.names and table[n].identifiable):
+        withheld = (static,) if keep_speed else (static, speed)
+        for name in (n for n in withheld if n in spread.names and table[n].identifiable):
             table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
     elif table[speed].at_bound and table[static].identifiable:
         reason = f"it is the end of the falling part of friction, and {table[speed].reason}"
@@ -134,7 +151,7 @@ def _judge_rise(
 
 
 def _absent(name: str) -> str:
-    static, coulomb = ("Ms", "Mc") if name in ("Ms", "omega_sf") else ("mu_s", "mu_c")
+    coulomb, static, _ = next(names for names in RISES if name in names[1:])
     return f"friction does not rise toward rest in these recordings: {static} would fall to {coulomb}, its bound"
 
 

@@ -9,12 +9,13 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import prediction_error, varpro
-from identification.estimate.assemble import fit_of, parameter_table, trace_of
+from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of
 from identification.estimate.prediction_error import Refined
 from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
 from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification
 from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import Spread, block_sandwich
+from identification.model.ladder import NOMINAL
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording, RecordingError
 
@@ -90,6 +91,8 @@ def identify(
         parameters=parameters,
         fit=fit_of(active, values, model.alpha, validate),
         stages=tuple(stages),
+        fitted=dict(values),
+        friction=model.friction,
         warnings=tuple(warnings),
         traces=tuple(trace_of(p, values, model.alpha) for p in every),
         fits_by_recording=fits,
@@ -151,10 +154,10 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
     """Return the names that the data are asked for: not fixed, and not a Stribeck term that is absent."""
-    absent: set[str] = set()
-    for coulomb, static, speed in (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL")):
-        if static in values and not values[static] > values[coulomb]:
-            absent |= {static, speed}
+    falling = [names for names in RISES if names[1] in values]
+    flat = {names for names in falling if not values[names[1]] > values[names[0]]}
+    absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}
+    absent -= {speed for names in falling if names not in flat for speed in names[2:]}
     return tuple(n for n in values if n not in model.fixed and n not in absent)
 
 
@@ -168,6 +171,8 @@ def _refine(
     """Return the refined estimate, or in words why the prediction error does not apply."""
     if not names:
         return "every parameter is fixed"
+    if model.friction != NOMINAL:
+        return f"they know the {NOMINAL} friction only, and {model.friction} is declared"
     if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
         return "no rise of friction toward rest was found to refine"
     motions = {id(r): motion(r) for r in recordings}

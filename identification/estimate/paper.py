@@ -28,6 +28,7 @@ from identification.estimate.result import (
     Parameter,
 )
 from identification.model.friction import system_friction
+from identification.model.ladder import NOMINAL
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Array, Dataset, RecordingError
 
@@ -77,6 +78,10 @@ def identify_paper(
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
     alpha = dataset.model.alpha
     warnings: list[str] = []
+    if dataset.model.friction != NOMINAL:
+        raise RecordingError(
+            f"the paper's method knows the {NOMINAL} friction only; use the default method for {dataset.model.friction}"
+        )
     if dataset.model.terms:
         warnings.append(
             f"the paper's method has no term for {', '.join(dataset.model.terms)}; use the default method to fit it"
@@ -106,6 +111,7 @@ def identify_paper(
         parameters=parameters,
         fit=fit_of(fitted, known, alpha, validate),
         stages=tuple(stages),
+        fitted=dict(known),
         warnings=tuple(warnings),
         traces=tuple(trace_of(p, known, alpha) for p in prepared),
         fits_by_recording={p.recording.name: fit_of([p], known, alpha) for p in prepared},

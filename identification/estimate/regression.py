@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.estimate.varpro import Design
 from identification.model.friction import stribeck_shape
+from identification.model.ladder import LADDER, bears_load, rises
 from identification.prepare import Prepared
 from identification.recording import Array, Model, RecordingError
 
@@ -53,6 +54,16 @@ def filtered_sign(p: Prepared) -> Array:
     return p.filter(np.sign(p.raw_velocity))
 
 
+def gear_sign(p: Prepared) -> Array:
+    """Return |pendulum torque| sgn(omega) through the recording's filter, N m, shape (n,)."""
+    return p.filter(p.raw_load * np.sign(p.raw_velocity))
+
+
+def gear_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
+    """Return |pendulum torque| times the falling Stribeck term through the recording's filter, N m, shape (n,)."""
+    return p.filter(p.raw_load * stribeck_shape(p.raw_velocity, omega_s, alpha))
+
+
 def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
     """Return modelled friction plus offset, eq. 9 + 13, through the recording's filter, N m, shape (n,).
 
@@ -68,6 +79,10 @@ def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) 
         if q.get("mu_s", 0.0) > q.get("mu_c", 0.0) and q.get("omega_sL", 0.0) > 0.0:
             load = load + (q["mu_s"] - q["mu_c"]) * filtered_shape(p, q["omega_sL"], alpha)
         total = total + p.moment * load
+    if "mu_gc" in q and np.any(p.raw_load != 0.0):
+        total = total + q["mu_gc"] * gear_sign(p)
+        if q.get("mu_gs", 0.0) > q["mu_gc"]:
+            total = total + (q["mu_gs"] - q["mu_gc"]) * gear_shape(p, q["omega_sf"], alpha)
     return np.asarray(total)
 
 
@@ -85,8 +100,8 @@ class Stage:
     Attributes:
         name: ``unloaded`` or ``loaded``.
         coulomb: Mc or mu_c.
-        static: Ms or mu_s.
-        speed: omega_sf or omega_sL.
+        static: Ms or mu_s; None where friction does not rise toward rest.
+        speed: omega_sf or omega_sL; None likewise.
         others: Names of the remaining coefficients.
         prepared: Its recordings.
         model: Declared terms, fixed values and alpha.
@@ -95,8 +110,8 @@ class Stage:
 
     name: str
     coulomb: str
-    static: str
-    speed: str
+    static: str | None
+    speed: str | None
     others: tuple[str, ...]
     prepared: tuple[Prepared, ...]
     model: Model
@@ -104,10 +119,13 @@ class Stage:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the fitted coefficients in column order; ``rise`` stands for static less Coulomb."""
+        """Names of the fitted coefficients in column order; ``rise`` stands for static less Coulomb.
+
+        ``gear_rise`` likewise for mu_gs less mu_gc.
+        """
         fixed = self.model.fixed
         names = [] if self.coulomb in fixed else [self.coulomb]
-        names += [] if self.static in fixed else ["rise"]
+        names += [] if self.static is None or self.static in fixed else ["rise"]
         return tuple(names + [n for n in self.others if n not in fixed])
 
     def bounds(self) -> tuple[Array, Array]:
@@ -122,10 +140,16 @@ class Stage:
             scales = [float(np.max(p.moment)) if self.name == "loaded" else 1.0 for p in self.prepared]
             peaks = [float(np.max(np.abs(p.torque))) / s for p, s in zip(self.prepared, scales, strict=True)]
             high[self.free.index("rise")] = max(*peaks, 1e-300)
+        if "gear_rise" in self.free:
+            peak = max(float(np.max(np.abs(p.torque))) for p in self.prepared)
+            load = max(float(np.max(p.raw_load)) for p in self.prepared)
+            high[self.free.index("gear_rise")] = peak / load if load > 0.0 else np.inf
         return low, high
 
     def speed_range(self) -> tuple[float, float]:
-        """Return the least and greatest Stribeck speed to try, rad/s."""
+        """Return the least and greatest Stribeck speed to try, rad/s; 1 twice where there is none."""
+        if self.speed is None:
+            return 1.0, 1.0
         if self.speed in self.model.fixed:
             held = float(self.model.fixed[self.speed])
             return held, held
@@ -150,6 +174,10 @@ class Stage:
                 # With the static limit fixed, raising the Coulomb level takes as much off the rise.
                 self.coulomb: sign - shape if self.static in fixed else sign,
             }
+            if "mu_gc" in self.free:
+                basis["mu_gc"] = gear_sign(p)
+            if "gear_rise" in self.free:
+                basis["gear_rise"] = gear_shape(p, omega_s, alpha)
             target = p.torque - model_torque(p, self.known, alpha)
             for name in self.others:
                 if name in fixed:
@@ -157,7 +185,7 @@ class Stage:
             if self.coulomb in fixed:
                 base = sign - shape if self.static in fixed else sign
                 target = target - fixed[self.coulomb] * base
-            if self.static in fixed:
+            if self.static is not None and self.static in fixed:
                 target = target - fixed[self.static] * shape
             targets.append(target[p.used])
             for k, name in enumerate(self.free):
@@ -169,23 +197,40 @@ class Stage:
     def named(self, omega_s: float, coefficients: Array) -> dict[str, float]:
         """Return the stage's parameters by name."""
         found = dict(zip(self.free, (float(c) for c in coefficients), strict=True))
-        rise = found.pop("rise", None)
+        rise, gear_rise = found.pop("rise", None), found.pop("gear_rise", None)
         values = {**{n: float(v) for n, v in self.model.fixed.items() if n in self.names}, **found}
-        values[self.speed] = omega_s
-        if rise is not None:
+        if self.speed is not None:
+            values[self.speed] = omega_s
+        if self.static is not None and rise is not None:
             values[self.static] = values[self.coulomb] + rise
+        if gear_rise is not None:
+            values["mu_gs"] = values["mu_gc"] + gear_rise
         return values
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the stage's parameters."""
-        return (self.coulomb, self.static, self.speed, *self.others)
+        falling = () if self.static is None or self.speed is None else (self.static, self.speed)
+        others = ("mu_gs" if name == "gear_rise" else name for name in self.others)
+        return (self.coulomb, *falling, *others)
 
 
 def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
-    """Eq. 16: Mc, Ms, omega_sf, sigma_2, J, and the offset where it is declared."""
-    offset = ("offset",) if "offset" in model.terms else ()
-    return Stage("unloaded", "Mc", "Ms", "omega_sf", ("sigma_2", "J", *offset), tuple(prepared), model, {})
+    """Eq. 16 on the declared rung: Mc, Ms, omega_sf, sigma_2, J; mu_gc, mu_gs and the offset where declared.
+
+    Raises:
+        RecordingError: The rung bears a load, and no recording has a pendulum.
+    """
+    terms = LADDER[model.friction]
+    if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
+        raise RecordingError(
+            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded recording to fit has "
+            "one; declare its `gravity`, or another friction"
+        )
+    gear = [{"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")]
+    others = ("sigma_2", "J", *gear, *(("offset",) if "offset" in model.terms else ()))
+    static, speed = ("Ms", "omega_sf") if rises(model.friction) else (None, None)
+    return Stage("unloaded", "Mc", static, speed, others, tuple(prepared), model, {})
 
 
 def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str, float]) -> Stage:

@@ -20,6 +20,8 @@ UNITS_ROTARY: Mapping[str, str] = {
     "mu_s": "1",
     "omega_sL": "rad/s",
     "mu_2": "s/rad",
+    "mu_gc": "1",
+    "mu_gs": "1",
     "offset": "N m",
 }
 UNITS_LINEAR: Mapping[str, str] = {
@@ -37,6 +39,8 @@ SYSTEM_PARAMETERS = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
 """Found by the unloaded stage (eq. 16)."""
 LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
 """Found by the loaded stage (eq. 15)."""
+GEAR_PARAMETERS = ("mu_gc", "mu_gs")
+"""Found by the unloaded stage where friction grows with a pendulum's torque."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +118,24 @@ class Trace:
 
 @dataclass(frozen=True)
 class Identification:
-    """Result of one identification of one dataset by one method."""
+    """Result of one identification of one dataset by one method.
+
+    Attributes:
+        method: Name of the estimator.
+        motion: ``rotary`` or ``linear``.
+        alpha: Stribeck exponent.
+        parameters: Name to estimate with its credentials.
+        fit: Error over all recordings.
+        stages: How each search went.
+        warnings: What to know about the result, in words.
+        traces: Signals of every recording.
+        fits_by_recording: Error of every recording.
+        evaluations: Residual evaluations spent.
+        seconds: Wall-clock time spent.
+        fitted: Name to the value the fit ended with, those that are not identifiable by themselves included: what a
+            simulation of the fitted model needs.
+        friction: Rung of :data:`identification.model.ladder.LADDER`.
+    """
 
     method: str
     motion: str
@@ -127,6 +148,8 @@ class Identification:
     fits_by_recording: Mapping[str, Fit] = field(default_factory=dict)
     evaluations: int = 0
     seconds: float = 0.0
+    fitted: Mapping[str, float] = field(default_factory=dict)
+    friction: str = "stribeck"
 
     @property
     def torque_unit(self) -> str:

@@ -75,6 +75,8 @@ def block_sandwich(
     total = sum(int(np.sum(p.used)) for p in prepared)
     for p in prepared:
         used = p.used
+        if not np.any(used):
+            continue
         here = model_torque(p, values, alpha)
         residual = (p.torque - here)[used]
         columns = []

@@ -25,6 +25,13 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     type=click.FloatRange(min=0.0, min_open=True),
     help="Bandwidth of torque and regressors; chosen from the recordings if left out.",
 )
+@click.option("--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well.")
+@click.option(
+    "--score",
+    metavar="SOURCE",
+    type=click.Path(path_type=Path),
+    help="Another source to score the result on: its error there against the noise floor, and what moved.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random generator.")
 @click.option(
     "--out",
@@ -38,6 +45,8 @@ def command(
     source: Path,
     method: Literal["default", "paper", "both"],
     bandwidth: float | None,
+    ladder: bool,
+    score: Path | None,
     seed: int,
     out: Path | None,
     json_file: Path | None,
@@ -48,6 +57,7 @@ def command(
     Example:
       rig identify runs/demo
       rig identify bench.yaml --method both --bandwidth 30 --json result.json
+      rig identify monday.yaml --score friday.yaml
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
@@ -56,11 +66,13 @@ def command(
     from rig.places import require_file, require_folder
     from rig.truth import truth_of
 
+    if method == "paper" and (ladder or score):
+        raise click.UsageError("--ladder and --score are of the default method; leave --method paper out")
     folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
-        outcome = identify_source(source, _METHODS[method], bandwidth, seed, bar)
+        outcome = identify_source(source, _METHODS[method], bandwidth, seed, bar, ladder=ladder, score=score)
         bar("writing the report", 1.0)
         truth = truth_of(source)
         report = write(folder, source.resolve().stem, outcome, truth, json_file)

@@ -66,6 +66,7 @@ def build(
         stage=section.stage,
         weight_mass=section.weight_mass,
         pendulum=section.gravity.pendulum() if section.gravity else None,
+        controller=section.controller.controller() if section.controller else None,
         role=section.role,
         averaged=frozenset(name for name, channel in section.channels.items() if channel.average),
         source=str(file),

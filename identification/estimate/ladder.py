@@ -1,0 +1,138 @@
+"""Every rung of the friction ladder on one dataset: fitted, then scored on what was set aside.
+
+Intervals are over recordings: the recordings to fit and those to score are drawn anew with replacement, the same draws
+for every rung, each rung is fitted to its draw and scored on the other (Efron and Tibshirani, An Introduction to the
+Bootstrap, ch. 8). Samples within a recording hang together far too much to count as independent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.estimate.default import identify
+from identification.estimate.redraw import Indices, Redraw, Score
+from identification.estimate.result import Identification
+from identification.estimate.uncertainty import CONFIDENCE
+from identification.model.ladder import LADDER, bears_load
+from identification.prepare import Prepared, default_bandwidth, prepare
+from identification.recording import Dataset, RecordingError
+from identification.simulate.closed_loop import replay
+from identification.simulate.score import compare, pooled
+
+REPLICATES = 100
+"""Draws of the bootstrap."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A figure and its 90 % interval over recordings."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One model of the ladder.
+
+    Attributes:
+        friction: Its name.
+        result: The fit to all recordings to fit.
+        train: Torque error on them, in the fit's unit.
+        scored: Torque error on the recordings set aside; None without any.
+        angle: Angle error of the simulated loop there (or on the fitted ones), rad (m); None without a controller.
+        best: Share of the draws in which this rung has the least torque error on what was scored.
+    """
+
+    friction: str
+    result: Identification
+    train: Interval
+    scored: Interval | None
+    angle: Interval | None
+    best: float
+
+
+def climb(
+    dataset: Dataset,
+    *,
+    bandwidth_Hz: float | None,
+    rng: np.random.Generator,
+    replicates: int = REPLICATES,
+    progress: Progress | None = None,
+) -> tuple[Rung, ...]:
+    """Fit and score every rung that the recordings can bear.
+
+    Args:
+        dataset: Unloaded recordings; rungs that bear a load need a pendulum.
+        bandwidth_Hz: Of torque and regressors; None chooses as the identification does.
+        rng: Draws the recordings.
+        replicates: Draws.
+        progress: Called with what is being done and the share done.
+
+    Raises:
+        RecordingError: A recording is loaded, or cannot be fitted.
+    """
+    tell = progress or (lambda _what, _share: None)
+    loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
+    if loaded:
+        raise RecordingError(f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out")
+    to_fit = dataset.part("fit")
+    to_score = dataset.part("validate") or to_fit
+    if not to_fit:
+        raise RecordingError("no recording has role 'fit'; at least one is needed")
+    if bandwidth_Hz is None:
+        bandwidth_Hz = min(default_bandwidth(r) for r in to_fit)
+    fitted, scored = ([prepare(r, bandwidth_Hz) for r in part] for part in (to_fit, to_score))
+    simulated = all(r.controller is not None and "command" in r.channels for r in to_score)
+    draws = [(_draw(rng, len(fitted)), _draw(rng, len(scored))) for _ in range(replicates)]
+    hanging = any(r.pendulum is not None for r in to_fit)
+    names = [name for name in LADDER if hanging or not bears_load(name)]
+    results: list[Identification] = []
+    found: list[list[Score]] = []
+    for k, name in enumerate(names):
+        model = replace(dataset.model, friction=name)
+        tell(f"{name}: fit", k / len(names))
+        results.append(identify(replace(dataset, model=model), bandwidth_Hz=bandwidth_Hz))
+        redraw = Redraw(model, fitted, scored, results[-1].fitted.get("omega_sf", 1.0), simulated)
+        found.append([])
+        for n, draw in enumerate(draws):
+            tell(f"{name}: draw {n + 1} of {replicates}", (k + n / replicates) / len(names))
+            found[-1].append(redraw(*draw))
+    winners = np.argmin([[score.torque for score in scores] for scores in found], axis=0)
+    tell("ladder", 1.0)
+    return tuple(
+        Rung(
+            friction=name,
+            result=result,
+            train=_interval(result.fit.train_rms, [s.train for s in scores]),
+            scored=_scored(result, scores),
+            angle=_angle(result, scored, scores) if simulated else None,
+            best=float(np.mean(winners == k)),
+        )
+        for k, (name, result, scores) in enumerate(zip(names, results, found, strict=True))
+    )
+
+
+def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:
+    value = result.fit.validate_rms
+    return None if value is None else _interval(value, [s.torque for s in scores])
+
+
+def _angle(result: Identification, prepared: Sequence[Prepared], scores: Sequence[Score]) -> Interval:
+    sums = pooled(compare(p, replay(p.recording, result.fitted, result.alpha)) for p in prepared)
+    return _interval(sums.angle_rms, [s.angle for s in scores if s.angle is not None])
+
+
+def _draw(rng: np.random.Generator, count: int) -> Indices:
+    return np.asarray(rng.integers(0, count, size=count), dtype=np.int64)
+
+
+def _interval(value: float, draws: Sequence[float]) -> Interval:
+    low, high = np.quantile(draws, [0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE])
+    return Interval(value, float(low), float(high))

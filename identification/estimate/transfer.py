@@ -1,0 +1,113 @@
+"""What was identified on one set of recordings, scored on another: day, unit, mass or load."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from identification.estimate.assemble import fit_of
+from identification.estimate.default import identify
+from identification.estimate.floor import Floor, noise_floor
+from identification.estimate.result import LOAD_PARAMETERS, Fit, Identification, Parameter
+from identification.prepare import prepare
+from identification.recording import Dataset, RecordingError
+
+
+@dataclass(frozen=True)
+class Moved:
+    """One parameter on both.
+
+    Attributes:
+        name: Of the parameter.
+        unit: SI.
+        first: On the recordings it was identified on.
+        second: On the others alone.
+        difference: Second less first; None where either is not identifiable.
+        joint: Half width of the 90 % interval of that difference, both taken as independent.
+        moved: Whether the difference is greater.
+    """
+
+    name: str
+    unit: str
+    first: Parameter
+    second: Parameter
+    difference: float | None
+    joint: float | None
+    moved: bool | None
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A model carried over.
+
+    Attributes:
+        fit: Torque error of the carried model on the other recordings.
+        own: Of the model identified on them.
+        floor: Their noise floor; None where nothing in them is done twice.
+        by_recording: Torque error of the carried model, recording by recording.
+        parameters: What moved.
+        other: The identification of the other recordings.
+    """
+
+    fit: Fit
+    own: Fit
+    floor: Floor | None
+    by_recording: Mapping[str, Fit]
+    parameters: tuple[Moved, ...]
+    other: Identification
+
+
+def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfer:
+    """Score a fitted model on other recordings, and compare it with what they say alone.
+
+    The other recordings are identified with the same model and bandwidth; those that their own campaign sets aside stay
+    set aside.
+
+    Args:
+        first: The fit to carry over.
+        dataset: What it was fitted to; its declared model counts for both.
+        other: Recordings it has not seen.
+
+    Raises:
+        RecordingError: The other recordings cannot bear the model, or hold one that it was fitted to.
+    """
+    seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
+    recordings = other.part("fit")
+    known = [r.name for r in recordings if r.sha256 in seen]
+    if known:
+        raise RecordingError(f"{known[0]}: was fitted to already; score on recordings that were not")
+    loaded = [r.name for r in recordings if r.stage == "loaded"]
+    if loaded and not set(LOAD_PARAMETERS) & first.fitted.keys():
+        raise RecordingError(f"{loaded[0]}: loaded, and the model to score was fitted to unloaded recordings only")
+    mine, theirs = dataset.recordings[0].bench.motion, other.recordings[0].bench.motion
+    if mine != theirs:
+        raise RecordingError(f"a {mine} bench cannot be scored on a {theirs} one")
+    bandwidth_Hz = first.fit.bandwidth_Hz
+    own = identify(Dataset(recordings, dataset.model), bandwidth_Hz=bandwidth_Hz)
+    prepared = [prepare(r, bandwidth_Hz) for r in recordings]
+    names = [name for name in first.parameters if name in own.parameters and name not in dataset.model.fixed]
+    return Transfer(
+        fit=fit_of(prepared, first.fitted, first.alpha),
+        own=own.fit,
+        floor=noise_floor(prepared, own.fitted, own.alpha),
+        by_recording={p.recording.name: fit_of([p], first.fitted, first.alpha) for p in prepared},
+        parameters=tuple(moved(first.parameters[name], own.parameters[name]) for name in names),
+        other=own,
+    )
+
+
+def moved(first: Parameter, second: Parameter) -> Moved:
+    """Compare one parameter on both."""
+    halves = (_half_width(first), _half_width(second))
+    if first.value is None or second.value is None or halves[0] is None or halves[1] is None:
+        return Moved(first.name, first.unit, first, second, None, None, None)
+    difference = second.value - first.value
+    joint = math.hypot(halves[0], halves[1])
+    return Moved(first.name, first.unit, first, second, difference, joint, abs(difference) > joint)
+
+
+def _half_width(parameter: Parameter) -> float | None:
+    if parameter.low is None or parameter.high is None:
+        return None
+    return 0.5 * (parameter.high - parameter.low)

@@ -1,0 +1,180 @@
+"""What a fitted model does in the loop its recording was made in."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.prepare import ampere_torque, joint_angle
+from identification.recording import Array, Controller, Recording, RecordingError
+from identification.simulate import kernel
+
+STEP_S = 2.5e-4
+"""Greatest integration step: the error it leaves is far below what recordings show (tests/identification)."""
+
+OPEN_LOOP = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
+"""No controller: ``Inputs.added`` is the torque that drives the joint, N m."""
+
+
+@dataclass(frozen=True)
+class Response:
+    """A simulated response, shape (n,), SI, at the joint.
+
+    Attributes:
+        time: s.
+        angle: rad.
+        velocity: rad/s.
+        torque: Of the drive, N m.
+    """
+
+    time: Array
+    angle: Array
+    velocity: Array
+    torque: Array
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What acts on the loop, shape (n,).
+
+    Attributes:
+        time: s, increasing.
+        command: rad.
+        scale: What multiplies the controller's output: the supply voltage where that is a duty, else 1.
+        added: Added to that product, in the output's unit.
+        moment: F_P L1, N m.
+    """
+
+    time: Array
+    command: Array
+    scale: Array
+    added: Array
+    moment: Array
+
+
+def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
+    """Return the kernel's parameters of the joint with the recording's pendulum on it, shape (15,).
+
+    Parameters that are absent count as zero; a static level below its Coulomb level counts as that.
+
+    Raises:
+        RecordingError: There is no inertia to move.
+    """
+    body = np.zeros(kernel.BODY_SIZE)
+    body[kernel.INERTIA] = values.get("J", 0.0)
+    for name, place in (
+        ("Mc", kernel.MC),
+        ("sigma_2", kernel.SIGMA_2),
+        ("mu_c", kernel.MU_C),
+        ("mu_2", kernel.MU_2),
+        ("mu_gc", kernel.MU_GC),
+        ("offset", kernel.OFFSET),
+    ):
+        body[place] = values.get(name, 0.0)
+    for coulomb, static, place in (
+        ("Mc", "Ms", kernel.DM),
+        ("mu_c", "mu_s", kernel.DMU),
+        ("mu_gc", "mu_gs", kernel.DMU_G),
+    ):
+        body[place] = max(values.get(static, 0.0) - values.get(coulomb, 0.0), 0.0)
+    body[kernel.OMEGA_SF] = values.get("omega_sf", 1.0)
+    body[kernel.OMEGA_SL] = values.get("omega_sL", 1.0)
+    body[kernel.ALPHA] = alpha
+    if recording.pendulum is not None:
+        pendulum = recording.pendulum
+        body[kernel.INERTIA] += pendulum.inertia
+        body[kernel.WEIGHT] = pendulum.mass * recording.bench.gravity * pendulum.length
+        body[kernel.ZERO] = pendulum.zero
+    if not body[kernel.INERTIA] > 0.0:
+        raise RecordingError(f"{recording.name}: an inertia of {body[kernel.INERTIA]:g} cannot be simulated; fix J")
+    return body
+
+
+def loop_of(controller: Controller, recording: Recording) -> Array:
+    """Return the kernel's parameters of controller and drive, shape (5,).
+
+    A duty or a voltage drives the armature: torque = Km i (U - Ke i omega)/R, the inductance neglected.
+
+    Raises:
+        RecordingError: A constant of the motor is missing.
+    """
+    per_output, damping = 1.0, 0.0
+    if controller.output != "torque":
+        bench = recording.bench
+        if bench.resistance is None or bench.back_emf_constant is None or bench.torque_constant is None:
+            raise RecordingError(
+                f"{recording.name}: a controller with output {controller.output!r} needs bench.resistance, "
+                "bench.back_emf_constant and bench.torque_constant"
+            )
+        per_output = ampere_torque(recording) / bench.resistance
+        damping = per_output * bench.back_emf_constant * bench.gear_ratio
+    limit = math.inf if controller.limit is None else controller.limit
+    return np.array([controller.position_gain, controller.velocity_gain, limit, per_output, damping])
+
+
+def inputs_of(recording: Recording) -> Inputs:
+    """Return what acted on the loop while a recording was made.
+
+    Raises:
+        RecordingError: It has no controller or no command, or a duty and no supply voltage.
+    """
+    controller, channels = recording.controller, recording.channels
+    if controller is None or "command" not in channels:
+        raise RecordingError(
+            f"{recording.name}: a simulation needs a `command` channel and the `controller` it acts on"
+        )
+    n = len(recording.time)
+    scale = np.ones(n)
+    if controller.output == "duty":
+        if "supply_voltage" not in channels:
+            raise RecordingError(f"{recording.name}: a controller with output 'duty' needs a `supply_voltage` channel")
+        scale = channels["supply_voltage"]
+    force = channels.get("load_force", np.full(n, recording.contact_force))
+    return Inputs(
+        time=recording.time,
+        command=channels["command"],
+        scale=scale,
+        added=channels.get("feedforward", np.zeros(n)),
+        moment=force * (recording.bench.moment_arm or 0.0),
+    )
+
+
+def simulate(body: Array, loop: Array, inputs: Inputs, angle: float, velocity: float, step: float = STEP_S) -> Response:
+    """Simulate a loop around a joint with set-valued friction from an initial state.
+
+    Args:
+        body: Of :func:`body_of`.
+        loop: Of :func:`loop_of`, or :data:`OPEN_LOOP`.
+        inputs: What acts on it.
+        angle: At the first time stamp, rad.
+        velocity: At the first time stamp, rad/s.
+        step: Greatest integration step, s.
+    """
+    n = len(inputs.time)
+    angles, speeds, torques = np.zeros(n), np.zeros(n), np.zeros(n)
+    angles[0], speeds[0] = angle, velocity
+    time, command, scale, added, moment = (
+        np.ascontiguousarray(column)
+        for column in (inputs.time, inputs.command, inputs.scale, inputs.added, inputs.moment)
+    )
+    kernel.closed_loop(time, command, scale, added, moment, body, loop, step, angles, speeds, torques)
+    return Response(inputs.time, angles, speeds, torques)
+
+
+def replay(recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S) -> Response:
+    """Simulate a recording from its own command and first angle, at rest, with the fitted ``values``.
+
+    Nothing measured later than the first sample enters but the command, the supply voltage and the declared loads.
+
+    Raises:
+        RecordingError: Something the simulation needs is missing.
+    """
+    inputs = inputs_of(recording)
+    measured = joint_angle(recording)
+    if measured is None or recording.controller is None:
+        raise RecordingError(f"{recording.name}: a simulation needs an angle to start from")
+    loop = loop_of(recording.controller, recording)
+    return simulate(body_of(values, recording, alpha), loop, inputs, float(measured[0]), 0.0, step)

@@ -1,0 +1,99 @@
+"""How far a simulated response is from the recording, pooled over recordings."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.prepare import POSITION_BANDWIDTH, Prepared, joint_angle, uniform_grid
+from identification.recording import Array, RecordingError
+from identification.signals import resample, smooth
+from identification.simulate.closed_loop import Response
+
+FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
+"""What scales with the friction as a whole; Stribeck speeds, inertia and offset stay."""
+
+
+@dataclass(frozen=True)
+class Sums:
+    """Sums of squares over all samples, the resting ones included, from which errors are pooled.
+
+    Attributes:
+        torque_error: Of simulated less measured drive torque at the bandwidth.
+        torque: Of the measured drive torque at the bandwidth.
+        torque_samples: How many.
+        angle_error: Of simulated less measured angle at the recording's own time stamps.
+        angle_samples: How many.
+    """
+
+    torque_error: float = 0.0
+    torque: float = 0.0
+    torque_samples: int = 0
+    angle_error: float = 0.0
+    angle_samples: int = 0
+
+    @property
+    def torque_rms(self) -> float:
+        """Torque error, N m (N)."""
+        return math.sqrt(self.torque_error / max(self.torque_samples, 1))
+
+    @property
+    def torque_relative(self) -> float:
+        """Norm of the torque error over that of the torque."""
+        return math.sqrt(self.torque_error / self.torque) if self.torque > 0.0 else 0.0
+
+    @property
+    def angle_rms(self) -> float:
+        """Angle error, rad (m)."""
+        return math.sqrt(self.angle_error / max(self.angle_samples, 1))
+
+
+def pooled(parts: Iterable[Sums]) -> Sums:
+    """Return the sums over several recordings."""
+    total = Sums()
+    for s in parts:
+        total = Sums(
+            total.torque_error + s.torque_error,
+            total.torque + s.torque,
+            total.torque_samples + s.torque_samples,
+            total.angle_error + s.angle_error,
+            total.angle_samples + s.angle_samples,
+        )
+    return total
+
+
+def compare(prepared: Prepared, response: Response) -> Sums:
+    """Return the sums of squared errors of a response; both torques pass the recording's filter.
+
+    Raises:
+        RecordingError: The recording has no angle.
+    """
+    angle = joint_angle(prepared.recording)
+    if angle is None:
+        raise RecordingError(f"{prepared.recording.name}: no angle to compare with")
+    off = response.angle - angle
+    error = simulated_torque(prepared, response) - prepared.drive_torque
+    return Sums(
+        torque_error=float(error @ error),
+        torque=float(prepared.drive_torque @ prepared.drive_torque),
+        torque_samples=len(error),
+        angle_error=float(off @ off),
+        angle_samples=len(off),
+    )
+
+
+def simulated_torque(prepared: Prepared, response: Response) -> Array:
+    """Return the simulated drive torque as the fit would have seen it, N m, at ``prepared.time``."""
+    recording = prepared.recording
+    series = resample(recording.time, response.torque, uniform_grid(recording))
+    if prepared.filter.half:
+        series = smooth(series, 1.0 / recording.period, POSITION_BANDWIDTH * prepared.bandwidth_Hz)
+    return np.asarray(prepared.filter(series))
+
+
+def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
+    """Return the values with all friction times ``share``: what an error has to be seen beside."""
+    return {name: value * (share if name in FRICTION_PARAMETERS else 1.0) for name, value in values.items()}

@@ -1,0 +1,141 @@
+"""What ``rig simulate`` leaves behind: text for the terminal, result file, report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from identification.plots.simulated import simulated
+from identification.simulate.score import Sums
+from rig.errors import InputError
+from rig.figures import Picture, save
+from rig.parameter_table import Table
+from rig.places import write_json, write_text
+from rig.report import provenance_tables, render
+from rig.simulate import Case, Simulation
+from rig.tables import number, percent, table
+
+SIMULATE_SCHEMA = "loadrig.simulate/1"
+RESULT_FILE = "simulate.json"
+_SHOWN_PER_ROLE = 3
+_FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
+
+
+def text(found: Simulation) -> str:
+    """Return the pooled errors of every model for the terminal."""
+    cells = pooled_table(found)
+    head = f"closed loop, simulated from the first sample; torque at {number(found.bandwidth_Hz, 3)} Hz"
+    return f"{head}\n{table(cells.header, cells.rows, cells.right)}"
+
+
+def pooled_table(found: Simulation) -> Table:
+    """Return one row per model, share of friction and role."""
+    rows = [
+        (case.model.file.stem, _FRICTION[case.share], role, str(len(names)), *_cells(found, case.over(names)))
+        for case in found.cases
+        for role in ("fit", "validate")
+        if (names := found.names(role))
+    ]
+    return Table(("model", "friction", "role", "recordings", *_errors(found)), tuple(rows), (3, 4, 5, 6))
+
+
+def record(found: Simulation) -> dict[str, Any]:
+    """Return the record of ``rig simulate --json``."""
+    return {
+        **found.provenance.record(SIMULATE_SCHEMA),
+        "unit": found.unit,
+        "angle_unit": "rad" if _rotary(found) else "m",
+        "bandwidth_Hz": found.bandwidth_Hz,
+        "cases": [_case_record(found, case) for case in found.cases],
+    }
+
+
+def write(folder: Path, name: str, found: Simulation, json_file: Path | None) -> Path:
+    """Write result file, figures and report into ``folder``, and the result once more where asked; return the page.
+
+    Raises:
+        InputError: A place cannot be written.
+    """
+    pictures = _pictures(found)
+    sections = [
+        {"title": "Errors", "table": pooled_table(found), "pictures": []},
+        {"title": "Recordings", "table": _recording_table(found), "pictures": pictures},
+    ]
+    notes = [
+        "The loop is simulated from the first sample on: only the command, the supply and declared loads enter.",
+        f"Errors of angle are over all samples; those of torque at {number(found.bandwidth_Hz, 4)} Hz.",
+    ]
+    page = render(
+        "paper.html.j2",
+        title=f"Simulation of {name}",
+        subtitle=f"Model: {', '.join(dict.fromkeys(str(case.model.file) for case in found.cases))}",
+        notes=notes,
+        sections=sections,
+        **provenance_tables(found.provenance),
+    )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        save(pictures, folder)
+        for place in filter(None, (folder / RESULT_FILE, json_file)):
+            write_json(place, record(found))
+        path = folder / "report.html"
+        write_text(path, page)
+    except OSError as error:
+        places = " or ".join(str(place) for place in (folder, json_file) if place)
+        raise InputError(
+            f"{places}: cannot be written: {error.strerror}; give --out or --json another place"
+        ) from error
+    return path
+
+
+def _rotary(found: Simulation) -> bool:
+    return found.dataset.recordings[0].bench.motion == "rotary"
+
+
+def _errors(found: Simulation) -> tuple[str, str, str]:
+    rotary = _rotary(found)
+    return (
+        f"{'torque' if rotary else 'force'} error ({found.unit})",
+        "relative",
+        "angle error (mrad)" if rotary else "position error (um)",
+    )
+
+
+def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
+    scale = 1e3 if _rotary(found) else 1e6
+    return number(sums.torque_rms, 4), percent(100.0 * sums.torque_relative), number(scale * sums.angle_rms, 4)
+
+
+def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
+    roles = {role: names for role in ("fit", "validate") if (names := found.names(role))}
+    return {
+        "result": str(case.model.file),
+        "friction_share": case.share,
+        **{role: _sums_record(case.over(names)) for role, names in roles.items()},
+        "recordings": {name: _sums_record(sums) for name, sums in case.sums.items()},
+    }
+
+
+def _sums_record(sums: Sums) -> dict[str, float]:
+    return {"torque_rms": sums.torque_rms, "torque_relative": sums.torque_relative, "angle_rms": sums.angle_rms}
+
+
+def _recording_table(found: Simulation) -> Table:
+    first = found.cases[0]
+    rows = tuple((r.name, r.role, *_cells(found, first.sums[r.name])) for r in found.dataset.recordings)
+    return Table(("recording", "role", *_errors(found)), rows, (2, 3, 4))
+
+
+def _pictures(found: Simulation) -> list[Picture]:
+    pairs = list(zip(found.prepared, found.responses, strict=True))
+    shown = [
+        pair
+        for role in ("fit", "validate")
+        for pair in [pair for pair in pairs if pair[0].recording.role == role][:_SHOWN_PER_ROLE]
+    ]
+    return [
+        Picture.of(
+            f"simulated_{p.recording.name}", f"{p.recording.name}: measured and simulated", simulated(p, response)
+        )
+        for p, response in shown
+    ]
