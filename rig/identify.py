@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from identification.estimate.comparison import Contender, compare
 from identification.estimate.default import identify
 from identification.estimate.paper import identify_paper
 from identification.estimate.result import Identification
@@ -49,11 +50,13 @@ class Outcome:
         dataset: What was identified.
         results: One per method, in the order asked for.
         provenance: Seed, inputs, time.
+        comparison: All estimators side by side, where asked for.
     """
 
     dataset: Dataset
     results: tuple[Identification, ...]
     provenance: Provenance
+    comparison: tuple[Contender, ...] = ()
 
 
 def identify_source(
@@ -96,3 +99,34 @@ def identify_source(
         results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings))
     provenance = Provenance.of(seed, dataset.recordings, time.perf_counter() - started, described_by)
     return Outcome(dataset, tuple(results), provenance)
+
+
+COMPARED_SEEDS = 5
+"""Runs of each search that has chance in it."""
+
+
+def compare_methods(
+    source: Path, outcome: Outcome, truth: Mapping[str, float] | None, progress: Callable[[str, float], None]
+) -> Outcome:
+    """Return the outcome with all estimators side by side, each search run from ``COMPARED_SEEDS`` seeds.
+
+    Args:
+        source: What was identified, for messages.
+        outcome: Its identification; the first result is the default method's.
+        truth: True parameters of a simulated bench; they enter the table only.
+        progress: Called with what is being done and the share that is done.
+
+    Raises:
+        InputError: The campaign fixes values or declares terms.
+    """
+    started = time.perf_counter()
+    seed = outcome.provenance.seed
+    seeds = range(seed, seed + COMPARED_SEEDS)
+    try:
+        found = compare(outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress)
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    spent = outcome.provenance.seconds + time.perf_counter() - started
+    return dataclasses.replace(
+        outcome, comparison=found, provenance=dataclasses.replace(outcome.provenance, seconds=spent)
+    )

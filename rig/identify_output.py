@@ -8,6 +8,7 @@ from pathlib import Path
 
 from identification.estimate.result import Identification
 from identification.recording import Recording
+from rig.comparison_table import COMPARISON_NOTE, comparison_record, comparison_table
 from rig.errors import InputError
 from rig.identify import Outcome
 from rig.parameter_table import parameter_notes, parameter_table
@@ -25,6 +26,9 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     cells = parameter_table(outcome.results, truth)
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
+    if outcome.comparison:
+        compared = comparison_table(outcome.comparison)
+        lines += ["", table(compared.header, compared.rows, compared.right), COMPARISON_NOTE, ""]
     lines += reading_notes(outcome.dataset.recordings)
     lines += [f"note: {line}" for line in parameter_notes(outcome.results)]
     lines += [f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings]
@@ -54,12 +58,20 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)
+    if outcome.comparison:
+        record["comparison"] = comparison_record(outcome.comparison)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(path, record)
         return write_report(
-            folder, f"Identification of {name}", outcome.dataset, outcome.results, outcome.provenance, truth
+            folder,
+            f"Identification of {name}",
+            outcome.dataset,
+            outcome.results,
+            outcome.provenance,
+            truth,
+            outcome.comparison,
         )
     except OSError as error:
         places = " or ".join(str(place) for place in (folder, json_file) if place)

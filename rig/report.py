@@ -8,10 +8,12 @@ from typing import Any
 
 import jinja2
 
+from identification.estimate.comparison import Contender
 from identification.estimate.result import Fit, Identification, Trace
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Dataset, Recording
+from rig.comparison_table import COMPARISON_NOTE, comparison_table
 from rig.figures import Picture, save
 from rig.parameter_table import Table, parameter_notes, parameter_table
 from rig.places import write_text
@@ -29,6 +31,7 @@ def write_report(
     results: Sequence[Identification],
     provenance: Provenance,
     truth: Mapping[str, float] | None = None,
+    comparison: Sequence[Contender] = (),
 ) -> Path:
     """Write ``report.html`` and ``figures/*.png`` of one identification, by one method or several side by side.
 
@@ -39,6 +42,7 @@ def write_report(
         results: One per method; the first is the one the figures of single recordings show.
         provenance: Seed, inputs, time.
         truth: True values of a simulated bench, for display only.
+        comparison: All estimators side by side; may be empty.
 
     Returns:
         The page.
@@ -67,6 +71,8 @@ def write_report(
         parameters=parameter_table(results, truth),
         parameter_notes=parameter_notes(results),
         has_truth=truth is not None,
+        comparison=comparison_table(comparison) if comparison else None,
+        comparison_note=COMPARISON_NOTE,
         fits=_fit_table(results),
         recording_fits=_recording_fit_table(results),
         stages=_stage_table(results),
