@@ -165,7 +165,8 @@ class Calibration(Schema):
 class Bench(Schema):
     """One bench, as written in its file.
 
-    ``overdue_calibration`` says what a run does where the day of a calibration has passed.
+    ``overdue_calibration`` says what a run does where the day of a calibration has passed. ``weights_kg`` are the
+    masses that can be hung on the lever; a planned experiment chooses from them.
     """
 
     bench: Literal[1]
@@ -184,6 +185,7 @@ class Bench(Schema):
     ] = EncoderSection()
     cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
     limits: LimitsSection
+    weights_kg: tuple[Positive, ...] = ()
     calibrations: tuple[Calibration, ...] = ()
     overdue_calibration: Literal["warn", "refuse"] = "warn"
     mock: constants.Machine | None = None
