@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 
 from identification.estimate.comparison import Contender, compare
-from identification.estimate.default import identify
+from identification.estimate.long import identify_any_length
 from identification.estimate.paper import identify_paper
 from identification.estimate.result import Identification
 from identification.recording import Dataset, RecordingError
@@ -38,7 +38,7 @@ class Method(Protocol):
         ...
 
 
-METHODS: Mapping[str, Method] = {"default": identify, "paper": identify_paper}
+METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
 """Name on the command line to estimator."""
 
 

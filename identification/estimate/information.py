@@ -66,12 +66,13 @@ def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) 
         step = -np.bincount(owners, weight * along * residual, m) / np.where(own > 0.0, own, np.inf)
         trial = x.copy()
         trial[count:] += length * np.clip(step, -LONGEST_STEP_MS, LONGEST_STEP_MS)
-        there_cost = np.bincount(owners, huber(problem.residuals(trial), threshold), m)
-        better = there_cost < cost
+        tried = problem.residuals(trial)
+        tried_cost = np.bincount(owners, huber(tried, threshold), m)
+        better = tried_cost < cost
         x[count:] = np.where(better, trial[count:], x[count:])
         length = np.where(better, 1.0, 0.25 * length)
-        residual = problem.residuals(x)
-        cost = np.bincount(owners, huber(residual, threshold), m)
+        residual = np.where(better[owners], tried, residual)
+        cost = np.where(better, tried_cost, cost)
     problem.begins = problem.times(x)
 
 

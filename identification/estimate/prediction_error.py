@@ -199,7 +199,7 @@ def refine_stages(
     cov = covariance(joint)
     names = tuple(n for n, k in INDEX.items() if k in free)
     order = [free.index(INDEX[n]) for n in names]
-    turn = _rise_to_static(names) @ cov[np.ix_(order, order)] @ _rise_to_static(names).T
+    turn = rise_to_static(names) @ cov[np.ix_(order, order)] @ rise_to_static(names).T
     inside = residual[: len(residual) - joint.breakaways]
     values = {**start, **unpack(joint.start, [n for n in INDEX if n in start])}
     return Refined(
@@ -216,7 +216,7 @@ def refine_stages(
     )
 
 
-def _rise_to_static(names: Sequence[str]) -> Array:
+def rise_to_static(names: Sequence[str]) -> Array:
     """Return the map from (Coulomb level, rise) to (Coulomb level, static limit)."""
     turn = np.eye(len(names))
     for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
