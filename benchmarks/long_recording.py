@@ -1,4 +1,4 @@
-"""Long recordings: processor seconds and peak memory of the default method, reading included, over 1e4 to 3.6e7 samples.
+"""Long recordings: processor seconds and peak memory of the default method and of reading, over 1e4 to 3.6e7 samples.
 
 3.6e7 are 10 h at 1 kHz. Half of the samples unloaded, half at 30.6 kg, 20 deg at 0.2 Hz; noise of the current and steps
 of both sensors as on the practical bench, fresh throughout. They come from the cheap forward simulation of the nominal

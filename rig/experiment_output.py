@@ -30,7 +30,7 @@ def text(experiment: Experiment) -> str:
     ]
     header = ["parameter", "nominal", experiment.sequence.name, experiment.proposed.name, "times tighter"]
     lines = [
-        "90 % interval over the value, half width, from the Fisher information on the nominal model:",
+        "90 % interval over the value, half width, from a rehearsal on the nominal model:",
         "",
         table(header, rows, (1, 2, 3, 4)),
         "",
@@ -40,7 +40,8 @@ def text(experiment: Experiment) -> str:
         table(["stage", "kg", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1,)),
         "",
         f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; a stiff drive "
-        f"loop is assumed; {experiment.proposal.judged} excitations judged in {experiment.seconds:.1f} s",
+        f"loop is assumed; {experiment.proposal.judged} excitations judged, {experiment.proposal.rehearsed} experiments "
+        f"rehearsed, in {experiment.seconds:.1f} s",
     ]
     return "\n".join(lines)
 
@@ -93,7 +94,9 @@ def _record(experiment: Experiment, bench: str) -> dict[str, Any]:
         "current_noise_A": experiment.current_noise_A,
         "present": _pinned_record(experiment.sequence, experiment.proposal.present),
         "proposed": _pinned_record(experiment.proposed, experiment.proposal.pinned),
+        "fisher_half_widths": {n: finite(w) for n, w in experiment.proposal.promised.half_widths.items()},
         "judged": experiment.proposal.judged,
+        "rehearsed": experiment.proposal.rehearsed,
     }
 
 

@@ -109,11 +109,21 @@ class Nominal:
         return self.bench.contact_force(weight) * (self.bench.moment_arm or 0.0)
 
 
-def stage_response(stage: PlannedStage, nominal: Nominal) -> Response:
-    """Return what the nominal bench does in one stage; the noise is the same for every stage of one length."""
+def stage_response(
+    stage: PlannedStage, nominal: Nominal, rng: np.random.Generator | None = None, share: float = 1.0
+) -> Response:
+    """Return what the nominal bench does in one stage.
+
+    Args:
+        stage: What is commanded, under which weight.
+        nominal: The model.
+        rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
+        share: Of the noise that is in the torque itself.
+    """
     loop = usual_loop(nominal.values["J"], nominal.torque_limit)
     moment, sensors = nominal.moment(stage.weight), nominal.sensors
-    noise = sensors.torque_noise * np.random.default_rng(NOISE_SEED).standard_normal(len(stage.command))
+    chance = rng or np.random.default_rng(NOISE_SEED)
+    noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
     return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, loop, noise)
 
 

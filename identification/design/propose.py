@@ -3,6 +3,7 @@
 Informations of stages add, so each stage gets a list of candidates that are judged once; stages then exchange their
 candidate for a better one in turn until none is better (Fedorov, Theory of Optimal Experiments, 1972, ch. 3). The best
 is refined by small random changes. What is minimised is the greatest relative interval of the nine (a minimax design).
+In the end the best few designs are rehearsed, and the rehearsal decides.
 """
 
 from __future__ import annotations
@@ -23,12 +24,17 @@ from identification.design.pinning import (
     stage_information,
     stage_response,
 )
+from identification.design.rehearsal import rehearse
 from identification.recording import Array
 
 CANDIDATES = 60
 """Random excitations judged per stage."""
 REFINEMENTS = 40
 """Small changes tried per stage afterwards."""
+RUNNERS_UP = 4
+"""Designs per stage that are rehearsed beside the best."""
+REHEARSALS = 1
+"""Runs per rehearsal, with noise of their own; the worst counts."""
 _MARGIN = 0.85
 """Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
 _FOLLOWING_MARGIN = 0.5
@@ -78,12 +84,23 @@ class Bounds:
 
 @dataclass(frozen=True)
 class Proposal:
-    """What the present excitation pins, what is proposed instead, and what that would pin."""
+    """What the present excitation pins, what is proposed instead, and what that would pin.
+
+    Attributes:
+        present: By the rehearsal of the present excitation.
+        stages: The proposal; the present excitation where nothing better was found.
+        pinned: By its rehearsal.
+        promised: By its Fisher information.
+        judged: Excitations simulated.
+        rehearsed: Whole experiments rehearsed.
+    """
 
     present: Pinned
     stages: tuple[Excitation, ...]
     pinned: Pinned
+    promised: Pinned
     judged: int
+    rehearsed: int
 
 
 @dataclass(frozen=True)
@@ -126,13 +143,42 @@ def propose(
             tell("candidates", (number + (k + 1) / CANDIDATES) / len(frames))
     present_choice = [each[0] for each in lists]
     choice = _exchange(present_choice, lists)
+    designs = [present_choice, choice]
     for k in range(REFINEMENTS):
         for number, frame in enumerate(frames):
             found = judge.of(frame, _changed(choice[number].excitation, frame, bounds, rng))
             if found is not None:
                 choice = _exchange(choice, [[found] if j == number else [] for j in range(len(frames))])
         tell("refinement", (k + 1) / REFINEMENTS)
-    return Proposal(_pins(present_choice), tuple(c.excitation for c in choice), _pins(choice), judge.count)
+    designs += [choice, *_others(present_choice, choice, lists)]
+    rehearsed: list[Pinned] = []
+    for k, design in enumerate(designs):
+        planned = [
+            PlannedStage(f.render(c.excitation), c.excitation.weight) for f, c in zip(frames, design, strict=True)
+        ]
+        runs = [rehearse(planned, nominal, np.random.default_rng((seed, k))) for seed in range(REHEARSALS)]
+        rehearsed.append(max(runs, key=lambda pins: pins.worst))
+        tell("rehearsal", (k + 1) / len(designs))
+    best = min(range(len(designs)), key=lambda k: rehearsed[k].worst)
+    return Proposal(
+        present=rehearsed[0],
+        stages=tuple(c.excitation for c in designs[best]),
+        pinned=rehearsed[best],
+        promised=_pins(designs[best]),
+        judged=judge.count,
+        rehearsed=len(designs),
+    )
+
+
+def _others(
+    present: Sequence[_Judged], choice: Sequence[_Judged], lists: Sequence[Sequence[_Judged]]
+) -> list[list[_Judged]]:
+    """Return the designs that come next: for each stage alone, the best few candidates in place of the chosen one."""
+    out = []
+    for number, candidates in enumerate(lists):
+        designs = [[*choice[:number], c, *choice[number + 1 :]] for c in candidates if c is not present[number]]
+        out += sorted(designs, key=_loss)[:RUNNERS_UP]
+    return out
 
 
 def _exchange(choice: list[_Judged], lists: Sequence[Sequence[_Judged]]) -> list[_Judged]:
