@@ -39,9 +39,9 @@ def text(experiment: Experiment) -> str:
         "",
         table(["stage", "kg", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1,)),
         "",
-        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; a stiff drive "
-        f"loop is assumed; {experiment.proposal.judged} excitations judged, {experiment.proposal.rehearsed} experiments "
-        f"rehearsed, in {experiment.seconds:.1f} s",
+        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; a stiff "
+        f"drive loop is assumed; {experiment.proposal.judged} excitations judged, "
+        f"{experiment.proposal.rehearsed} experiments rehearsed, in {experiment.seconds:.1f} s",
     ]
     return "\n".join(lines)
 
