@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal bench paper clean
+.PHONY: help demo test lint accuracy literal bench paper plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -17,6 +17,8 @@ help:
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make bench     speed, as ratios within one run"
+	@echo "make plan-study  what proposed experiments gain on random benches"
+	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
 	@echo "make clean     remove the virtual environment and everything generated"
 
 $(VENV)/bin/python:
@@ -45,6 +47,12 @@ lint: $(VENV)/.dev
 
 test: lint
 	$(BIN)/pytest
+
+plan-study: $(VENV)/.runtime
+	$(BIN)/python benchmarks/plan_study.py --benches 20
+
+long: $(VENV)/.runtime
+	$(BIN)/python benchmarks/long_recording.py
 
 paper: $(VENV)/.runtime
 	$(BIN)/rig paper --out out/paper

@@ -11,7 +11,7 @@ from identification.recording import Recording
 from rig.comparison_table import COMPARISON_NOTE, comparison_record, comparison_table
 from rig.errors import InputError
 from rig.identify import Outcome
-from rig.parameter_table import parameter_notes, parameter_table
+from rig.parameter_table import parameter_notes, parameter_table, pinned_notes
 from rig.places import write_json
 from rig.report import write_report
 from rig.results import identification_record
@@ -26,6 +26,7 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     cells = parameter_table(outcome.results, truth)
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
+    lines += pinned_notes(outcome.results)
     if outcome.comparison:
         compared = comparison_table(outcome.comparison)
         lines += ["", table(compared.header, compared.rows, compared.right), COMPARISON_NOTE, ""]

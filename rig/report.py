@@ -15,7 +15,7 @@ from identification.plots import signals
 from identification.recording import Dataset, Recording
 from rig.comparison_table import COMPARISON_NOTE, comparison_table
 from rig.figures import Picture, save
-from rig.parameter_table import Table, parameter_notes, parameter_table
+from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_notes
 from rig.places import write_text
 from rig.results import Provenance
 from rig.tables import number, percent
@@ -69,7 +69,7 @@ def write_report(
         subtitle=f"Identification by the {' and the '.join(r.method for r in results)} method",
         warnings=[f"{r.method}: {w}" for r in results for w in r.warnings],
         parameters=parameter_table(results, truth),
-        parameter_notes=parameter_notes(results),
+        parameter_notes=[*pinned_notes(results), *parameter_notes(results)],
         has_truth=truth is not None,
         comparison=comparison_table(comparison) if comparison else None,
         comparison_note=COMPARISON_NOTE,
