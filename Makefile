@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal real bench paper weight-check transports fault-matrix kill fuzz mutants clean
+.PHONY: help demo test lint accuracy literal real bench paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -24,6 +24,8 @@ help:
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
 	@echo "make fuzz      a million frames or bytes for every decoder"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
+	@echo "make plan-study  what proposed experiments gain on random benches"
+	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
 	@echo "make clean     remove the virtual environment and everything generated"
 
 $(VENV)/bin/python:
@@ -52,6 +54,12 @@ lint: $(VENV)/.dev
 
 test: lint
 	$(BIN)/pytest
+
+plan-study: $(VENV)/.runtime
+	$(BIN)/python benchmarks/plan_study.py --benches 20
+
+long: $(VENV)/.runtime
+	$(BIN)/python benchmarks/long_recording.py
 
 paper: $(VENV)/.runtime
 	$(BIN)/rig paper --out out/paper

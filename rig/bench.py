@@ -166,7 +166,8 @@ class Bench(Schema):
     """One bench, as written in its file.
 
     ``overdue_calibration`` says what a run does where the day of a calibration has passed, ``prompt_timeout_s`` how
-    long an answer of the operator is waited for; null is for ever.
+    long an answer of the operator is waited for; null is for ever. ``weights_kg`` are the masses that can be hung
+    on the lever; a planned experiment chooses from them.
     """
 
     bench: Literal[1]
@@ -185,6 +186,7 @@ class Bench(Schema):
     ] = EncoderSection()
     cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
     limits: LimitsSection
+    weights_kg: tuple[Positive, ...] = ()
     calibrations: tuple[Calibration, ...] = ()
     overdue_calibration: Literal["warn", "refuse"] = "warn"
     prompt_timeout_s: Positive | None = None

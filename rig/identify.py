@@ -11,8 +11,9 @@ from typing import Protocol
 
 import numpy as np
 
-from identification.estimate.default import identify
+from identification.estimate.comparison import Contender, compare
 from identification.estimate.ladder import Rung, climb
+from identification.estimate.long import identify_any_length
 from identification.estimate.paper import identify_paper
 from identification.estimate.result import Identification
 from identification.estimate.transfer import Transfer, transfer
@@ -39,7 +40,7 @@ class Method(Protocol):
         ...
 
 
-METHODS: Mapping[str, Method] = {"default": identify, "paper": identify_paper}
+METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
 """Name on the command line to estimator."""
 
 
@@ -54,6 +55,7 @@ class Outcome:
         ladder: Every rung of the friction models, where asked for.
         transfer: The first result scored on other recordings, where asked for.
         scored_on: Where those are.
+        comparison: All estimators side by side, where asked for.
     """
 
     dataset: Dataset
@@ -62,6 +64,7 @@ class Outcome:
     ladder: tuple[Rung, ...] = ()
     transfer: Transfer | None = None
     scored_on: Path | None = None
+    comparison: tuple[Contender, ...] = ()
 
 
 def identify_source(
@@ -124,3 +127,34 @@ def identify_source(
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
     provenance = Provenance.of(seed, read, time.perf_counter() - started, described_by)
     return Outcome(dataset, tuple(results), provenance, rungs, carried, score)
+
+
+COMPARED_SEEDS = 5
+"""Runs of each search that has chance in it."""
+
+
+def compare_methods(
+    source: Path, outcome: Outcome, truth: Mapping[str, float] | None, progress: Callable[[str, float], None]
+) -> Outcome:
+    """Return the outcome with all estimators side by side, each search run from ``COMPARED_SEEDS`` seeds.
+
+    Args:
+        source: What was identified, for messages.
+        outcome: Its identification; the first result is the default method's.
+        truth: True parameters of a simulated bench; they enter the table only.
+        progress: Called with what is being done and the share that is done.
+
+    Raises:
+        InputError: The campaign fixes values or declares terms.
+    """
+    started = time.perf_counter()
+    seed = outcome.provenance.seed
+    seeds = range(seed, seed + COMPARED_SEEDS)
+    try:
+        found = compare(outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress)
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    spent = outcome.provenance.seconds + time.perf_counter() - started
+    return dataclasses.replace(
+        outcome, comparison=found, provenance=dataclasses.replace(outcome.provenance, seconds=spent)
+    )

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from identification.estimate.result import Identification
 from identification.recording import Recording
+from rig.comparison_table import COMPARISON_NOTE, comparison_record, comparison_table
 from rig.errors import InputError
 from rig.identify import Outcome
 from rig.ladder_output import ladder_notes, ladder_record, ladder_table
-from rig.parameter_table import Table, parameter_notes, parameter_table
+from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_notes
 from rig.places import write_json
 from rig.report import write_report
 from rig.results import identification_record
@@ -27,6 +28,10 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     cells = parameter_table(outcome.results, truth)
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
+    lines += pinned_notes(outcome.results)
+    if outcome.comparison:
+        compared = comparison_table(outcome.comparison)
+        lines += ["", table(compared.header, compared.rows, compared.right), COMPARISON_NOTE, ""]
     for title, cells, notes in _extras(outcome):
         lines += ["", title, table(cells.header, cells.rows, cells.right), *notes, ""]
     lines += reading_notes(outcome.dataset.recordings)
@@ -72,6 +77,8 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
         record["ladder"] = ladder_record(outcome.ladder)
     if outcome.transfer is not None:
         record["transfer"] = transfer_record(outcome.transfer, str(outcome.scored_on))
+    if outcome.comparison:
+        record["comparison"] = comparison_record(outcome.comparison)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path in filter(None, (folder / RESULT_FILE, json_file)):
@@ -84,6 +91,7 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
             outcome.provenance,
             truth,
             [{"title": title, "table": cells, "notes": notes} for title, cells, notes in _extras(outcome)],
+            outcome.comparison,
         )
     except OSError as error:
         places = " or ".join(str(place) for place in (folder, json_file) if place)

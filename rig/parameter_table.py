@@ -48,6 +48,24 @@ def parameter_notes(results: Sequence[Identification]) -> list[str]:
     return [f"{r.method}: {p.name}: {p.reason}" for r in results for p in r.parameters.values() if p.reason]
 
 
+def pinned_notes(results: Sequence[Identification]) -> list[str]:
+    """Say for each method with intervals how many parameters the recordings pin, and which one the least."""
+    lines = []
+    for result in results:
+        widths = {
+            n: 0.5 * (p.high - p.low) / abs(p.value)
+            for n, p in result.parameters.items()
+            if p.value and p.low is not None and p.high is not None and p.high > p.low
+        }
+        if widths:
+            weakest = max(widths, key=lambda n: widths[n])
+            count = f"{len(widths)} of {len(result.parameters)} parameters"
+            lines.append(
+                f"{result.method}: pins {count}; the weakest is {weakest}, to {percent(100.0 * widths[weakest])}"
+            )
+    return lines
+
+
 def note(parameter: Parameter) -> str:
     """Say in words what to know about an estimate beside its numbers."""
     if not parameter.identifiable:

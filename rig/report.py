@@ -8,12 +8,14 @@ from typing import Any
 
 import jinja2
 
+from identification.estimate.comparison import Contender
 from identification.estimate.result import Fit, Identification, Trace
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Dataset, Recording
+from rig.comparison_table import COMPARISON_NOTE, comparison_table
 from rig.figures import Picture, save
-from rig.parameter_table import Table, parameter_notes, parameter_table
+from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_notes
 from rig.places import write_text
 from rig.results import Provenance
 from rig.tables import number, percent
@@ -30,6 +32,7 @@ def write_report(
     provenance: Provenance,
     truth: Mapping[str, float] | None = None,
     extras: Sequence[Mapping[str, Any]] = (),
+    comparison: Sequence[Contender] = (),
 ) -> Path:
     """Write ``report.html`` and ``figures/*.png`` of one identification, by one method or several side by side.
 
@@ -41,6 +44,7 @@ def write_report(
         provenance: Seed, inputs, time.
         truth: True values of a simulated bench, for display only.
         extras: Further sections: ``title``, ``table`` and ``notes`` each.
+        comparison: All estimators side by side; may be empty.
 
     Returns:
         The page.
@@ -67,8 +71,10 @@ def write_report(
         subtitle=f"Identification by the {' and the '.join(r.method for r in results)} method",
         warnings=[f"{r.method}: {w}" for r in results for w in r.warnings],
         parameters=parameter_table(results, truth),
-        parameter_notes=parameter_notes(results),
+        parameter_notes=[*pinned_notes(results), *parameter_notes(results)],
         has_truth=truth is not None,
+        comparison=comparison_table(comparison) if comparison else None,
+        comparison_note=COMPARISON_NOTE,
         fits=_fit_table(results),
         extras=extras,
         recording_fits=_recording_fit_table(results),

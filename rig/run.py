@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
+from rig import clocks
 from rig.bench import Bench
 from rig.errors import InputError
 from rig.mcap_reader import Log, NotARecordingError, read_run
@@ -197,6 +198,8 @@ def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Pa
     else:
         channels["time"] = log.samples["time"][used]
         notes.append("the drive's time stamps do not increase; the host's times are used")
+    stamps = (log.samples[name][used] for name in ("time", "host_time", "device_time", "encoder_time"))
+    notes += clocks.describe(*stamps)
     if stale.any():
         notes.append(f"{int(stale.sum())} samples left out: the answer of a device was missing")
     return Recording(

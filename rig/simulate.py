@@ -16,7 +16,7 @@ from identification.simulate.score import Sums, compare, pooled, with_friction
 from rig.errors import InputError
 from rig.provenance import sha256_file
 from rig.results import IDENTIFY_SCHEMA, Provenance
-from rig.run import RUN_FILE
+from rig.run_record import RUN_FILE
 from rig.sources import load_source
 
 SHARES = (1.0, 0.5, 0.0)

@@ -64,18 +64,18 @@ def identify(
     spread = block_sandwich(active, values, names, model.alpha)
     warnings: list[str] = []
     tell("joint", 0.0)
-    refined = _refine(fitted, values, names, model, bandwidth_Hz)
+    refined = refine_recordings(fitted, values, names, model, bandwidth_Hz)
     if isinstance(refined, str):
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {refined}")
     else:
         before, after = fit_of(active, values, model.alpha), fit_of(active, refined.values, model.alpha)
-        fault = _refusal(refined, before.train_rms, after.train_rms)
-        stages.append(_joint_convergence(refined))
+        fault = refusal(refined, before.train_rms, after.train_rms)
+        stages.append(joint_convergence(refined))
         if fault:
             warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         else:
             values = dict(refined.values)
-            spread = _with_freedom(refined)
+            spread = with_freedom(refined)
     tell("joint", 1.0)
     every = list(prepared.values())
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
@@ -161,7 +161,7 @@ def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
     return tuple(n for n in values if n not in model.fixed and n not in absent)
 
 
-def _refine(
+def refine_recordings(
     recordings: Sequence[Recording],
     values: Mapping[str, float],
     names: Sequence[str],
@@ -194,7 +194,7 @@ def _refine(
     return prediction_error.refine_stages(unloaded, loaded, values, model)
 
 
-def _refusal(refined: Refined, before: float, after: float) -> str:
+def refusal(refined: Refined, before: float, after: float) -> str:
     """Say why the refined values are not taken; empty where they are."""
     if abs(refined.whiteness) > WHITE:
         return (
@@ -212,11 +212,13 @@ def _refusal(refined: Refined, before: float, after: float) -> str:
     return ""
 
 
-def _with_freedom(refined: Refined) -> Spread:
+def with_freedom(refined: Refined) -> Spread:
+    """Return the spread of refined values; the breakaways are what varies independently."""
     return Spread(refined.names, refined.covariance, float(max(refined.breakaways - len(refined.names), 3)))
 
 
-def _joint_convergence(refined: Refined) -> Convergence:
+def joint_convergence(refined: Refined) -> Convergence:
+    """Return how the joint refinement went."""
     return Convergence(
         stage="joint",
         method="prediction error",

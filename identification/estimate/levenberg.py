@@ -27,10 +27,15 @@ class Minimum:
     steps: int
 
 
+def huber(residual: Array, threshold: float) -> Array:
+    """Return r^2/2 within the threshold and threshold (|r| - threshold/2) beyond, shape of ``residual``."""
+    size = np.minimum(np.abs(residual), threshold)
+    return np.asarray(size * (np.abs(residual) - 0.5 * size))
+
+
 def huber_cost(residual: Array, threshold: float) -> float:
-    """Return the sum of r^2/2 within the threshold and of threshold (|r| - threshold/2) beyond."""
-    size = np.abs(residual)
-    return float(np.sum(np.where(size <= threshold, 0.5 * size * size, threshold * (size - 0.5 * threshold))))
+    """Return the sum of :func:`huber`."""
+    return float(np.sum(huber(residual, threshold)))
 
 
 def minimise(

@@ -6,7 +6,7 @@ population 40, at most 1000 generations (Sec. 4.2).
 
 Settled here, because the paper does not say: friction opposes motion, so eq. 13 and 15 carry sgn(omega); samples at
 rest are left out, for there friction balances the drive and gives an inequality, not an equation; the search box comes
-from the size of the recorded signals (:func:`_box`). The method gives no intervals.
+from the size of the recorded signals (:func:`search_box`). The method gives no intervals.
 """
 
 from __future__ import annotations
@@ -38,13 +38,14 @@ POPULATION = 40
 GENERATIONS = 1000
 _AT_BOUND = 1e-3  # of the width of the box
 
-_STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
+STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
+"""Parameters that each stage searches: Coulomb, static, Stribeck speed, viscous, and without load J."""
 
 Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)
-class _Samples:
+class StageSamples:
     """The equations of one stage, rest excluded; every array has shape (n,)."""
 
     torque: Array
@@ -90,7 +91,7 @@ def identify_paper(
     known: dict[str, float] = {}
     parameters: dict[str, Parameter] = {}
     stages: list[Convergence] = []
-    for stage in _STAGES:
+    for stage in STAGES:
         chosen = [p for p in prepared if p.recording.role == "fit" and p.recording.stage == stage]
         if stage == "loaded" and not chosen:
             continue
@@ -132,14 +133,14 @@ class _Search:
         self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
         """Return one stage's values, estimates, and how its search went (nothing where all are held)."""
-        names, fixed = _STAGES[stage], self.dataset.model.fixed
+        names, fixed = STAGES[stage], self.dataset.model.fixed
         units = units_of(prepared)
         held = {name: fixed[name] for name in names if name in fixed}
         kept = {n: Parameter(n, units[n], value, reason="held by the campaign") for n, value in held.items()}
         if len(held) == len(names):
             return held, kept, []
-        samples = _collect(stage, prepared, known, self.dataset.model.alpha)
-        box = {name: bounds for name, bounds in _box(samples, names).items() if name not in held}
+        samples = collect(stage, prepared, known, self.dataset.model.alpha)
+        box = {name: bounds for name, bounds in search_box(samples, names).items() if name not in held}
         done = self._run(stage, samples, box, held)
         found = {name: float(history[-1]) for name, history in done.parameter_history.items()}
         estimates = {n: _parameter(n, found[n], units[n], box[n], samples, done.cost) for n in box}
@@ -149,7 +150,7 @@ class _Search:
     def _run(
         self,
         stage: str,
-        samples: _Samples,
+        samples: StageSamples,
         box: Mapping[str, tuple[float, float]],
         held: Mapping[str, float],
     ) -> Convergence:
@@ -164,7 +165,7 @@ class _Search:
         constant = {name: np.full(POPULATION, value) for name, value in ({"J": 0.0} | dict(held)).items()}
         while not algorithm.stop and algorithm.best_cost > target:
             columns = constant | dict(zip(box, algorithm.ask().T, strict=True))
-            c, s, w_s, v = (columns[name] for name in _STAGES[stage][:4])
+            c, s, w_s, v = (columns[name] for name in STAGES[stage][:4])
             algorithm.tell(misfit.norms(c, s, w_s, v, columns["J"]))
             costs.append(algorithm.best_cost)
             history.append(algorithm.best)
@@ -184,7 +185,7 @@ class _Search:
         )
 
 
-def _box(samples: _Samples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the search box, from the size of the signals alone.
 
     Dry friction up to twice the largest torque per load (breakaway may fall between samples), viscous friction and
@@ -205,7 +206,7 @@ def _box(samples: _Samples, names: Sequence[str]) -> dict[str, tuple[float, floa
     return box
 
 
-def _collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float) -> _Samples:
+def collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float) -> StageSamples:
     """Return the equations of one stage; what earlier stages found is moved to the left side.
 
     Raises:
@@ -220,7 +221,7 @@ def _collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float
             torque = torque - system_friction(p.velocity[rows], known, alpha) - known["J"] * p.acceleration[rows]
             load = p.moment[rows]
         parts.append((torque, p.velocity[rows], p.acceleration[rows], load))
-    samples = _Samples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    samples = StageSamples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     if not np.all(samples.load > 0.0):
         names = ", ".join(p.recording.name for p in prepared)
         raise RecordingError(f"{names}: loaded, but the contact force is not above 0 N throughout; give weight_mass")
@@ -228,7 +229,7 @@ def _collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float
 
 
 def _parameter(
-    name: str, value: float, unit: str, bounds: tuple[float, float], samples: _Samples, cost: float
+    name: str, value: float, unit: str, bounds: tuple[float, float], samples: StageSamples, cost: float
 ) -> Parameter:
     """Return one parameter; J is not identifiable where its torque is smaller than what the fit leaves over."""
     inertial = value * float(np.linalg.norm(samples.acceleration))

@@ -20,7 +20,8 @@ from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
 _TEMPERING = (20.0, 4.0, 1.0)
-_HUBER = 4.0
+HUBER = 4.0
+"""Residual size, in units of its noise, from which a residual counts by its size instead of its square."""
 _START_SPEEDS = 6
 _START_STATICS = 7
 
@@ -67,7 +68,7 @@ def likeliest_noise(problem: Problem, first: float) -> float:
 
     def cost(log_noise: float) -> float:
         found, logs = problem.run(problem.start, times, float(np.exp(log_noise)))
-        return logs + sum(float(np.sum(np.minimum(e * e, _HUBER**2))) for e in found)
+        return logs + sum(float(np.sum(np.minimum(e * e, HUBER**2))) for e in found)
 
     found = optimize.minimize_scalar(
         cost, bounds=(np.log(first) - 2.0, np.log(first) + 2.0), method="bounded", options={"xatol": 0.03}
@@ -120,7 +121,7 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
             problem.residuals,
             problem.jacobian,
             problem.origin(),
-            threshold=_HUBER,
+            threshold=HUBER,
             tolerance=1e-4 if factor > 1.0 else 1e-7,
         )
         problem.keep(found.x)
@@ -198,7 +199,7 @@ def refine_stages(
     cov = covariance(joint)
     names = tuple(n for n, k in INDEX.items() if k in free)
     order = [free.index(INDEX[n]) for n in names]
-    turn = _rise_to_static(names) @ cov[np.ix_(order, order)] @ _rise_to_static(names).T
+    turn = rise_to_static(names) @ cov[np.ix_(order, order)] @ rise_to_static(names).T
     inside = residual[: len(residual) - joint.breakaways]
     values = {**start, **unpack(joint.start, [n for n in INDEX if n in start])}
     return Refined(
@@ -215,7 +216,7 @@ def refine_stages(
     )
 
 
-def _rise_to_static(names: Sequence[str]) -> Array:
+def rise_to_static(names: Sequence[str]) -> Array:
     """Return the map from (Coulomb level, rise) to (Coulomb level, static limit)."""
     turn = np.eye(len(names))
     for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):

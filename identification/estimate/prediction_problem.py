@@ -134,13 +134,14 @@ class Problem:
         ]
         return np.concatenate(found + ends)
 
-    def jacobian(self, x: Array, here: Array) -> Array:
-        """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences.
+    def slopes(self, x: Array, here: Array) -> tuple[Array, Array]:
+        """Return d residuals / d parameters, shape (r, p), and each one's slope in its own breakaway time, shape (r,).
 
-        One run serves all breakaway times, as no stretch sees another's.
+        By differences from ``here``, the residuals at ``x``. One run serves all breakaway times, as no stretch sees
+        another's.
         """
         count = len(self.free)
-        out = np.zeros((len(here), len(x)))
+        out = np.zeros((len(here), count))
         for k in range(count):
             step = 1e-4 * max(abs(x[k]), 1e-3)
             there = x.copy()
@@ -148,9 +149,15 @@ class Problem:
             out[:, k] = (self.residuals(there) - here) / step
         there = x.copy()
         there[count:] += 1e-3
-        change = (self.residuals(there) - here) / 1e-3
-        owners = self.owners.astype(np.int64)
-        out[np.arange(len(here)), count + owners] = change
+        return out, (self.residuals(there) - here) / 1e-3
+
+    def jacobian(self, x: Array, here: Array) -> Array:
+        """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""
+        count = len(self.free)
+        parameters, times = self.slopes(x, here)
+        out = np.zeros((len(here), len(x)))
+        out[:, :count] = parameters
+        out[np.arange(len(here)), count + self.owners.astype(np.int64)] = times
         return out
 
     def keep(self, x: Array) -> None:

@@ -11,13 +11,37 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
 
 
 @click.command("identify")
-@click.argument("source", type=click.Path(path_type=Path))
+@click.argument("source", type=click.Path(path_type=Path), required=False)
 @click.option(
     "--method",
     type=click.Choice(list(_METHODS)),
     default="default",
     show_default=True,
     help="Estimator; both shows them side by side.",
+)
+@click.option(
+    "--compare",
+    "compared",
+    is_flag=True,
+    help="Also the paper's GA, differential evolution, CMA-ES and multi-start least squares, on one problem.",
+)
+@click.option(
+    "--plan",
+    "sequence",
+    metavar="SEQUENCE",
+    help="Instead of a SOURCE: what this sequence would pin, and one of the same duration that would pin more.",
+)
+@click.option("--bench", default="practical", show_default=True, help="With --plan: the bench it is planned for.")
+@click.option(
+    "--nominal",
+    type=click.Path(path_type=Path),
+    help="With --plan: last accepted result of `rig identify --json`. [default: the catalogue's nominal values]",
+)
+@click.option(
+    "--current-noise",
+    metavar="A",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="With --plan: noise of the logged current, rms. [default: a thousandth of the current limit]",
 )
 @click.option(
     "--bandwidth",
@@ -36,14 +60,19 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for report and figures; the run folder itself, or ./CAMPAIGN-identified.",
+    help="Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or ./SEQUENCE-planned.",
 )
 @click.option(
     "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
 )
 def command(
-    source: Path,
+    source: Path | None,
     method: Literal["default", "paper", "both"],
+    compared: bool,
+    sequence: str | None,
+    bench: str,
+    nominal: Path | None,
+    current_noise: float | None,
     bandwidth: float | None,
     ladder: bool,
     score: Path | None,
@@ -53,19 +82,31 @@ def command(
 ) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
+    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one.
+
     \b
     Example:
       rig identify runs/demo
+      rig identify runs/demo --compare
+      rig identify --plan figure10 --bench practical --nominal runs/demo/identify.json
       rig identify bench.yaml --method both --bandwidth 30 --json result.json
       rig identify monday.yaml --score friday.yaml
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
-    from rig.identify import identify_source
+    from rig.identify import compare_methods, identify_source
     from rig.identify_output import text, write
     from rig.places import require_file, require_folder
     from rig.truth import truth_of
 
+    if (source is None) is (sequence is None):
+        raise click.UsageError("give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be")
+    if sequence is not None:
+        _plan(sequence, bench, nominal, current_noise, seed, out, json_file)
+        return
+    assert source is not None
+    if compared and method == "paper":
+        raise click.UsageError("--compare sets the others beside the default method; leave out --method paper")
     if method == "paper" and (ladder or score):
         raise click.UsageError("--ladder and --score are of the default method; leave --method paper out")
     folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
@@ -73,8 +114,37 @@ def command(
     require_file(json_file, "--json")
     with ShareBar() as bar:
         outcome = identify_source(source, _METHODS[method], bandwidth, seed, bar, ladder=ladder, score=score)
-        bar("writing the report", 1.0)
         truth = truth_of(source)
+        if compared:
+            outcome = compare_methods(source, outcome, truth, bar)
+        bar("writing the report", 1.0)
         report = write(folder, source.resolve().stem, outcome, truth, json_file)
     click.echo(text(outcome, truth))
     click.echo(f"report: {report}")
+
+
+def _plan(
+    sequence: str,
+    bench: str,
+    nominal: Path | None,
+    current_noise: float | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    from rig.bar import ShareBar
+    from rig.bench import load_bench
+    from rig.experiment import plan_experiment
+    from rig.experiment_output import text, write
+    from rig.places import require_file, require_folder
+    from rig.sequence import load_sequence
+
+    folder = out or Path(f"{Path(sequence).stem}-planned")
+    require_folder(folder, "--out")
+    require_file(json_file, "--json")
+    bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    with ShareBar() as bar:
+        experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise, seed, bar)
+    proposal = write(folder, experiment, bench_file.value.name, json_file)
+    click.echo(text(experiment))
+    click.echo(f"proposal: {proposal}")

@@ -62,6 +62,41 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert (out / "report.html").is_file()
 
 
+def test_compare(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rig.identify.COMPARED_SEEDS", 1)
+    out = tmp_path / "out"
+    assert status(["identify", str(campaign), "--compare", "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    record = json.loads((out / "identify.json").read_text())
+    names = [row["name"] for row in record["comparison"]]
+    assert names == [
+        "default method",
+        "variable projection",
+        "genetic algorithm",
+        "differential evolution",
+        "CMA-ES",
+        "multi-start least squares",
+    ]
+    page = (out / "report.html").read_text()
+    assert all(name in printed and name in page for name in names)
+    assert all(row["true_error"] is None for row in record["comparison"])
+
+
+def test_compare_needs_the_default_method(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["identify", str(campaign), "--compare", "--method", "paper"]) == 2
+    assert "leave out --method paper" in capsys.readouterr().err
+
+
+def test_compare_refuses_what_not_every_search_has(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    campaign.write_text(CAMPAIGN + "model: {fixed: {J: 0.2}}\n")
+    assert status(["identify", str(campaign), "--compare", "--out", str(tmp_path / "out")]) == 2
+    assert "remove model.fixed and model.terms (J)" in capsys.readouterr().err
+
+
 def test_same_seed_same_record(campaign: Path, tmp_path: Path) -> None:
     records = []
     for name in ("one", "two"):

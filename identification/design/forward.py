@@ -1,0 +1,159 @@
+"""A cheap forward simulation of the nominal model: the joint under a usual servo loop, with set-valued friction.
+
+Only for planning: it says what an encoder and a drive would log if the nominal values were true and the drive were
+tuned as drives usually are. Nothing here is shared with the simulated bench, and no estimate comes from it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.compiled import compiled
+from identification.estimate.prediction_problem import pack
+from identification.recording import Array
+
+STEPS = 20
+"""Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
+_VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
+_MC, _DM, _OMEGA_SF, _SIGMA_2, _INERTIA, _MU_C, _DMU, _OMEGA_SL, _MU_2 = range(9)  # as in estimate.innovations
+
+
+@dataclass(frozen=True)
+class Loop:
+    """The drive as it is assumed: position P and velocity PI with feedforward; torque follows at once.
+
+    Attributes:
+        position_gain: 1/s.
+        velocity_gain: N m s/rad at the joint.
+        integral: Of the velocity loop, 1/s.
+        filter_Hz: First-order filter on the measured speed.
+        torque_limit: N m.
+    """
+
+    position_gain: float
+    velocity_gain: float
+    integral: float
+    filter_Hz: float
+    torque_limit: float
+
+
+def usual_loop(inertia: float, torque_limit: float) -> Loop:
+    """Return a stiff servo loop: velocity bandwidth 95 Hz, a tenth of that for the position."""
+    position = 0.1 * _VELOCITY_BANDWIDTH
+    return Loop(position, inertia * _VELOCITY_BANDWIDTH, position, 400.0, torque_limit)
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the nominal model does. Arrays have shape (n,), at the joint.
+
+    Attributes:
+        angle: At each sample, rad.
+        torque: Mean over the period that ends there, N m.
+        peak_speed: Greatest speed at any instant, rad/s.
+        peak_torque: N m.
+        peak_following: Greatest distance from the command, rad.
+    """
+
+    angle: Array
+    torque: Array
+    peak_speed: float
+    peak_torque: float
+    peak_following: float
+
+
+def respond(
+    command: Array,
+    period: float,
+    parameters: Mapping[str, float],
+    moment: float,
+    alpha: float,
+    loop: Loop,
+    disturbance: Array | None = None,
+) -> Response:
+    """Follow a command from rest at its first value.
+
+    Args:
+        command: Joint angle at each sample, rad, shape (n,); linear in between.
+        period: s.
+        parameters: The nine by name; the last four only matter under load.
+        moment: F_P L1, N m (eq. 13).
+        alpha: Stribeck exponent.
+        loop: The drive.
+        disturbance: What the torque falls short of the logged one in each period, N m, shape (n,): the drive's current
+            loop follows the noise of its own sensor. None for none.
+    """
+    steps = max(1, math.ceil(STEPS * period / 1e-3))
+    share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
+    gains = np.array([loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit])
+    angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
+    lost = np.zeros_like(command) if disturbance is None else disturbance
+    _follow(command, period, pack(parameters), moment, alpha, gains, steps, lost, angle, torque, peaks)
+    return Response(angle, torque, float(peaks[0]), float(peaks[1]), float(peaks[2]))
+
+
+@compiled
+def _follow(
+    command: Array,
+    period: float,
+    p: Array,
+    moment: float,
+    alpha: float,
+    gains: Array,
+    steps: int,
+    lost: Array,
+    angle: Array,
+    torque: Array,
+    peaks: Array,
+) -> None:
+    """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are linearly implicit."""
+    h = period / steps
+    static = p[_MC] + p[_DM] + moment * (p[_MU_C] + p[_DMU])
+    theta, omega, seen, integral = command[0], 0.0, 0.0, 0.0
+    angle[0] = theta
+    for k in range(1, len(command)):
+        rate = (command[k] - command[k - 1]) / period
+        total = 0.0
+        for i in range(steps):
+            target = command[k - 1] + rate * h * (i + 0.5)
+            seen += gains[3] * (omega - seen)
+            error = gains[0] * (target - theta) + rate - seen
+            drive = gains[1] * (error + integral)
+            if abs(drive) <= gains[4] or drive * error < 0.0:
+                integral += gains[2] * h * error
+            drive = min(max(drive, -gains[4]), gains[4])
+            total += drive
+            peaks[1] = max(peaks[1], abs(drive))
+            drive -= lost[k]
+            before = omega
+            side = 1.0 if omega > 0.0 else -1.0
+            if omega == 0.0:
+                side = 1.0 if drive > 0.0 else -1.0
+            speed = abs(omega)
+            if speed == 0.0 and abs(drive) <= static:
+                omega = 0.0
+            else:
+                x = (speed / p[_OMEGA_SF]) ** alpha
+                part = p[_DM] * math.exp(-x)
+                force = p[_MC] + p[_SIGMA_2] * speed + part
+                grade = p[_SIGMA_2]
+                if speed > 0.0:
+                    grade -= part * alpha * x / speed
+                if moment > 0.0:
+                    x = (speed / p[_OMEGA_SL]) ** alpha
+                    part = moment * p[_DMU] * math.exp(-x)
+                    force += moment * (p[_MU_C] + p[_MU_2] * speed) + part
+                    grade += moment * p[_MU_2]
+                    if speed > 0.0:
+                        grade -= part * alpha * x / speed
+                speed += h * (side * drive - force) / p[_INERTIA] / max(1.0 + 0.5 * h * grade / p[_INERTIA], 0.5)
+                omega = side * max(speed, 0.0)
+            theta += 0.5 * h * (before + omega)
+            peaks[0] = max(peaks[0], abs(omega))
+        angle[k] = theta
+        torque[k] = total / steps
+        peaks[2] = max(peaks[2], abs(command[k] - theta))

@@ -1,0 +1,216 @@
+"""How tightly a planned experiment would pin each parameter: Fisher information on the nominal model.
+
+The nominal response, with the bench's noise, is put through its sensors and handed to the very residuals that the
+default method minimises. So the information knows of the encoder's quantisation, of the current's noise, of unknown
+breakaway times, and of what the estimator leaves out around them. Like the default method's intervals, those here are
+the wider of the information's and of the sandwich over stretches: where the filter is not quite true to the motion, the
+bare information promises several times too much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from identification.design.forward import Response, respond, usual_loop
+from identification.estimate import innovations as kernel
+from identification.estimate.information import reduce, settle
+from identification.estimate.prediction_error import HUBER
+from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack
+from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.estimate.stretches import motion
+from identification.estimate.uncertainty import CONFIDENCE
+from identification.recording import Array, Bench, Model, Recording
+
+NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
+LEAST_BREAKAWAYS = 4
+"""Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
+
+NOISE_SEED = 0
+LUCK = 3.0
+"""Information of one stretch of motion over the median one's that is believed."""
+GREATEST_RMS, GREATEST_PEAK = 1.1, 6.0
+"""Size of the nominal model's own residuals, in units of their noise, above which the filter has lost the shaft (it
+creeps, or sticks and slips below what the encoder resolves) and its slopes would promise far too much."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What the bench logs.
+
+    Attributes:
+        period: Of the log, s.
+        joint_step: Joint angle of one step of the finer encoder, rad.
+        torque_noise: Noise of the torque as logged, a mean over the period, N m rms at the joint.
+    """
+
+    period: float
+    joint_step: float
+    torque_noise: float
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage of an experiment, repeats written out: joint angles commanded, rad, shape (n,), and the weight, kg."""
+
+    command: Array
+    weight: float
+
+
+@dataclass(frozen=True)
+class Information:
+    """What a stage says about the nine, each relative to its value, in the order of NAMES; both add over stages.
+
+    Attributes:
+        normal: Fisher information, shape (9, 9).
+        meat: Sum of squares of the stretches' scores, shape (9, 9): equal to it where the model is true.
+    """
+
+    normal: Array
+    meat: Array
+
+
+NOTHING = Information(np.zeros((len(NAMES), len(NAMES))), np.zeros((len(NAMES), len(NAMES))))
+
+
+@dataclass(frozen=True)
+class Pinned:
+    """Relative half widths of the 90 % intervals that an experiment would leave; infinite where it says nothing."""
+
+    half_widths: Mapping[str, float]
+
+    @property
+    def weakest(self) -> str:
+        """The parameter with the widest interval for its value."""
+        return max(self.half_widths, key=lambda name: self.half_widths[name])
+
+    @property
+    def worst(self) -> float:
+        """Its relative half width."""
+        return self.half_widths[self.weakest]
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m."""
+
+    values: Mapping[str, float]
+    bench: Bench
+    sensors: Sensors
+    torque_limit: float
+    alpha: float = 2.0
+
+    def moment(self, weight: float) -> float:
+        """Return F_P L1 of a weight on the lever, N m."""
+        return self.bench.contact_force(weight) * (self.bench.moment_arm or 0.0)
+
+
+def stage_response(
+    stage: PlannedStage, nominal: Nominal, rng: np.random.Generator | None = None, share: float = 1.0
+) -> Response:
+    """Return what the nominal bench does in one stage.
+
+    Args:
+        stage: What is commanded, under which weight.
+        nominal: The model.
+        rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
+        share: Of the noise that is in the torque itself.
+    """
+    loop = usual_loop(nominal.values["J"], nominal.torque_limit)
+    moment, sensors = nominal.moment(stage.weight), nominal.sensors
+    chance = rng or np.random.default_rng(NOISE_SEED)
+    noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
+    return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, loop, noise)
+
+
+def stage_information(stage: PlannedStage, nominal: Nominal, response: Response | None = None) -> Information:
+    """Return the Fisher information of one stage on all nine, each relative to its value, in the order of NAMES.
+
+    Zero where the stage has too few breakaways, or moves so that the estimator could not follow. Relative, so that the
+    matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
+
+    Args:
+        stage: What is commanded, under which weight.
+        nominal: The model.
+        response: Of the stage, where it is already known.
+    """
+    response = response or stage_response(stage, nominal)
+    sensors = nominal.sensors
+    steps = np.floor(response.angle / sensors.joint_step)
+    time = np.asarray(sensors.period * np.arange(len(stage.command)), dtype=np.float64)
+    recording = Recording(
+        name="planned",
+        channels={
+            "time": time,
+            "angle": np.asarray(steps * sensors.joint_step),
+            "torque": response.torque,
+        },
+        bench=nominal.bench,
+        stage="loaded" if stage.weight else "unloaded",
+        weight_mass=stage.weight,
+        averaged=frozenset({"torque"}),
+    )
+    found = motion(recording)
+    if found is None or len(found.table) < LEAST_BREAKAWAYS:
+        return NOTHING
+    names = NAMES if stage.weight else SYSTEM_PARAMETERS
+    free = [INDEX[n] for n in names]
+    problem = Problem([found], pack(nominal.values), free, Model(alpha=nominal.alpha), sensors.torque_noise)
+    limit = problem.start[kernel.MC] + problem.start[kernel.DM]
+    if stage.weight:
+        limit += nominal.moment(stage.weight) * (problem.start[kernel.MU_C] + problem.start[kernel.DMU])
+    problem.begins = [found.static_crossing(float(limit))]
+    settle(problem, HUBER)
+    reduced = reduce(problem, HUBER)
+    if not reduced.rms < GREATEST_RMS or not reduced.peak < GREATEST_PEAK:
+        return NOTHING
+    # From the search's coordinates (logarithms, rises) to relative changes of the named parameters.
+    turn = np.eye(len(names))
+    for k, name in enumerate(names):
+        if INDEX[name] not in LOGARITHMIC:
+            turn[k, k] = nominal.values[name]
+    for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
+        if static in names:
+            turn[names.index(static), names.index(coulomb)] = -nominal.values[coulomb]
+    normal, meat = np.zeros((2, len(NAMES), len(NAMES)))
+    stretches = len(reduced.scores)
+    typical = _typical(reduced.normals)
+    scores = typical[:, None] * reduced.scores @ turn
+    normal[: len(names), : len(names)] = turn.T @ np.einsum("j,jkl->kl", typical, reduced.normals) @ turn
+    meat[: len(names), : len(names)] = scores.T @ scores * stretches / (stretches - 1)
+    return Information(normal, meat)
+
+
+def _typical(normals: Array) -> Array:
+    """Return weights, shape (m,), by which no stretch says more than three times what the median one says of anything.
+
+    Under a heavy weight the shaft breaks away within one sample, and now and then a sample falls just so that it says
+    ten times more than the others. The next run has other luck.
+    """
+    told = np.diagonal(normals, axis1=1, axis2=2)
+    usual = np.median(told, axis=0)
+    share = LUCK * usual / np.maximum(told, 1e-300)
+    return np.asarray(np.min(np.where(usual > 0.0, np.minimum(share, 1.0), 1.0), axis=1))
+
+
+def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
+    """Return how tightly stages together pin each parameter: the nine, or five where none of them is ``loaded``."""
+    names = NAMES if loaded else SYSTEM_PARAMETERS
+    total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]
+    meat = np.sum([i.meat for i in informations], axis=0)[: len(names), : len(names)]
+    seen = np.flatnonzero(np.diag(total) > 0.0)
+    widths = dict.fromkeys(names, math.inf)
+    scale = np.sqrt(np.diag(total)[seen])
+    values, vectors = np.linalg.eigh(total[np.ix_(seen, seen)] / np.outer(scale, scale))
+    clear = values >= 1e-12 * np.max(values, initial=0.0)
+    bread = (vectors[:, clear] / values[clear]) @ vectors[:, clear].T / np.outer(scale, scale)
+    sandwich = bread @ meat[np.ix_(seen, seen)] @ bread
+    quantile = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+    for k, place in enumerate(seen):
+        if not np.any(np.abs(vectors[k, ~clear]) > 1e-6):
+            widths[names[place]] = quantile * math.sqrt(max(bread[k, k], sandwich[k, k]))
+    return Pinned(widths)

@@ -1,0 +1,126 @@
+"""The default method on recordings too long for memory: the same two steps, piece by piece.
+
+The equation error is decimated to 2.5 times its bandwidth as ever, which keeps all it uses; only the velocity stays at
+the full rate. The prediction errors pass over the pieces (:mod:`identification.estimate.long_refinement`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from identification.estimate import default
+from identification.estimate.assemble import fit_of, parameter_table, trace_of
+from identification.estimate.default import Progress, free_names, refusal, solve_stages, with_freedom
+from identification.estimate.long_refinement import refine_pieces
+from identification.estimate.result import Identification
+from identification.estimate.uncertainty import block_sandwich
+from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare, resting
+from identification.recording import Dataset, Recording
+
+LONG_SAMPLES = 200_000
+"""Samples to fit, over all recordings, above which memory is bounded; below, all of them at once are quicker."""
+PIECE_SAMPLES = 60_000
+_SEARCH_SAMPLES = 6000
+"""Samples before the end of a piece in which a rest to cut at is looked for."""
+
+
+def identify_any_length(
+    dataset: Dataset,
+    *,
+    bandwidth_Hz: float | None = None,
+    rng: np.random.Generator | None = None,
+    progress: Progress | None = None,
+) -> Identification:
+    """Identify by the default method, in pieces where the recordings are long; see :func:`default.identify`.
+
+    Raises:
+        RecordingError: The recordings cannot pin the model; the message says what is missing.
+    """
+    fitted = dataset.part("fit")
+    if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
+        return default.identify(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress)
+    return identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
+
+
+def pieces(recording: Recording) -> list[Recording]:
+    """Cut a recording into stretches of about ``PIECE_SAMPLES``, at rest where it rests; channels are views."""
+    n, start = len(recording.time), 0
+    found = []
+    while start < n:
+        stop = n if n - start < 1.5 * PIECE_SAMPLES else _cut(recording, start + PIECE_SAMPLES)
+        found.append(replace(recording, channels={c: v[start:stop] for c, v in recording.channels.items()}))
+        start = stop
+    return found
+
+
+def identify_long(
+    dataset: Dataset, *, bandwidth_Hz: float | None = None, progress: Progress | None = None
+) -> Identification:
+    """Identify piece by piece; memory beside the recordings themselves grows by 14 bytes a sample.
+
+    Traces are those of the first piece of each recording.
+
+    Raises:
+        RecordingError: The recordings cannot pin the model; the message says what is missing.
+    """
+    started = perf_counter()
+    tell = progress or (lambda _stage, _share: None)
+    model = dataset.model
+    cut = [(r, pieces(r)) for r in dataset.recordings]
+    heads = [parts[0] for r, parts in cut if r.role == "fit"]
+    if bandwidth_Hz is None:
+        bandwidth_Hz = min(default_bandwidth(head) for head in heads)
+    tell("unloaded", 0.0)
+    prepared = [(r, [prepare(part, bandwidth_Hz) for part in parts]) for r, parts in cut]
+    fit = [p for r, parts in prepared if r.role == "fit" for p in parts]
+    validate = [p for r, parts in prepared if r.role == "validate" for p in parts]
+    values, stages = solve_stages(_of(fit, "unloaded"), _of(fit, "loaded"), model, tell)
+    names = free_names(values, model)
+    warnings: list[str] = []
+    tell("joint", 0.0)
+    every = [part for r, parts in cut if r.role == "fit" for part in parts]
+    refined = refine_pieces(heads, every, values, names, model, bandwidth_Hz, lambda share: tell("joint", share))
+    fault = refined if isinstance(refined, str) else ""
+    if not isinstance(refined, str):
+        before, after = fit_of(fit, values, model.alpha), fit_of(fit, refined.values, model.alpha)
+        fault = refusal(refined, before.train_rms, after.train_rms)
+        stages.append(default.joint_convergence(refined))
+    if fault or isinstance(refined, str):
+        warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
+        spread = block_sandwich(fit, values, names, model.alpha)
+    else:
+        values, spread = dict(refined.values), with_freedom(refined)
+    tell("joint", 1.0)
+    return Identification(
+        method="default",
+        motion=dataset.recordings[0].bench.motion,
+        alpha=model.alpha,
+        parameters=parameter_table(fit, values, spread, model),
+        fit=fit_of(fit, values, model.alpha, validate),
+        stages=tuple(stages),
+        warnings=tuple(warnings),
+        traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
+        fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},
+        evaluations=sum(s.evaluations for s in stages),
+        seconds=perf_counter() - started,
+    )
+
+
+def _of(prepared: Sequence[Prepared], stage: str) -> list[Prepared]:
+    return [p for p in prepared if p.recording.stage == stage]
+
+
+def _cut(recording: Recording, near: int) -> int:
+    """Return where to cut before ``near``: the middle of the last rest there, or ``near`` itself."""
+    window = slice(near - _SEARCH_SAMPLES, near)
+    angle = joint_angle(replace(recording, channels={c: v[window] for c, v in recording.channels.items()}))
+    if angle is None:
+        return near
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], resting(angle).astype(np.int64), [0]))))
+    if not edges.size:
+        return near
+    return near - _SEARCH_SAMPLES + int((edges[-2] + edges[-1]) // 2)

@@ -1,0 +1,106 @@
+"""Refinement by prediction errors in bounded memory: any number of pieces, a few passes over them.
+
+What the in-memory refinement minimises splits into stretches of motion that share nothing but the parameters. So each
+piece is settled by itself (its breakaway times, the parameters held), leaves its reduced normal equations behind and is
+forgotten; after each pass the parameters take one Gauss-Newton step. The first piece of each stage, refined in memory,
+gives the start and the torque noise; from a start that near, one step is as good as all, and a second pass confirms it.
+Time grows with the length, memory does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.estimate.default import refine_recordings
+from identification.estimate.information import SETTLING, Reduced, reduce, settle
+from identification.estimate.prediction_error import HUBER, Refined, rise_to_static
+from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
+from identification.estimate.stretches import motion
+from identification.recording import Array, Model, Recording
+
+PASSES = 3
+SETTLED = 0.2
+"""Length of a step, in standard errors and root mean square over the parameters, at which the passes end."""
+
+
+def refine_pieces(
+    heads: Sequence[Recording],
+    pieces: Sequence[Recording],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    model: Model,
+    bandwidth_Hz: float,
+    progress: Callable[[float], None],
+) -> Refined | str:
+    """Return the refined estimate over all pieces, or in words why prediction errors do not apply.
+
+    Args:
+        heads: The pieces that the start is found on, one or more of each stage.
+        pieces: All pieces, heads among them.
+        values: Equation-error values of all parameters.
+        names: Those that are asked for.
+        model: Declared terms and fixed values.
+        bandwidth_Hz: Of the equation error.
+        progress: Called with the share of the passes done, at most.
+    """
+    start = refine_recordings(heads, values, names, model, bandwidth_Hz)
+    if isinstance(start, str):
+        return start
+    free = [INDEX[n] for n in start.names]
+    vector = pack(start.values)
+    begins: dict[int, list[Array]] = {}
+    evaluations = start.evaluations
+    for number in range(PASSES):
+        found: list[Reduced] = []
+        for k, piece in enumerate(pieces):
+            moving = motion(piece)
+            if moving is None:
+                continue
+            problem = Problem([moving], vector, free, model, start.torque_noise)
+            problem.begins = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
+            settle(problem, HUBER, SETTLING if number == 0 else 1)
+            begins[k] = problem.begins
+            found.append(reduce(problem, HUBER))
+            evaluations += problem.evaluations
+            progress((number + (k + 1) / len(pieces)) / PASSES)
+        normal = np.sum([r.normals.sum(axis=0) for r in found], axis=0)
+        gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
+        step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
+        x = problem.origin()
+        x[: len(free)] += step
+        vector = problem.parameters(x)
+        if step @ normal @ step < len(free) * SETTLED**2:
+            break
+    squares, count = sum(r.squares for r in found), sum(r.count for r in found)
+    return replace(
+        start,
+        values={**start.values, **unpack(vector, [n for n in INDEX if n in start.values])},
+        covariance=_covariance(found, start.names, vector),
+        innovation_rms=float(np.sqrt(squares / count)),
+        whiteness=sum(r.neighbours for r in found) / squares,
+        evaluations=evaluations,
+        iterations=start.iterations + number + 1,
+        breakaways=sum(len(r.scores) for r in found),
+    )
+
+
+def _covariance(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> Array:
+    """Return the covariance of the named parameters: the larger of information's and sandwich's, as in memory."""
+    normal = np.sum([r.normals.sum(axis=0) for r in found], axis=0)
+    scores = np.concatenate([r.scores for r in found])
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    bread = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
+    scaled = scores / scale
+    clusters = max(len(scores), 2)
+    sandwich = bread @ (scaled.T @ scaled) @ bread * clusters / max(clusters - len(names), 1)
+    mean_square = sum(r.squares for r in found) / sum(r.count for r in found)
+    plain = bread * max(mean_square, 1.0)
+    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
+    stretch = np.array([vector[INDEX[n]] if INDEX[n] in LOGARITHMIC else 1.0 for n in names])
+    turn = rise_to_static(names)
+    full = plain * np.outer(widen * stretch / scale, widen * stretch / scale)
+    return np.asarray(turn @ full @ turn.T)

@@ -1,0 +1,18 @@
+"""Nominal values of the catalogue: the paper's (Sec. 4.2), inertia as the practical bench has it at the valve shaft."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+NOMINAL: Mapping[str, float] = {
+    "Mc": 6.825,
+    "Ms": 12.025,
+    "omega_sf": 0.0557,
+    "sigma_2": 5.3462,
+    "J": 0.204,
+    "mu_c": 0.052,
+    "mu_s": 0.086,
+    "omega_sL": 0.0326,
+    "mu_2": 0.032,
+}
+"""SI units; friction and inertia at the joint."""

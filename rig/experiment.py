@@ -1,0 +1,167 @@
+"""``rig identify --plan``: what a sequence would pin on a bench, and a sequence that would pin the weakest better."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.amt21 import COUNTS_PER_TURN
+from identification.design.pinning import NAMES, Nominal, Sensors
+from identification.design.propose import Bounds, Excitation, Frame, Proposal, propose
+from identification.model.nominal import NOMINAL
+from rig.bench import Bench, EncoderSection, ServoSection
+from rig.configuration import Document
+from rig.errors import InputError
+from rig.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
+from rig.results import IDENTIFY_SCHEMA
+from rig.run import bench_constants
+from rig.sequence import Array, Sequence, StageSection, Tone, excitation
+
+NOISE_SHARE = 1e-3
+"""Current noise, as a share of the bench's current limit, where it is not given."""
+WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0)
+"""Masses to choose from, beside those of the sequence, where the bench file lists none."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """A planned experiment.
+
+    Attributes:
+        sequence: As it was.
+        nominal: The model it was judged on.
+        nominal_source: Where its values came from, in words.
+        current_noise_A: Of the logged current.
+        proposal: What is pinned now, and what would be.
+        proposed: The sequence to run instead.
+        seed: Of the search.
+        seconds: Spent.
+    """
+
+    sequence: Sequence
+    nominal: Nominal
+    nominal_source: str
+    current_noise_A: float
+    proposal: Proposal
+    proposed: Sequence
+    seed: int
+    seconds: float
+
+
+def plan_experiment(
+    sequence: Document[Sequence],
+    bench: Document[Bench],
+    nominal_file: Path | None,
+    current_noise_A: float | None,
+    seed: int,
+    progress: Callable[[str, float], None],
+) -> Experiment:
+    """Judge a sequence on the nominal model of a bench, and search for a better one of the same stages and duration.
+
+    Args:
+        sequence: The experiment in mind.
+        bench: Its limits, sensors and believed constants; nothing is taken from the description of a simulated machine.
+        nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's nominal values.
+        current_noise_A: Noise of the logged current, A rms; None for a thousandth of the current limit.
+        seed: Of the search.
+        progress: Called with what is being done and the share that is done.
+
+    Raises:
+        InputError: The sequence breaks a limit of the bench, or the nominal file cannot be used.
+    """
+    started = time.perf_counter()
+    limits = make_plan(sequence, bench).limits
+    values, source = _nominal_values(nominal_file)
+    noise = NOISE_SHARE * bench.value.limits.current_A if current_noise_A is None else current_noise_A
+    torque = min(limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A)
+    nominal = Nominal(
+        values,
+        bench_constants(bench.value),
+        Sensors(bench.value.cycle_s, _joint_step(bench.value), noise * limits.torque_per_ampere),
+        torque,
+    )
+    loaded = [s for s in sequence.value.stages if s.stage == "loaded"]
+    bounds = Bounds(
+        angle_min=limits.angle_min,
+        angle_max=limits.angle_max,
+        speed=limits.speed,
+        torque=torque,
+        following=limits.following_error,
+        highest_Hz=min(bench.value.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
+        weights=_weights(bench.value, loaded),
+    )
+    frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
+    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress)
+    stages = [_with(stage, e) for stage, e in zip(sequence.value.stages, found.stages, strict=True)]
+    proposed = sequence.value.model_copy(update={"name": f"{sequence.value.name}-proposed", "stages": tuple(stages)})
+    return Experiment(sequence.value, nominal, source, noise, found, proposed, seed, time.perf_counter() - started)
+
+
+def _nominal_values(path: Path | None) -> tuple[dict[str, float], str]:
+    """Return nominal values and where they came from; what an identification left open comes from the catalogue.
+
+    Raises:
+        InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
+    """
+    if path is None:
+        return dict(NOMINAL), "the catalogue's nominal values"
+    try:
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+    if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA or raw.get("motion") != "rotary":
+        raise InputError(f"{path}: a result of `rig identify --json` on a rotary bench is needed; run it again")
+    try:
+        known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
+        found = {n: float(v) for n, v in known.items() if v is not None}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    open_names = [n for n in NAMES if n not in found]
+    words = f"the identification {path}"
+    if open_names:
+        words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
+    return {**NOMINAL, **found}, words
+
+
+def _joint_step(bench: Bench) -> float:
+    """Return the joint angle of one step of the finer encoder, rad."""
+    encoder = bench.encoder
+    counts = [float(encoder.counts_per_turn if isinstance(encoder, EncoderSection) else COUNTS_PER_TURN)]
+    if isinstance(bench.servo, ServoSection):
+        counts.append(bench.servo.counts_per_motor_turn * bench.machine.gear_ratio)
+    return 2.0 * math.pi / max(counts)
+
+
+def _weights(bench: Bench, loaded: list[StageSection]) -> tuple[float, ...]:
+    """Return the masses that may be hung, kg, within the bench's limits."""
+    offered = bench.weights_kg or (*WEIGHTS_KG, *(s.weight_kg for s in loaded))
+    m, limits = bench.machine, bench.limits
+    heaviest = min(limits.weight_kg, limits.contact_force_N / (m.lever_ratio * m.gravity_m_s2))
+    return tuple(sorted({w for w in offered if w <= heaviest} or {s.weight_kg for s in loaded}))
+
+
+def _frame(stage: StageSection, cycle_s: float) -> Frame:
+    present = Excitation(tuple((math.radians(t.amplitude_deg), t.frequency_Hz) for t in stage.tones), stage.weight_kg)
+
+    def render(e: Excitation) -> Array:
+        """Return the joint angles of all repeats; the phases of the sequence hold only for its own tones."""
+        section = stage if e is present else _with(stage, e)
+        once = np.concatenate([np.zeros(round(section.settle_s / cycle_s)), excitation(section, cycle_s)])
+        once[: round(section.settle_s / cycle_s)] = math.radians(section.center_deg)
+        return np.tile(once, section.repeats)
+
+    return Frame(stage.stage == "loaded", present, render)
+
+
+def _with(stage: StageSection, e: Excitation) -> StageSection:
+    """Return a stage with other tones about the same centre, rounded as they will be written."""
+    tones = tuple(Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4)) for a, f in e.tones)
+    return stage.model_copy(update={"tones": tones, "weight_kg": e.weight})

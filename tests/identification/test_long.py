@@ -1,0 +1,105 @@
+"""Identification in pieces: what it cuts, and that it finds what the in-memory path finds."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.estimate import default, long
+from identification.estimate.information import reduce, settle
+from identification.estimate.prediction_error import covariance
+from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
+from identification.estimate.stretches import motion
+from identification.prepare import resting
+from identification.recording import Dataset, Model, Recording
+
+from .synthetic import SYSTEM, TRUTH, sine
+
+
+@pytest.fixture
+def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(long, "PIECE_SAMPLES", 7000)
+
+
+def unloaded_problem(recording: Recording) -> Problem:
+    moving = motion(recording)
+    assert moving is not None
+    problem = Problem([moving], pack(TRUTH), [INDEX[n] for n in SYSTEM], Model(), 0.05)
+    problem.begins = [moving.static_crossing(static_limit(problem.start, moving))]
+    return problem
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_pieces_join_up_and_are_cut_at_rest(practical_pair: tuple[Recording, Recording]) -> None:
+    for recording in practical_pair:
+        parts = long.pieces(recording)
+        assert len(parts) > 1
+        for name, values in recording.channels.items():
+            assert np.array_equal(np.concatenate([p.channels[name] for p in parts]), values)
+            assert all(np.shares_memory(p.channels[name], values) for p in parts)
+        still = resting(recording.channels["motor_angle"])
+        cuts = np.cumsum([len(p.time) for p in parts])[:-1]
+        assert np.all(still[cuts])
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_pieces_give_what_the_whole_gives(practical_pair: tuple[Recording, Recording]) -> None:
+    dataset = Dataset(practical_pair)
+    whole, parts = default.identify(dataset), long.identify_long(dataset)
+    assert parts.warnings == ()
+    assert [s.method for s in parts.stages] == [s.method for s in whole.stages]
+    for name, p in whole.parameters.items():
+        q = parts.parameters[name]
+        assert p.value is not None
+        assert p.low is not None
+        assert p.high is not None
+        assert q.value is not None
+        assert q.low is not None
+        assert q.high is not None
+        assert abs(q.value - p.value) < 0.6 * 0.5 * (p.high - p.low), name
+        assert 0.6 < (q.high - q.low) / (p.high - p.low) < 1.7, name
+    assert list(parts.fits_by_recording) == ["unloaded", "loaded"]
+
+
+@pytest.mark.usefixtures("short_pieces")
+def test_recordings_that_cannot_be_refined_keep_the_equation_error() -> None:
+    parts = long.identify_long(Dataset((sine(duration=20.0),)), bandwidth_Hz=500.0)
+    assert "a quantised encoder" in parts.warnings[0]
+    assert parts.values() == pytest.approx({n: TRUTH[n] for n in SYSTEM}, rel=1e-6)
+
+
+def test_the_path_follows_the_length(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    taken: list[str] = []
+    monkeypatch.setattr(default, "identify", lambda *_a, **_k: taken.append("memory"))
+    monkeypatch.setattr(long, "identify_long", lambda *_a, **_k: taken.append("pieces"))
+    dataset = Dataset(practical_pair[:1])
+    long.identify_any_length(dataset)
+    monkeypatch.setattr(long, "LONG_SAMPLES", 1000)
+    long.identify_any_length(dataset)
+    aside = Dataset((replace(practical_pair[0], role="validate"),))
+    long.identify_any_length(aside)
+    assert taken == ["memory", "pieces", "memory"]
+
+
+def test_reduced_equations_are_those_of_the_whole_jacobian(practical_pair: tuple[Recording, Recording]) -> None:
+    problem = unloaded_problem(practical_pair[0])
+    found = reduce(problem)
+    residual = problem.residuals(problem.origin())
+    jacobian = problem.jacobian(problem.origin(), residual)
+    inverse = np.linalg.inv(jacobian.T @ jacobian)[:5, :5]
+    assert np.linalg.inv(found.normals.sum(axis=0)) == pytest.approx(inverse, rel=1e-6)
+    assert np.all(np.diag(covariance(problem)) > 0.0)
+
+
+def test_settling_never_makes_a_stretch_worse(practical_pair: tuple[Recording, Recording]) -> None:
+    problem = unloaded_problem(practical_pair[0])
+    owners = problem.owners.astype(np.int64)
+    before = np.bincount(owners, problem.residuals(problem.origin()) ** 2)
+    settle(problem)
+    after = np.bincount(owners, problem.residuals(problem.origin()) ** 2)
+    assert np.all(after <= before * (1.0 + 1e-12))
+    assert after.sum() < before.sum()

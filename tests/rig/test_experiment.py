@@ -1,0 +1,75 @@
+"""``rig identify --plan`` as a user runs it."""
+
+import json
+from pathlib import Path
+
+import pytest
+import yaml
+
+from identification.design import propose
+from rig.cli import status
+
+SEQUENCE = """\
+sequence: 1
+name: short
+stages:
+  - {name: free, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.4, phase_deg: 0}], duration_s: 8}
+"""
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, value in (("CANDIDATES", 5), ("REFINEMENTS", 2), ("RUNNERS_UP", 1)):
+        monkeypatch.setattr(propose, name, value)
+
+
+@pytest.fixture
+def sequence(tmp_path: Path) -> Path:
+    path = tmp_path / "short.yaml"
+    path.write_text(SEQUENCE)
+    return path
+
+
+def test_the_proposal_runs(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "planned"
+    assert status(["identify", "--plan", str(sequence), "--out", str(out)]) == 0
+    printed = capsys.readouterr().out
+    assert "the catalogue's nominal values" in printed
+    assert "times tighter" in printed
+    record = json.loads((out / "plan.json").read_text())
+    assert record["schema"] == "loadrig.plan/1"
+    assert record["current_noise_A"] == pytest.approx(0.025)
+    assert set(record["present"]["relative_half_widths"]) == {"Mc", "Ms", "omega_sf", "sigma_2", "J"}
+    proposed = yaml.safe_load((out / "proposal.yaml").read_text())
+    assert proposed["stages"][0]["duration_s"] == 8
+    assert proposed == record["proposed"]["sequence"]
+    assert status(["run", str(out / "proposal.yaml"), "--dry-run"]) == 0
+
+
+def test_source_or_plan(sequence: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["identify"]) == 2
+    assert status(["identify", "somewhere", "--plan", str(sequence)]) == 2
+    assert "give either SOURCE" in capsys.readouterr().err
+
+
+def test_a_sequence_beyond_the_bench_is_refused(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sequence.write_text(SEQUENCE.replace("amplitude_deg: 15", "amplitude_deg: 50"))
+    assert status(["identify", "--plan", str(sequence), "--out", str(tmp_path / "o")]) == 2
+    assert "outside -30 to 30 deg" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(None, "cannot be read"), ("{", "not JSON"), ('{"schema": "x"}', "a result of `rig identify --json`")],
+)
+def test_a_nominal_that_cannot_be_used(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, words: str
+) -> None:
+    path = tmp_path / "nominal.json"
+    if content is not None:
+        path.write_text(content)
+    arguments = ["identify", "--plan", str(sequence), "--nominal", str(path), "--out", str(tmp_path / "o")]
+    assert status(arguments) == 2
+    assert words in capsys.readouterr().err
