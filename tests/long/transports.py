@@ -75,8 +75,8 @@ def wired(transport: str) -> Iterator[None]:
         yield
 
 
-def _over_ptys(ports: Ports) -> Callable[[SimulatedBench, int, Station], Callable[[], BytePort]]:
-    def line(twin: SimulatedBench, baud: int, station: Station) -> Callable[[], BytePort]:
+def _over_ptys(ports: Ports) -> Callable[[SimulatedBench, str, int, Station], Callable[[], BytePort]]:
+    def line(twin: SimulatedBench, _name: str, baud: int, station: Station) -> Callable[[], BytePort]:
         path = ports.open_pty(station)
         return lambda: LockStepSerial(path, baud, LockStep(twin.clock, ports, path))
 
