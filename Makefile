@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy literal real bench paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -15,6 +15,7 @@ help:
 	@echo "make test      lint, types, import directions, tests"
 	@echo "make paper     the paper's tables and Fig. 12 and 13, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
+	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
 	@echo "make bench     speed, as ratios within one run"
@@ -66,6 +67,9 @@ paper: $(VENV)/.runtime
 
 accuracy: $(VENV)/.runtime
 	$(BIN)/python benchmarks/figure10_accuracy.py --seeds 20
+
+floor: $(VENV)/.runtime
+	$(BIN)/python benchmarks/floor.py --benches 200 --first 5000
 
 literal: $(VENV)/.runtime
 	$(BIN)/python benchmarks/literal_accuracy.py

@@ -27,6 +27,8 @@ class Table:
 def parameter_table(results: Sequence[Identification], truth: Mapping[str, float] | None = None) -> Table:
     """Return one row per parameter, with value and 90 % interval by each method; columns without content are left out.
 
+    The column ``floor`` is the half width that the Cramer-Rao bound allows the interval.
+
     Args:
         results: One per method; the first names the rows.
         truth: True values, where a simulated bench lets them be known; adds the columns ``true`` and ``error``.
@@ -34,7 +36,7 @@ def parameter_table(results: Sequence[Identification], truth: Mapping[str, float
     header = ["parameter"]
     for result in results:
         prefix = "" if len(results) == 1 else f"{result.method}: "
-        header += [f"{prefix}value", f"{prefix}90 % interval", *([f"{prefix}error"] if truth else [])]
+        header += [f"{prefix}value", f"{prefix}90 % interval", f"{prefix}floor", *([f"{prefix}error"] if truth else [])]
     header += ["unit", *(["true"] if truth else []), "note"]
     names = dict.fromkeys(name for result in results for name in result.parameters)
     rows = [_row(name, results, truth) for name in names]
@@ -73,6 +75,10 @@ def note(parameter: Parameter) -> str:
     return "at the bound of the search" if parameter.at_bound else ""
 
 
+def _floor(parameter: Parameter) -> str:
+    return "-" if parameter.floor is None else f"+-{number(parameter.floor, 2)}"
+
+
 def _error(value: float | None, true: float | None) -> str:
     return percent(None if value is None or not true else 100.0 * (value / true - 1.0))
 
@@ -85,10 +91,10 @@ def _row(name: str, results: Sequence[Identification], truth: Mapping[str, float
     for result in results:
         parameter = result.parameters.get(name)
         if parameter is None:
-            cells += ["-"] * (3 if truth else 2)
+            cells += ["-"] * (4 if truth else 3)
             continue
         unit = parameter.unit
-        cells += [number(parameter.value), interval(parameter.low, parameter.high)]
+        cells += [number(parameter.value), interval(parameter.low, parameter.high), _floor(parameter)]
         if truth:
             cells.append(_error(parameter.value, true))
         if said := note(parameter):

@@ -86,7 +86,7 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
 
 
 def parameter_record(parameter: Parameter) -> dict[str, Any]:
-    """Return one parameter; ``value`` is null where it is not identifiable."""
+    """Return one parameter; ``value`` is null where it is not identifiable, ``floor`` where it was not computed."""
     return {
         "value": finite(parameter.value),
         "low": finite(parameter.low),
@@ -95,6 +95,7 @@ def parameter_record(parameter: Parameter) -> dict[str, Any]:
         "identifiable": parameter.identifiable,
         "at_bound": parameter.at_bound,
         "reason": parameter.reason,
+        "floor": finite(parameter.floor),
     }
 
 

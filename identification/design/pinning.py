@@ -19,7 +19,7 @@ from scipy import stats
 from identification.design.forward import Response, respond, usual_loop
 from identification.estimate import innovations as kernel
 from identification.estimate.information import reduce, settle
-from identification.estimate.prediction_error import HUBER
+from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.stretches import motion
@@ -164,8 +164,8 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     if stage.weight:
         limit += nominal.moment(stage.weight) * (problem.start[kernel.MU_C] + problem.start[kernel.DMU])
     problem.begins = [found.static_crossing(float(limit))]
-    settle(problem, HUBER)
-    reduced = reduce(problem, HUBER)
+    settle(problem, CLIP)
+    reduced = reduce(problem, CLIP)
     if not reduced.rms < GREATEST_RMS or not reduced.peak < GREATEST_PEAK:
         return NOTHING
     # From the search's coordinates (logarithms, rises) to relative changes of the named parameters.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -100,8 +101,9 @@ def parameter_table(
     values: Mapping[str, float],
     spread: Spread,
     model: Model,
+    floors: Mapping[str, float],
 ) -> dict[str, Parameter]:
-    """Return every parameter with its interval, or the words why it has none."""
+    """Return every parameter with its interval and its floor where that is known, or the words why it has none."""
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
     table: dict[str, Parameter] = {}
@@ -113,7 +115,8 @@ def parameter_table(
         elif name not in spread.names:
             table[name] = Parameter(name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name))
         else:
-            table[name] = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
+            judged = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
+            table[name] = replace(judged, floor=floors.get(name))
     seen = {names for names in RISES if names[1] in spread.names and _rise_is_seen(names, values, spread)}
     for names in RISES:
         if names[1] in spread.names:

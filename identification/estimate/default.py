@@ -63,6 +63,7 @@ def identify(
     names = free_names(values, model)
     spread = block_sandwich(active, values, names, model.alpha)
     warnings: list[str] = []
+    floors: Mapping[str, float] = {}
     tell("joint", 0.0)
     refined = refine_recordings(fitted, values, names, model, bandwidth_Hz)
     if isinstance(refined, str):
@@ -76,11 +77,12 @@ def identify(
         else:
             values = dict(refined.values)
             spread = with_freedom(refined)
+            floors = floors_of(refined)
     tell("joint", 1.0)
     every = list(prepared.values())
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
     validate = [p for p in every if p.recording.role == "validate"]
-    parameters = parameter_table(active, values, spread, model)
+    parameters = parameter_table(active, values, spread, model, floors)
     for p in active:
         if not np.any(p.used):
             warnings.append(f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz")
@@ -191,7 +193,10 @@ def refine_recordings(
         return "there is no unloaded recording to start from"
     if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
         return "no rise of load friction toward rest was found to refine"
-    return prediction_error.refine_stages(unloaded, loaded, values, model)
+    try:
+        return prediction_error.refine_stages(unloaded, loaded, values, model)
+    except np.linalg.LinAlgError:
+        return "these recordings do not pin the parameters of the prediction error"
 
 
 def refusal(refined: Refined, before: float, after: float) -> str:
@@ -215,6 +220,12 @@ def refusal(refined: Refined, before: float, after: float) -> str:
 def with_freedom(refined: Refined) -> Spread:
     """Return the spread of refined values; the breakaways are what varies independently."""
     return Spread(refined.names, refined.covariance, float(max(refined.breakaways - len(refined.names), 3)))
+
+
+def floors_of(refined: Refined) -> dict[str, float]:
+    """Return name to the half width of the 90 % interval of an estimate at the Cramer-Rao bound."""
+    exact = Spread(refined.names, refined.floor, math.inf)
+    return {name: exact.half_width(name) for name in refined.names}
 
 
 def joint_convergence(refined: Refined) -> Convergence:

@@ -26,19 +26,34 @@ _LEAST_SPEED = 1e-7
 
 
 @compiled
-def _friction(speed: float, moment: float, alpha: float, p: Array) -> tuple[float, float]:
-    """Return friction magnitude (N m) and its slope at ``speed`` > 0: eq. 9 plus eq. 13."""
+def _shift(speed: float, variance: float, omega_s: float, part: float, power: float, alpha: float) -> float:
+    """Return half the curvature of the falling ``part`` of friction times the speed's variance, N m.
+
+    ``power`` is alpha (speed/omega_s)^alpha. Beyond a deviation of omega_s the expansion says nothing, and is held.
+    """
+    return 0.5 * min(variance, omega_s * omega_s) / (speed * speed) * part * power * (power - alpha + 1.0)
+
+
+@compiled
+def _friction(speed: float, moment: float, alpha: float, variance: float, p: Array) -> tuple[float, float]:
+    """Return the expected friction magnitude (N m) and its slope at ``speed`` > 0: eq. 9 plus eq. 13.
+
+    To second order in a speed of that ``variance``: near rest friction is curved enough for the speed's own uncertainty
+    to shift its mean, and with it the static limits.
+    """
     ratio = speed / p[OMEGA_SF]
     x = ratio * ratio if alpha == 2.0 else ratio**alpha
     part = p[DM] * math.exp(-x)
     value = p[MC] + p[SIGMA_2] * speed + part
     slope = p[SIGMA_2] - part * alpha * x / speed
+    value += _shift(speed, variance, p[OMEGA_SF], part, alpha * x, alpha)
     if moment > 0.0:
         ratio = speed / p[OMEGA_SL]
         x = ratio * ratio if alpha == 2.0 else ratio**alpha
         part = moment * p[DMU] * math.exp(-x)
         value += moment * (p[MU_C] + p[MU_2] * speed) + part
         slope += moment * p[MU_2] - part * alpha * x / speed
+        value += _shift(speed, variance, p[OMEGA_SL], part, alpha * x, alpha)
     return value, slope
 
 
@@ -66,7 +81,7 @@ def _predict(
     now = start
     for _ in range(int(steps)):
         speed = max(side * state[1], _LEAST_SPEED)
-        force, grade = _friction(speed, moment, alpha, p)
+        force, grade = _friction(speed, moment, alpha, state[4], p)
         u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET])
         rate = (u - force) / inertia
         gain = -grade / inertia
@@ -104,9 +119,10 @@ def innovations(
     steps: Array,
     p: Array,
     out: Array,
+    spread: Array,
     speeds: Array,
-) -> float:
-    """Fill ``out`` with the normalised innovations of every stretch and ``speeds`` with the filtered speed.
+) -> None:
+    """Fill ``out`` with the innovations of every stretch, ``spread`` with their deviations, ``speeds`` with the speed.
 
     Args:
         stretches: Table of stretches of motion, shape (m, 4).
@@ -123,15 +139,12 @@ def innovations(
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
             innovations are smooth in the parameters.
         p: Parameters, shape (10,).
-        out: Normalised innovations, shape (n,); samples outside stretches are left alone.
+        out: Innovations, rad, shape (n,); samples outside stretches are left alone.
+        spread: Their standard deviations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
-
-    Returns:
-        Sum of log innovation variances.
     """
     state = [0.0, 0.0, 0.0, 0.0, 0.0]
     inertia = p[INERTIA] + extra_inertia
-    total = 0.0
     for j in range(len(stretches)):
         first = int(stretches[j, FIRST])
         last = int(stretches[j, LAST])
@@ -173,8 +186,8 @@ def innovations(
                 )
             variance = state[2] + noise[1]
             error = angle[k] - state[0]
-            out[k] = error / math.sqrt(variance)
-            total += math.log(variance)
+            out[k] = error
+            spread[k] = math.sqrt(variance)
             g1 = state[2] / variance
             g2 = state[3] / variance
             state[0] += g1 * error
@@ -185,4 +198,3 @@ def innovations(
             state[3] *= 1.0 - g1
             state[2] *= 1.0 - g1
             speeds[k] = state[1]
-    return total

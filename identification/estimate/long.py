@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.estimate import default
 from identification.estimate.assemble import fit_of, parameter_table, trace_of
-from identification.estimate.default import Progress, free_names, refusal, solve_stages, with_freedom
+from identification.estimate.default import Progress, floors_of, free_names, refusal, solve_stages, with_freedom
 from identification.estimate.long_refinement import refine_pieces
 from identification.estimate.result import Identification
 from identification.estimate.uncertainty import block_sandwich
@@ -85,6 +85,7 @@ def identify_long(
     every = [part for r, parts in cut if r.role == "fit" for part in parts]
     refined = refine_pieces(heads, every, values, names, model, bandwidth_Hz, lambda share: tell("joint", share))
     fault = refined if isinstance(refined, str) else ""
+    floors: dict[str, float] = {}
     if not isinstance(refined, str):
         before, after = fit_of(fit, values, model.alpha), fit_of(fit, refined.values, model.alpha)
         fault = refusal(refined, before.train_rms, after.train_rms)
@@ -93,13 +94,13 @@ def identify_long(
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
     else:
-        values, spread = dict(refined.values), with_freedom(refined)
+        values, spread, floors = dict(refined.values), with_freedom(refined), floors_of(refined)
     tell("joint", 1.0)
     return Identification(
         method="default",
         motion=dataset.recordings[0].bench.motion,
         alpha=model.alpha,
-        parameters=parameter_table(fit, values, spread, model),
+        parameters=parameter_table(fit, values, spread, model, floors),
         fit=fit_of(fit, values, model.alpha, validate),
         stages=tuple(stages),
         warnings=tuple(warnings),

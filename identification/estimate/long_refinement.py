@@ -16,7 +16,8 @@ import numpy as np
 
 from identification.estimate.default import refine_recordings
 from identification.estimate.information import SETTLING, Reduced, reduce, settle
-from identification.estimate.prediction_error import HUBER, Refined, rise_to_static
+from identification.estimate.noise_level import CLIP
+from identification.estimate.prediction_error import Refined, rise_to_static
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
 from identification.estimate.stretches import motion
 from identification.recording import Array, Model, Recording
@@ -61,9 +62,9 @@ def refine_pieces(
                 continue
             problem = Problem([moving], vector, free, model, start.torque_noise)
             problem.begins = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
-            settle(problem, HUBER, SETTLING if number == 0 else 1)
+            settle(problem, CLIP, SETTLING if number == 0 else 1)
             begins[k] = problem.begins
-            found.append(reduce(problem, HUBER))
+            found.append(reduce(problem, CLIP))
             evaluations += problem.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
         normal = np.sum([r.normals.sum(axis=0) for r in found], axis=0)
@@ -74,11 +75,13 @@ def refine_pieces(
         vector = problem.parameters(x)
         if step @ normal @ step < len(free) * SETTLED**2:
             break
+    achieved, floor = _covariances(found, start.names, vector)
     squares, count = sum(r.squares for r in found), sum(r.count for r in found)
     return replace(
         start,
         values={**start.values, **unpack(vector, [n for n in INDEX if n in start.values])},
-        covariance=_covariance(found, start.names, vector),
+        covariance=achieved,
+        floor=floor,
         innovation_rms=float(np.sqrt(squares / count)),
         whiteness=sum(r.neighbours for r in found) / squares,
         evaluations=evaluations,
@@ -87,8 +90,8 @@ def refine_pieces(
     )
 
 
-def _covariance(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> Array:
-    """Return the covariance of the named parameters: the larger of information's and sandwich's, as in memory."""
+def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> tuple[Array, Array]:
+    """Return the covariance of the named parameters, the larger of information's and sandwich's, and its bound."""
     normal = np.sum([r.normals.sum(axis=0) for r in found], axis=0)
     scores = np.concatenate([r.scores for r in found])
     scale = np.sqrt(np.diag(normal))
@@ -103,4 +106,5 @@ def _covariance(found: Sequence[Reduced], names: Sequence[str], vector: Array) -
     stretch = np.array([vector[INDEX[n]] if INDEX[n] in LOGARITHMIC else 1.0 for n in names])
     turn = rise_to_static(names)
     full = plain * np.outer(widen * stretch / scale, widen * stretch / scale)
-    return np.asarray(turn @ full @ turn.T)
+    bound = bread * np.outer(stretch / scale, stretch / scale)
+    return np.asarray(turn @ full @ turn.T), np.asarray(turn @ bound @ turn.T)

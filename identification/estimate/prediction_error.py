@@ -1,8 +1,9 @@
 """Refinement by prediction errors: all stages and all breakaways jointly, from the equation-error start.
 
 Unknown beside the parameters is when each stretch breaks away. Each such time is tied to the static limit by the torque
-measured then. The torque noise is first assumed large and then lowered to its own value: a filter that trusts the
-encoder more has a smoother cost, which leads into the right basin.
+measured then. Least squares leads into the right basin, with the inertia held: the torque noise is first assumed large
+and then lowered to its own value, as a filter that trusts the encoder more has a smoother cost. Instrumental variables
+then give the values (:mod:`identification.estimate.instrumental`).
 """
 
 from __future__ import annotations
@@ -11,19 +12,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
 
 from identification.estimate import innovations as kernel
 from identification.estimate import levenberg
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
+from identification.estimate.instrumental import covariances, solve
+from identification.estimate.noise_level import CLIP, deviance, likeliest_noise, torque_noise
+from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
 _TEMPERING = (20.0, 4.0, 1.0)
-HUBER = 4.0
-"""Residual size, in units of its noise, from which a residual counts by its size instead of its square."""
 _START_SPEEDS = 6
 _START_STATICS = 7
+_SEED_CLIP = 10.0
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class Refined:
     Attributes:
         values: Name to value.
         covariance: Of the fitted ``names``, shape (p, p), in the values' own units.
+        floor: The least covariance possible (:mod:`identification.estimate.cramer_rao`), of the same shape.
         names: Fitted names in that order.
         innovation_rms: 1 where the noise model holds.
         whiteness: Correlation of neighbouring innovations.
@@ -45,6 +47,7 @@ class Refined:
 
     values: Mapping[str, float]
     covariance: Array
+    floor: Array
     names: tuple[str, ...]
     innovation_rms: float
     whiteness: float
@@ -53,27 +56,6 @@ class Refined:
     evaluations: int
     iterations: int
     breakaways: int
-
-
-def torque_noise(motions: Sequence[Motion]) -> float:
-    """Estimate the torque noise from third differences inside stretches (median absolute deviation), N m rms."""
-    differences = [np.diff(m.torque, n=3)[m.inside[3:]] for m in motions]
-    spread = np.median(np.abs(np.concatenate(differences)))
-    return float(1.4826 * spread / np.sqrt(20.0))
-
-
-def likeliest_noise(problem: Problem, first: float) -> float:
-    """Return the torque noise rms of the greatest likelihood at the problem's start, N m."""
-    times = problem.begins
-
-    def cost(log_noise: float) -> float:
-        found, logs = problem.run(problem.start, times, float(np.exp(log_noise)))
-        return logs + sum(float(np.sum(np.minimum(e * e, HUBER**2))) for e in found)
-
-    found = optimize.minimize_scalar(
-        cost, bounds=(np.log(first) - 2.0, np.log(first) + 2.0), method="bounded", options={"xatol": 0.03}
-    )
-    return float(np.exp(found.x))
 
 
 def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> None:
@@ -103,8 +85,8 @@ def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> Non
         for omega_s in speeds:
             p = p.copy()
             p[speed] = omega_s
-            found, _ = problem.run(p, times, problem.noise)
-            cost = sum(float(np.sum(np.minimum(e * e, 100.0))) for e in found)
+            errors, deviations = problem.run(p, times, problem.noise, problem.angle_noise)
+            cost = deviance(errors, deviations, _SEED_CLIP)
             if best is None or cost < best[0]:
                 best = (cost, p, times)
     if best is not None:
@@ -117,45 +99,20 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
     solution = problem.origin()
     for factor in tempering:
         problem.noise = noise * factor
+        problem.weigh()
         found = levenberg.minimise(
             problem.residuals,
             problem.jacobian,
             problem.origin(),
-            threshold=HUBER,
+            threshold=CLIP,
             tolerance=1e-4 if factor > 1.0 else 1e-7,
         )
         problem.keep(found.x)
         problem.iterations += found.steps
         solution = problem.origin()
     problem.noise = noise
+    problem.weigh()
     return problem.residuals(solution)
-
-
-def covariance(problem: Problem) -> Array:
-    """Return the covariance of the free parameters (breakaway times eliminated), in the kernel's own units.
-
-    The larger, parameter by parameter, of the information matrix's and the sandwich clustered by stretch, so that what
-    the noise model misses from stretch to stretch widens the interval.
-    """
-    x = problem.origin()
-    residual = problem.residuals(x)
-    jacobian = problem.jacobian(x, residual)
-    count = len(problem.free)
-    scale = np.linalg.norm(jacobian, axis=0)
-    scale[scale == 0.0] = 1.0
-    scaled = jacobian / scale
-    bread = np.linalg.pinv(scaled.T @ scaled)
-    owners = problem.owners.astype(np.int64)
-    scores = np.zeros((problem.breakaways, len(x)))
-    np.add.at(scores, owners, scaled * residual[:, None])
-    clusters = max(problem.breakaways, 2)
-    sandwich = bread @ (scores.T @ scores) @ bread * clusters / max(clusters - count, 1)
-    plain = bread * max(float(np.mean(residual**2)), 1.0)
-    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
-    full = plain * np.outer(widen, widen) / np.outer(scale, scale)
-    out = full[:count, :count]
-    stretch = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
-    return np.asarray(out * np.outer(stretch, stretch))
 
 
 def refine_stages(
@@ -178,33 +135,38 @@ def refine_stages(
     first = Problem(unloaded, pack(start), system, model, torque_noise(unloaded))
     # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
     first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
-    first.noise = likeliest_noise(first, first.noise)
+    first.noise, first.angle_noise = likeliest_noise(first, first.noise)
     refine(first, (1.0,))
+    inertia = [] if kernel.INERTIA in fixed else [kernel.INERTIA]
+    first.free = (*system, *inertia)
+    if first.free:
+        solve(first)
     evaluations += first.evaluations
     motions, begins, noise, free = tuple(unloaded), list(first.begins), first.noise, system
     vector = first.start
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
+        second.angle_noise = first.angle_noise
         seed_breakaway(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL)
         refine(second)
         evaluations += second.evaluations
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
         vector = second.start
-    if kernel.INERTIA not in fixed:
-        free = [*free, kernel.INERTIA]
+    free = [*free, *inertia]
     joint = Problem(motions, vector, free, model, noise)
-    joint.begins = begins
-    joint.noise = likeliest_noise(joint, noise)
-    residual = refine(joint, (1.0,))
-    cov = covariance(joint)
+    joint.begins, joint.angle_noise = begins, first.angle_noise
+    residual = solve(joint)
+    found = covariances(joint)
     names = tuple(n for n, k in INDEX.items() if k in free)
     order = [free.index(INDEX[n]) for n in names]
-    turn = rise_to_static(names) @ cov[np.ix_(order, order)] @ rise_to_static(names).T
+    turn = rise_to_static(names)
+    achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
     inside = residual[: len(residual) - joint.breakaways]
     values = {**start, **unpack(joint.start, [n for n in INDEX if n in start])}
     return Refined(
         values=values,
-        covariance=turn,
+        covariance=achieved,
+        floor=floor,
         names=names,
         innovation_rms=float(np.sqrt(np.mean(inside**2))),
         whiteness=float(np.mean(inside[1:] * inside[:-1]) / np.mean(inside**2)),

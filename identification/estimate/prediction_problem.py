@@ -65,10 +65,12 @@ class Problem:
         self.alpha = model.alpha
         self.statics = [(_COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in _COULOMB_OF]
         self.noise = noise
+        self.angle_noise = 0.0
         self.begins = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
         self.iterations = 0
         self._out = [np.zeros(len(m.time)) for m in motions]
+        self._spread = [np.zeros(len(m.time)) for m in motions]
         self._speeds = [np.zeros(len(m.time)) for m in motions]
         self._stretch = np.concatenate([self._owners(m, j) for j, m in enumerate(motions)])
         self.breakaways = sum(len(m.table) for m in motions)
@@ -85,6 +87,12 @@ class Problem:
     def owners(self) -> Array:
         """Stretch of every residual, the breakaway residuals last, shape (r,)."""
         return np.concatenate([self._stretch, np.arange(self.breakaways)])
+
+    @property
+    def siblings(self) -> Array:
+        """How many stretches the recording of every residual has, shape (r,)."""
+        counts = np.concatenate([np.full(len(m.table), float(len(m.table))) for m in self.motions])
+        return np.asarray(counts[self.owners.astype(np.int64)])
 
     def origin(self) -> Array:
         """Return the free vector of the start."""
@@ -103,19 +111,24 @@ class Problem:
             p[rise] = static - p[coulomb]
         return p
 
-    def run(self, p: Array, times: Sequence[Array], noise: float) -> tuple[list[Array], float]:
-        """Filter every recording; return the innovations inside stretches and the sum of log variances."""
+    def run(self, p: Array, times: Sequence[Array], noise: float, angle_noise: float) -> tuple[Array, Array]:
+        """Filter every recording; return the prediction errors inside stretches and their standard deviations, rad."""
         self.evaluations += 1
-        logs = 0.0
-        found = []
-        for m, begin, out, speeds in zip(self.motions, times, self._out, self._speeds, strict=True):
-            level = np.array([noise, m.angle_variance])
-            logs += kernel.innovations(
+        errors, deviations = [], []
+        every = zip(self.motions, times, self._out, self._spread, self._speeds, strict=True)
+        for m, begin, out, spread, speeds in every:
+            level = np.array([noise, m.angle_variance + angle_noise**2])
+            kernel.innovations(
                 m.table, begin, m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, self.alpha, level, m.steps, p, out, speeds,
+                m.extra_inertia, self.alpha, level, m.steps, p, out, spread, speeds,
             )  # fmt: skip
-            found.append(out[m.inside])
-        return found, logs
+            errors.append(out[m.inside])
+            deviations.append(spread[m.inside])
+        return np.concatenate(errors), np.concatenate(deviations)
+
+    def weigh(self) -> None:
+        """Hold the prediction errors' weights at what they are at the start."""
+        _, self._deviation = self.run(self.start, self.begins, self.noise, self.angle_noise)
 
     def times(self, x: Array) -> list[Array]:
         """Return the breakaway times of a free vector, s, one array per recording."""
@@ -124,15 +137,15 @@ class Problem:
         return [b + s for b, s in zip(self.begins, np.split(shift, cuts), strict=True)]
 
     def residuals(self, x: Array) -> Array:
-        """Return innovations, then torque at each breakaway less the static limit, all over their noise."""
+        """Return prediction errors, then torque at each breakaway less the static limit, all over their noise."""
         p = self.parameters(x)
         times = self.times(x)
-        found, _ = self.run(p, times, self.noise)
+        errors, _ = self.run(p, times, self.noise, self.angle_noise)
         ends = [
             (m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)) / self.noise
             for m, t in zip(self.motions, times, strict=True)
         ]
-        return np.concatenate(found + ends)
+        return np.concatenate([errors / self._deviation, *ends])
 
     def slopes(self, x: Array, here: Array) -> tuple[Array, Array]:
         """Return d residuals / d parameters, shape (r, p), and each one's slope in its own breakaway time, shape (r,).

@@ -48,6 +48,7 @@ class Parameter:
     """One estimate with its 90 % interval.
 
     ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then says why, in words.
+    ``floor`` is the half width that the Cramer-Rao bound allows the interval; None where it was not computed.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Parameter:
     identifiable: bool = True
     at_bound: bool = False
     reason: str = ""
+    floor: float | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.default import identify, solve_stages
+from identification.estimate.default import _refusal, identify, solve_stages
 from identification.estimate.paper import identify_paper
 from identification.estimate.prediction_error import refine_stages
 from identification.estimate.result import Identification
@@ -87,16 +87,16 @@ def test_everything_fixed_is_only_scored(practical_pair: tuple[Recording, Record
     assert result.fit.train_relative < 0.01
 
 
-@pytest.mark.parametrize(("amplitude", "words"), [(0.3, "ask for a torque noise of"), (1.0, "stay correlated")])
+@pytest.mark.parametrize("amplitude", [0.3, 1.0])
 def test_hidden_ripple_leaves_the_values_of_the_equation_error(
-    practical_pair: tuple[Recording, Recording], amplitude: float, words: str
+    practical_pair: tuple[Recording, Recording], amplitude: float
 ) -> None:
     """A torque over the angle as cogging makes it, which no nominal parameter can take."""
     recording = with_ripple(practical_pair[0], amplitude, 120.0)
     result = identify(Dataset((recording,)))
     (warning,) = result.warnings
     assert "values are those of the equation error at" in warning
-    assert words in warning
+    assert "ask for a torque noise of" in warning
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
 
@@ -114,6 +114,10 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert right.torque_noise < right.torque_scatter
     assert wrong.torque_noise > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
+    assert _refusal(right, 1.0, 1.0) == ""
+    assert "ask for a torque noise" in _refusal(wrong, 1.0, 1.0)
+    assert "stay correlated (+0.20" in _refusal(replace(right, whiteness=0.2), 1.0, 1.0)
+    assert "raise the equation error from 1 to 1.2" in _refusal(right, 1.0, 1.2)
 
 
 def test_exact_channels_are_not_refined() -> None:

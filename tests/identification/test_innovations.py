@@ -9,7 +9,7 @@ import pytest
 from scipy import linalg
 
 from identification.estimate import innovations as kernel
-from identification.estimate.prediction_error import likeliest_noise
+from identification.estimate.noise_level import deviance, likeliest_noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.stretches import Motion, motion
 from identification.recording import Model, Recording
@@ -45,15 +45,16 @@ def kalman(angle: np.ndarray, torque: np.ndarray, start: float) -> np.ndarray:
     return out
 
 
-def run_kernel(angle: np.ndarray, torque: np.ndarray, side: float, steps: float) -> tuple[np.ndarray, float]:
+def run_kernel(angle: np.ndarray, torque: np.ndarray, side: float, steps: float) -> np.ndarray:
     n = len(angle)
     p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
-    out, speeds = np.zeros(n), np.zeros(n)
-    logs = kernel.innovations(
+    out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
+    kernel.innovations(
         np.array([[1.0, float(n), side, 1.0]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
-        np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), p, out, speeds,
+        np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), p,
+        out, spread, speeds,
     )  # fmt: skip
-    return side * out[1:], logs
+    return side * out[1:] / spread[1:]
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -68,10 +69,9 @@ def test_linear_case_is_the_kalman_filter(side: float) -> None:
         angle[k] = angle[k - 1] + STEP_S * speed
     angle += ANGLE_NOISE * rng.normal(size=n)
     expected = kalman(angle[1:], torque[1:], angle[0])
-    found, logs = run_kernel(angle, torque, side, 8.0)
+    found = run_kernel(angle, torque, side, 8.0)
     assert np.std(expected) > 0.5
     assert np.max(np.abs(found - expected)) < 0.02 * float(np.std(expected))
-    assert logs < 0.0
 
 
 def test_inside_steps_converge() -> None:
@@ -79,7 +79,7 @@ def test_inside_steps_converge() -> None:
     time = STEP_S * np.arange(400)
     torque = 6.0 + np.sin(12.0 * time)
     angle = 0.1 * time
-    coarse, medium, fine = (run_kernel(angle, torque, 1.0, steps)[0][1:] for steps in (1.0, 2.0, 4.0))
+    coarse, medium, fine = (run_kernel(angle, torque, 1.0, steps)[1:] for steps in (1.0, 2.0, 4.0))
     first, second = np.max(np.abs(coarse - medium)), np.max(np.abs(medium - fine))
     assert 0.0 < second < first / 1.5
 
@@ -95,13 +95,15 @@ def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion
 def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
     problem = Problem([m], pack(TRUTH), free, Model(), 0.06)
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
+    problem.weigh()
     return problem
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
 def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Motion, Motion], case: int) -> None:
     problem = at_truth(motions[case])
-    (found,), _ = problem.run(problem.start, problem.begins, likeliest_noise(problem, 0.06))
+    errors, deviations = problem.run(problem.start, problem.begins, *likeliest_noise(problem, 0.06))
+    found = errors / deviations
     clipped = found[np.abs(found) < 6.0]  # the encoder's noise is uniform, friction at breakaway is steep
     assert len(clipped) > 0.995 * len(found)
     assert np.mean(clipped**2) == pytest.approx(1.0, abs=0.1)
@@ -110,12 +112,11 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Moti
 
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1])
-    (right,), _ = problem.run(problem.start, problem.begins, 0.06)
+    right = deviance(*problem.run(problem.start, problem.begins, 0.06, 0.0))
     for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
         wrong = problem.start.copy()
         wrong[INDEX[name]] *= 1.1
-        (found,), _ = problem.run(wrong, problem.begins, 0.06)
-        assert np.sum(np.minimum(found**2, 25.0)) > np.sum(np.minimum(right**2, 25.0)), name
+        assert deviance(*problem.run(wrong, problem.begins, 0.06, 0.0)) > right, name
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])

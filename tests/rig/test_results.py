@@ -58,6 +58,7 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
         "identifiable": False,
         "at_bound": False,
         "reason": "too slow",
+        "floor": None,
     }
     assert read["parameters"]["Ms"]["at_bound"] is True
     assert read["fit"]["validate_rms"] is None

@@ -53,6 +53,13 @@ MC = Parameter("Mc", "N m", 6.9, 6.8, 7.0)
 J = Parameter("J", "kg m^2", None, identifiable=False, reason="too slow")
 
 
+def test_the_floor_stands_beside_the_interval() -> None:
+    made = parameter_table([result("default", Mc=Parameter("Mc", "N m", 6.9, 6.8, 7.0, floor=0.0823), J=J)])
+    assert made.header == ("parameter", "value", "90 % interval", "floor", "unit", "note")
+    assert made.rows[0] == ("Mc", "6.9", "[6.8, 7]", "+-0.082", "N m", "")
+    assert made.rows[1][3] == "-"
+
+
 def test_one_method() -> None:
     made = parameter_table([result("default", Mc=MC, J=J)])
     assert made.header == ("parameter", "value", "90 % interval", "unit", "note")

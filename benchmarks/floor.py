@@ -1,0 +1,154 @@
+"""Errors over the Cramer-Rao floor on random practical benches, and how often the 90 % intervals hold the truth.
+
+Each bench has the nine constants within 40 % of the practical bench's, 4096 to 65536 counts per motor turn and a
+current noise of 0.2 to 1 % of full scale. Its Figure 10 run goes through the whole simulated chain; its log is
+identified by the default method, by the equation error alone and, for the first few, by the paper's genetic algorithm.
+Rows are kept as they come, and a study that was stopped goes on where it was.
+
+    python benchmarks/floor.py --benches 200 --first 5000 --out out/floor
+    python benchmarks/floor.py --practical --benches 50     # the practical bench itself, seeds of noise only
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from floor_benches import FIELDS, random_bench, record
+
+import rig.bench
+from identification.estimate.default import identify, solve_stages
+from identification.estimate.paper import identify_paper
+from identification.estimate.result import Identification
+from identification.prepare import prepare
+from identification.recording import Dataset
+from rig.run import load_run
+from rig.tables import table
+from rig.truth import truth_of
+
+NORMAL_90 = 1.6449
+WRONG_BASIN = 0.5
+"""A parameter off by more than this share counts as one."""
+
+
+def main() -> None:
+    """Run what is missing, print the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--benches", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--paper", type=int, default=0, help="benches that the genetic algorithm gets as well")
+    parser.add_argument("--practical", action="store_true", help="the practical bench as it is, over seeds of noise")
+    parser.add_argument("--out", type=Path, default=Path("out/floor"))
+    arguments = parser.parse_args()
+    template = (Path(rig.bench.__file__).parent / "benches" / "practical.yaml").read_text(encoding="utf-8")
+    rows = []
+    for seed in range(arguments.first, arguments.first + arguments.benches):
+        file = arguments.out / f"{'practical' if arguments.practical else 'row'}{seed}.json"
+        wanted = seed < arguments.first + arguments.paper
+        row = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
+        if row is None or (wanted and "paper" not in row):
+            bench = yaml.safe_load(template) if arguments.practical else random_bench(template, seed)
+            row = study(record(bench, seed, arguments.out), wanted)
+            row["seed"] = seed
+            file.write_text(json.dumps(row), encoding="utf-8")
+            print(f"bench {seed}: {row['seconds']:.1f} s {'; '.join(row['warnings'])}", flush=True)
+        rows.append(row)
+    print(summary(rows))
+
+
+def study(run: Path, with_paper: bool) -> dict[str, Any]:
+    """Return truth, estimates, intervals and floors of one run."""
+    dataset = load_run(run)
+    truth = truth_of(run)
+    assert truth is not None
+    found = identify(dataset)
+    row: dict[str, Any] = {
+        "truth": truth,
+        "seconds": found.seconds,
+        "warnings": list(found.warnings),
+        "default": estimates(found),
+        "equation": equation_error(dataset, found.fit.bandwidth_Hz),
+    }
+    if with_paper:
+        row["paper"] = {n: e["value"] for n, e in estimates(identify_paper(dataset)).items()}
+    return row
+
+
+def estimates(found: Identification) -> dict[str, dict[str, float | None]]:
+    """Return name to value, interval and floor (standard deviation)."""
+    return {
+        name: {
+            "value": p.value,
+            "low": p.low,
+            "high": p.high,
+            "floor": None if p.floor is None else p.floor / NORMAL_90,
+        }
+        for name, p in found.parameters.items()
+    }
+
+
+def equation_error(dataset: Dataset, bandwidth_Hz: float) -> dict[str, float]:
+    """Return the values by variable projection alone."""
+    prepared = [prepare(r, bandwidth_Hz) for r in dataset.part("fit")]
+    unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
+    loaded = [p for p in prepared if p.recording.stage == "loaded"]
+    return solve_stages(unloaded, loaded, dataset.model, lambda _stage, _share: None)[0]
+
+
+def summary(rows: list[Mapping[str, Any]]) -> str:
+    """Return the tables in words."""
+    lines = []
+    inside_all: list[bool] = []
+    for name in FIELDS:
+        truth = np.array([r["truth"][name] for r in rows])
+        cells = [r["default"][name] for r in rows]
+        value = np.array([c["value"] if c["value"] is not None else np.nan for c in cells])
+        floor = np.array([c["floor"] if c["floor"] is not None else np.nan for c in cells])
+        low = np.array([c["low"] if c["low"] is not None else np.nan for c in cells])
+        high = np.array([c["high"] if c["high"] is not None else np.nan for c in cells])
+        known = np.isfinite(value)
+        over = (value - truth)[known] / floor[known]
+        over = over[np.isfinite(over)]
+        inside = ((low <= truth) & (truth <= high))[known]
+        inside_all += inside.tolist()
+        simple = np.array([r["equation"][name] for r in rows])
+        far = np.abs(value / truth - 1.0)[known] > WRONG_BASIN
+        lines.append(
+            [
+                name,
+                f"{np.sqrt(np.mean(over**2)):.2f}",
+                f"{np.mean(over):+.2f}",
+                f"{np.median(np.abs(over)) / 0.6745:.2f}",
+                f"{100.0 * np.mean(inside):.1f}",
+                f"{100.0 * np.nanmedian(np.abs(value / truth - 1.0)):.3f}",
+                f"{100.0 * np.nanmax(np.abs(value / truth - 1.0)):.2f}",
+                f"{100.0 * np.nanmedian(floor / truth):.3f}",
+                f"{np.sqrt(np.nanmean(((simple - truth) / floor) ** 2)):.1f}",
+                f"{100.0 * np.median(np.abs(simple / truth - 1.0)):.2f}",
+                *_paper_cells(rows, name),
+                f"{int(np.sum(~known))}",
+                f"{int(np.sum(far))}",
+            ]
+        )
+    header = [
+        "parameter", "rms/floor", "mean/floor", "median/floor", "covered %", "median error %", "worst %", "floor %",
+        "EE rms/floor", "EE median %", "GA median %", "GA worst %", "no value", "wrong basin",
+    ]  # fmt: skip
+    pooled = f"pooled coverage {100.0 * np.mean(inside_all):.1f} % of {len(inside_all)} intervals"
+    refused = [f"bench {r['seed']}: {w}" for r in rows for w in r["warnings"]]
+    told = [f"{len(rows)} benches, {len(refused)} warnings", *refused]
+    return "\n".join([table(header, lines), pooled, *told])
+
+
+def _paper_cells(rows: list[Mapping[str, Any]], name: str) -> list[str]:
+    errors = [abs(r["paper"][name] / r["truth"][name] - 1.0) for r in rows if r.get("paper", {}).get(name) is not None]
+    return [f"{100.0 * np.median(errors):.2f}", f"{100.0 * np.max(errors):.1f}"] if errors else ["-", "-"]
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,37 @@
+"""The Cramer-Rao bound of a measurement as it is.
+
+The current is a noisy mean over each period, the drive's loop is unknown, so the current is a given input and not
+foretold; the encoder is quantised; and when each stretch breaks away is unknown. Then the Fisher information is that of
+the prediction errors' mean: sensitivities over standard deviations, products summed over all samples (Ljung, System
+Identification, 2nd ed., 7.4), with the breakaway times eliminated.
+
+A stretch's own sensitivities hold the current's noise, whose square would pass for excitation. They are replaced by the
+mean over all stretches of the recording, as long after their breakaway, in which its share falls with their number.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.recording import Array
+
+
+def bound(jacobian: Array, others: Array, stretches: Array) -> Array:
+    """Return the smallest covariance that an unbiased estimate can have.
+
+    Args:
+        jacobian: d residuals / d unknowns, residuals over their standard deviations, shape (r, p).
+        others: The mean of the same over the other stretches, shape (r, p).
+        stretches: How many stretches the recording of each residual has, shape (r,).
+
+    Returns:
+        Shape (p, p).
+
+    Raises:
+        numpy.linalg.LinAlgError: The unknowns are not all excited.
+    """
+    mean = others + (jacobian - others) / stretches[:, None]
+    scale = np.linalg.norm(mean, axis=0)
+    scale[scale == 0.0] = 1.0
+    scaled = mean / scale
+    return np.asarray(np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale))

@@ -1,0 +1,132 @@
+"""The Cramer-Rao floor, on data simulated from the fitted model itself, and the instruments it rests on."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from identification.estimate.cramer_rao import bound
+from identification.estimate.instruments import instruments
+from identification.estimate.prediction_error import Refined, refine_stages
+from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
+from identification.estimate.stretches import motion
+from identification.recording import Array, Bench, Model, Recording
+
+from .synthetic import TRUTH
+
+SYSTEM = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+VALUES = {name: TRUTH[name] for name in SYSTEM}
+COUNT_RAD = 2.0 * math.pi / 409600.0
+NOISE_N_M = 0.1
+PERIOD_S, FINE = 1e-3, 10
+SEEDS = 5
+
+
+def friction(omega: float) -> float:
+    """Eq. 9, N m."""
+    fall = (VALUES["Ms"] - VALUES["Mc"]) * math.exp(-((omega / VALUES["omega_sf"]) ** 2))
+    return VALUES["Mc"] + fall + VALUES["sigma_2"] * abs(omega)
+
+
+def from_the_model(seed: int, duration: float = 10.0) -> Recording:
+    """A loop of speed and angle sets the torque; the sensor's noise is what the measured mean has beyond the true.
+
+    Midpoint steps of a tenth of a period; friction balances the drive at rest up to the static limit.
+    """
+    rng = np.random.default_rng(seed)
+    n = round(duration / PERIOD_S)
+    angle, measured = np.zeros(n + 1), np.zeros(n + 1)
+    theta = omega = wind = 0.0
+    h = PERIOD_S / FINE
+    noise = NOISE_N_M * math.sqrt(FINE) * rng.standard_normal((n + 1, FINE))
+    for k in range(1, n + 1):
+        for j in range(FINE):
+            speed = 0.4 * math.sin(2.0 * math.pi * 0.4 * (k - 1 + j / FINE) * PERIOD_S)
+            wind += h * (speed - omega)
+            held = 40.0 * (speed - omega) + 600.0 * wind
+            measured[k] += held / FINE
+            torque = held - noise[k, j]
+            if omega == 0.0 and abs(torque) <= VALUES["Ms"]:
+                continue
+            side = math.copysign(1.0, omega if omega != 0.0 else torque)
+            middle = omega + 0.5 * h * (torque - side * friction(omega)) / VALUES["J"]
+            new = omega + h * (torque - side * friction(middle)) / VALUES["J"]
+            if side * new < 0.0:
+                new = 0.0
+            theta += 0.5 * h * (omega + new)
+            omega = new
+        angle[k] = theta
+    counts = np.floor(angle / COUNT_RAD + rng.uniform()) * COUNT_RAD
+    return Recording(
+        name=f"model{seed}",
+        channels={"time": PERIOD_S * np.arange(n + 1), "angle": counts, "torque": measured},
+        bench=Bench(),
+        averaged=frozenset({"torque"}),
+    )
+
+
+@pytest.fixture(scope="module")
+def estimates() -> list[Refined]:
+    out = []
+    for seed in range(SEEDS):
+        m = motion(from_the_model(seed))
+        assert m is not None
+        out.append(refine_stages([m], [], {name: 1.01 * v for name, v in VALUES.items()}, Model()))
+    return out
+
+
+def test_an_estimate_reaches_the_floor_and_none_beats_it(estimates: list[Refined]) -> None:
+    errors = np.array([[r.values[n] - VALUES[n] for n in r.names] for r in estimates])
+    floors = np.array([np.sqrt(np.diag(r.floor)) for r in estimates])
+    over = float(np.sqrt(np.mean((errors / floors) ** 2)))
+    assert 0.6 < over < 1.4  # 25 errors over their floors, correlated within a seed
+
+
+def test_the_floor_lies_below_the_achieved_interval(estimates: list[Refined]) -> None:
+    for r in estimates:
+        share = np.sqrt(np.diag(r.floor) / np.diag(r.covariance))
+        assert np.all(share < 1.02)
+        assert np.median(share) > 0.4
+
+
+def test_the_noise_is_found(estimates: list[Refined]) -> None:
+    assert np.median([r.torque_noise for r in estimates]) == pytest.approx(NOISE_N_M, rel=0.1)
+
+
+def test_bound_of_a_regression() -> None:
+    rng = np.random.default_rng(4)
+    table: Array = rng.normal(size=(500, 3)) * (1.0, 1e3, 1e-6)
+    assert bound(table, table, np.full(500, 4.0)) == pytest.approx(np.linalg.inv(table.T @ table), rel=1e-9)
+
+
+def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
+    rng = np.random.default_rng(5)
+    signal = np.sin(np.arange(4000) / 50.0)[:, None]
+    own = signal + rng.normal(size=(4000, 1))
+    others = signal + rng.normal(size=(4000, 1)) / math.sqrt(15.0)
+    right = 1.0 / float(np.sum(signal**2))
+    assert float(bound(own, others, np.full(4000, 16.0))[0, 0]) == pytest.approx(right, rel=0.15)
+    assert 1.0 / float(np.sum(own**2)) < 0.4 * right
+
+
+def test_instruments_hold_nothing_of_their_own_stretch() -> None:
+    m = motion(from_the_model(1, 5.0))
+    assert m is not None
+    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE_N_M)
+    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
+    problem.weigh()
+    x = problem.origin()
+    jacobian = problem.jacobian(x, problem.residuals(x))
+    z = instruments(problem, jacobian)
+    mine = problem.owners == 1
+    inside = mine.copy()
+    inside[-problem.breakaways :] = False
+    changed = jacobian.copy()
+    changed[inside, : len(SYSTEM)] *= -3.0
+    moved = instruments(problem, changed)
+    assert np.array_equal(moved[inside], z[inside])
+    assert not np.array_equal(moved[problem.owners == 0], z[problem.owners == 0])
+    alike = np.sum(z[inside, 0] * jacobian[inside, 0])
+    assert alike > 0.8 * np.linalg.norm(z[inside, 0]) * np.linalg.norm(jacobian[inside, 0])
