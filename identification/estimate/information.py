@@ -53,6 +53,7 @@ def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) 
     """
     count, m = len(problem.free), problem.breakaways
     owners = problem.owners.astype(np.int64)
+    problem.weigh()
     x = problem.origin()
     residual = problem.residuals(x)
     cost = np.bincount(owners, huber(residual, threshold), m)
@@ -83,6 +84,7 @@ def reduce(problem: Problem, threshold: float = np.inf) -> Reduced:
         problem: Recordings, free parameters, breakaway times and noise.
         threshold: Residual size beyond which a residual counts by Huber's weight.
     """
+    problem.weigh()
     x = problem.origin()
     residual = problem.residuals(x)
     slope, along = problem.slopes(x, residual)

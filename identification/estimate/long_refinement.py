@@ -50,7 +50,9 @@ def refine_pieces(
     start = refine_recordings(heads, values, names, model, bandwidth_Hz)
     if isinstance(start, str):
         return start
-    free = [INDEX[n] for n in start.names]
+    # By least squares the inertia would take the loop's own noise for motion; the heads' instruments know better.
+    names = [n for n in start.names if n != "J"]
+    free = [INDEX[n] for n in names]
     vector = pack(start.values)
     begins: dict[int, list[Array]] = {}
     evaluations = start.evaluations
@@ -75,7 +77,9 @@ def refine_pieces(
         vector = problem.parameters(x)
         if step @ normal @ step < len(free) * SETTLED**2:
             break
-    achieved, floor = _covariances(found, start.names, vector)
+    achieved, floor = start.covariance.copy(), start.floor.copy()
+    order = np.ix_(*2 * [[start.names.index(n) for n in names]])
+    achieved[order], floor[order] = _covariances(found, names, vector)
     squares, count = sum(r.squares for r in found), sum(r.count for r in found)
     return replace(
         start,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.default import _refusal, identify, solve_stages
+from identification.estimate.default import identify, refusal, solve_stages
 from identification.estimate.paper import identify_paper
 from identification.estimate.prediction_error import refine_stages
 from identification.estimate.result import Identification
@@ -114,10 +114,10 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert right.torque_noise < right.torque_scatter
     assert wrong.torque_noise > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
-    assert _refusal(right, 1.0, 1.0) == ""
-    assert "ask for a torque noise" in _refusal(wrong, 1.0, 1.0)
-    assert "stay correlated (+0.20" in _refusal(replace(right, whiteness=0.2), 1.0, 1.0)
-    assert "raise the equation error from 1 to 1.2" in _refusal(right, 1.0, 1.2)
+    assert refusal(right, 1.0, 1.0) == ""
+    assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)
+    assert "stay correlated (+0.20" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
+    assert "raise the equation error from 1 to 1.2" in refusal(right, 1.0, 1.2)
 
 
 def test_exact_channels_are_not_refined() -> None:

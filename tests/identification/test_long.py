@@ -9,7 +9,6 @@ import pytest
 
 from identification.estimate import default, long
 from identification.estimate.information import reduce, settle
-from identification.estimate.prediction_error import covariance
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
 from identification.estimate.stretches import motion
 from identification.prepare import resting
@@ -28,6 +27,7 @@ def unloaded_problem(recording: Recording) -> Problem:
     assert moving is not None
     problem = Problem([moving], pack(TRUTH), [INDEX[n] for n in SYSTEM], Model(), 0.05)
     problem.begins = [moving.static_crossing(static_limit(problem.start, moving))]
+    problem.weigh()
     return problem
 
 
@@ -58,6 +58,9 @@ def test_pieces_give_what_the_whole_gives(practical_pair: tuple[Recording, Recor
         assert q.value is not None
         assert q.low is not None
         assert q.high is not None
+        if name == "J":  # found on the first pieces alone
+            assert abs(q.value - p.value) < 0.5 * (q.high - q.low)
+            continue
         assert abs(q.value - p.value) < 0.6 * 0.5 * (p.high - p.low), name
         assert 0.6 < (q.high - q.low) / (p.high - p.low) < 1.7, name
     assert list(parts.fits_by_recording) == ["unloaded", "loaded"]
@@ -92,7 +95,6 @@ def test_reduced_equations_are_those_of_the_whole_jacobian(practical_pair: tuple
     jacobian = problem.jacobian(problem.origin(), residual)
     inverse = np.linalg.inv(jacobian.T @ jacobian)[:5, :5]
     assert np.linalg.inv(found.normals.sum(axis=0)) == pytest.approx(inverse, rel=1e-6)
-    assert np.all(np.diag(covariance(problem)) > 0.0)
 
 
 def test_settling_never_makes_a_stretch_worse(practical_pair: tuple[Recording, Recording]) -> None:

@@ -39,5 +39,5 @@ def test_the_filters_compiled_friction_is_the_same(force: float) -> None:
         t["mu_c"], t["mu_s"] - t["mu_c"], t["omega_sL"], t["mu_2"],
     )  # fmt: skip
     for speed in np.geomspace(1e-5, 2.0, 40):
-        value, slope = innovations._friction(speed, force * 0.095, 2.0, p)
+        value, slope = innovations._friction(speed, force * 0.095, 2.0, 0.0, p)
         assert (value, slope) == pytest.approx(friction(speed, friction_vector(Joint(), force)), rel=1e-12)
