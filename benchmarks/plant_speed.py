@@ -10,12 +10,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from statistics import median
 from time import perf_counter
 
 import numpy as np
 from numba import njit
 
+from drivers.mock.direct import record
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
 from rig.tables import table
@@ -61,12 +63,27 @@ def plant(weight_kg: float) -> float:
     return m.truth().angle_rad
 
 
+def recorded(weight_kg: float, effects: dict[str, dict[str, float]]) -> float:
+    """Record the same motion with the samples of the bus, but without it."""
+    m = SimulatedMachine(replace(Machine(), effects=effects), np.random.default_rng(0))
+    m.hang(weight_kg)
+    m.power(True)
+    time = np.arange(round(DURATION_S * 1e3)) * 1e-3
+    return float(record(m, np.deg2rad(20.0) * np.sin(0.4 * np.pi * time)).angle[-1])
+
+
 def main() -> None:
     """Print steps per second, medians over alternating repeats."""
     jobs: dict[str, Callable[[], float]] = {
         "bare eq. 1": bare,
         "plant, unloaded": lambda: plant(0.0),
         "plant, 30.6 kg": lambda: plant(30.6),
+        "recording without the bus": lambda: recorded(0.0, {}),
+        "the same, 30.6 kg": lambda: recorded(30.6, {}),
+        "hiding asymmetric friction": lambda: recorded(0.0, {"asymmetric_coulomb": {"torque_Nm": 0.5}}),
+        "the same, 30.6 kg, and a gap": lambda: recorded(
+            30.6, {"asymmetric_coulomb": {"torque_Nm": 0.5}, "backlash": {"gap_rad": 0.005}}
+        ),
     }
     seconds: dict[str, list[float]] = {name: [] for name in jobs}
     for job in jobs.values():

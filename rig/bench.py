@@ -17,6 +17,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from drivers import cia402_servo, cia406
 from drivers.can_timing import ANSWER_SHARE, cycle_bits
 from drivers.mock.plant import constants
+from drivers.mock.plant.effects.pack import problems, too_light
 from rig.configuration import Document, Schema, load_located
 from rig.dbc import DbcServoSection, cycle_frames, wire
 from rig.packaged import resolve
@@ -44,6 +45,8 @@ _MAY_BE_ZERO = frozenset(
         "motor_counts_per_turn",
         "joint_counts_per_turn",
         "current_noise_A",
+        "rotor_inertia_kg_m2",
+        "warming_K",
     }
 )
 
@@ -283,6 +286,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     """
     document = load_located(resolve(name, "benches"), Bench)
     bench = document.value
+    document.require((("mock", *path), text) for path, text in _hidden(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_servo.FRAMES
     if isinstance(bench.servo, DbcServoSection):
         frames = cycle_frames(wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s)
@@ -291,6 +295,18 @@ def load_bench(name: str | Path) -> Document[Bench]:
     elif bench.bus is not None:
         document.require((("bus", "bitrate"), text) for text in _overload(frames, bench.bus.bitrate, bench.cycle_s))
     return document if bench.watched else dataclasses.replace(document, value=_cut(bench))
+
+
+def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield what is wrong with the physics that a simulated machine is to hide."""
+    if machine is None or not machine.effects:
+        return
+    found = False
+    for path, text in problems(machine.effects):
+        found = True
+        yield ("effects", *path), text
+    if not found and (light := too_light(machine)):
+        yield ("motor", "rotor_inertia_kg_m2"), light
 
 
 def _cut(bench: Bench) -> Bench:

@@ -16,6 +16,11 @@ def names(kind: Literal["benches", "sequences"]) -> list[str]:
     return sorted(path.stem for path in (_HERE / kind).glob("*.yaml"))
 
 
+def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
+    """Return where the packaged file of that name is, or would be."""
+    return _HERE / kind / f"{name}.yaml"
+
+
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
     """Return the file a name stands for: the path itself if it exists, else the packaged file of that name.
 
@@ -25,7 +30,7 @@ def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
     path = Path(name)
     if path.is_file():
         return path
-    packaged = _HERE / kind / f"{name}.yaml"
-    if path.name == str(name) and packaged.is_file():
-        return packaged
+    shipped = packaged(str(name), kind)
+    if path.name == str(name) and shipped.is_file():
+        return shipped
     raise InputError(f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}")

@@ -64,6 +64,8 @@ def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     entry = record.inputs[name]
     path = Path(entry["file"])
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
+    if name == BENCH_ATTACHMENT and record.simulated:
+        attached = attached.replace(")", ", without the simulated machine's true constants)")
     remedy = f"put the file of that time back{attached}, or start a new run"
     try:
         digest = sha256_file(path)

@@ -20,6 +20,7 @@ from rig.operator import Operator, StopButton
 from rig.plan import Plan
 from rig.provenance import sha256, sha256_file, utc_now, versions
 from rig.recorder import Recorder, open_recorder
+from rig.redact import redacted
 from rig.reference import Reference
 from rig.run import RunFolder, bench_constants, first_unfinished, part_file, stage_records
 from rig.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT, PartRecord, RunRecord
@@ -55,7 +56,7 @@ class Inputs:
     reset_fault: bool = False
 
     def files(self) -> dict[str, bytes]:
-        """Return attachment name to content of both files."""
+        """Return the content of both files under the names of their attachments."""
         return {
             BENCH_ATTACHMENT: self.bench.path.read_bytes(),
             SEQUENCE_ATTACHMENT: self.sequence.path.read_bytes(),
@@ -206,7 +207,7 @@ def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dic
     if record.calibrations:
         recorder.metadata("calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations})
     for name, content in inputs.files().items():
-        recorder.attach(name, MEDIA_YAML, content)
+        recorder.attach(name, MEDIA_YAML, redacted(content) if name == BENCH_ATTACHMENT else content)
     recorder.attach("devices.json", MEDIA_JSON, json.dumps(identities, indent=1).encode())
     recorder.attach("run.json", MEDIA_JSON, json.dumps(dataclasses.asdict(record)).encode())
 

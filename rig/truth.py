@@ -5,17 +5,15 @@ Only code that prints uses this, after the estimators are done; the dataset that
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
-from pydantic import ValidationError
-
 from drivers.mock.plant.constants import Machine
-from rig.bench import Bench
-from rig.mcap_reader import read_run
+from rig.bench import load_bench
+from rig.errors import InputError
+from rig.packaged import packaged
+from rig.provenance import sha256_file
 from rig.run_file import read_record
-from rig.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
-from rig.yaml_tree import DocumentError, parse
+from rig.run_record import BENCH_ATTACHMENT, RUN_FILE
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
@@ -35,23 +33,27 @@ def true_parameters(machine: Machine) -> dict[str, float]:
 
 
 def truth_of(source: Path) -> dict[str, float] | None:
-    """Return the true parameters of a run on the simulated bench, or None for anything else, or where
-    its bench file is of a version that is not understood.
+    """Return the true parameters of a run on the simulated bench, or None where they are not to be known.
 
-    They come from the bench file that is attached to the run's recording.
+    The run does not hold them. They come from the bench file that it was made with, if that is still where it was, or
+    packaged under the same name, and unchanged by its SHA-256. A bench that hides effects keeps its truth to itself.
 
     Raises:
         InputError: ``run.json`` is damaged.
     """
-    if not (source / RUN_FILE).is_file() or not read_record(source).simulated:
+    if not (source / RUN_FILE).is_file():
         return None
-    attached = read_run(source / RECORDING_FILE).attachments.get(BENCH_ATTACHMENT)
-    if attached is None:
+    record = read_record(source)
+    entry = record.inputs.get(BENCH_ATTACHMENT)
+    if not record.simulated or entry is None:
         return None
-    try:
-        tree, _ = parse(attached.decode("utf-8"))
-        machine = Bench.model_validate_json(json.dumps(tree.plain()), strict=True).mock
-    except (ValidationError, DocumentError, UnicodeDecodeError):
-        # A bench file that this version does not know; the recording can be identified all the same.
-        return None
-    return None if machine is None else true_parameters(machine)
+    path = Path(entry["file"])
+    for candidate in (path, packaged(path.stem, "benches")):
+        if candidate.is_file() and sha256_file(candidate) == entry["sha256"]:
+            try:
+                machine = load_bench(candidate).value.mock
+            except InputError:
+                # A bench file that this version does not know; the recording can be identified all the same.
+                return None
+            return None if machine is None or machine.effects else true_parameters(machine)
+    return None

@@ -1,13 +1,18 @@
 """The truth of a run on the simulated bench: read for the tables, absent everywhere else."""
 
-import dataclasses
+import json
+import re
+import shutil
 from pathlib import Path
 
 import pytest
 
-from rig import truth
 from rig.bench import load_bench
 from rig.cli import status
+from rig.errors import InputError
+from rig.mcap_reader import read_run
+from rig.packaged import resolve
+from rig.redact import redacted
 from rig.sources import load_source
 from rig.truth import truth_of
 
@@ -52,6 +57,103 @@ def test_the_dataset_holds_nothing_of_it(run: Path) -> None:
     assert constants.isdisjoint(truth.values())
 
 
+def test_a_bench_that_was_changed_or_is_gone_has_none(run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "run"
+    shutil.copytree(run, copy)
+    record = json.loads((copy / "run.json").read_text())
+    record["inputs"]["bench.yaml"]["file"] = str(tmp_path / "practical.yaml")  # elsewhere: the packaged one answers
+    (copy / "run.json").write_text(json.dumps(record))
+    assert truth_of(copy) == truth_of(run)
+    record["inputs"]["bench.yaml"]["sha256"] = "0" * 64
+    (copy / "run.json").write_text(json.dumps(record))
+    assert truth_of(copy) is None
+
+
+EFFECTS = {
+    "asymmetric_coulomb": {"torque_Nm": 1.2345},
+    "backlash": {"gap_rad": 0.0023456},
+    "x_root_drag": {"coefficient_Nms05_rad05": 0.87654},
+}
+TRUE = {"Mc_N_m": "5.83791", "Ms_N_m": "11.83791", "sigma_2_N_m_s_rad": "4.83791", "inertia_kg_m2": "0.183791"}
+
+
+@pytest.fixture(scope="module")
+def hiding(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a run, identified too, on a bench whose file hides physics and has constants of its own."""
+    folder = tmp_path_factory.mktemp("hiding")
+    text = resolve("practical", "benches").read_text()
+    for name, value in TRUE.items():
+        text = re.sub(rf" {name}: .*", f" {name}: {value}", text)
+    (folder / "bench.yaml").write_text(re.sub("effects: .*", f"effects: {json.dumps(EFFECTS)}", text))
+    (folder / "short.yaml").write_text(SEQUENCE)
+    arguments = ["--bench", str(folder / "bench.yaml"), "--yes", "--out", str(folder / "run")]
+    assert status(["run", str(folder / "short.yaml"), *arguments]) == 0
+    assert status(["identify", str(folder / "run"), "--json", str(folder / "run" / "identified.json")]) == 0
+    return folder / "run"
+
+
+def test_what_a_bench_hides_is_in_no_file_of_the_run(hiding: Path) -> None:
+    kept = {path: path.read_bytes() for path in hiding.rglob("*") if path.is_file()}
+    log = read_run(hiding / "recording.mcap")
+    kept |= {Path(name): content for name, content in log.attachments.items()}
+    kept[Path("metadata")] = json.dumps(log.metadata, default=str).encode()
+    assert {"run.json", "recording.mcap", "report.html", "identified.json"} <= {path.name for path in kept}
+    secret = [*EFFECTS, *TRUE.values(), "effects"]
+    secret += [str(value) for given in EFFECTS.values() for value in given.values()]
+    told = [(path, word) for path, content in kept.items() for word in secret if word.encode() in content]
+    assert told == []
+    assert truth_of(hiding) is None
+
+
+def test_the_attached_bench_is_one_that_an_engineer_could_write(hiding: Path, tmp_path: Path) -> None:
+    attached = tmp_path / "attached.yaml"
+    attached.write_bytes(read_run(hiding / "recording.mcap").attachments["bench.yaml"])
+    bench, original = load_bench(attached).value, load_bench("practical").value
+    assert bench.limits == original.limits
+    assert bench.machine == original.machine
+    assert bench.mock is not None
+    assert original.mock is not None
+    assert (bench.mock.motor, bench.mock.loops) == (original.mock.motor, original.mock.loops)
+
+
+def test_a_bench_without_simulation_is_attached_as_it_is() -> None:
+    content = b"# mine\nbench: 1\nname: real\n"
+    assert redacted(content) == content
+
+
+@pytest.mark.parametrize(
+    ("effects", "where", "says"),
+    [
+        ("{backlsh: {gap_rad: 0.007}}", "mock.effects.backlsh", "no such effect"),
+        ("{backlash: {gap_rad: 0.7}}", "mock.effects.backlash.gap_rad", "within 0 to 0.1"),
+        ("{backlash: {gap: 0.007}}", "mock.effects.backlash.gap", "no such parameter"),
+        ("{cogging: {torque_Nm: 1}}", "mock.effects.cogging", "phase_rad is missing"),
+        ("{cogging: 3}", "mock.effects.cogging", "got 3"),
+    ],
+)
+def test_effects_that_cannot_be_are_refused_with_their_place(
+    effects: str, where: str, says: str, tmp_path: Path
+) -> None:
+    path = tmp_path / "bench.yaml"
+    text = re.sub("effects: .*", f"effects:\n    {effects}", resolve("practical", "benches").read_text())
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        load_bench(path)
+    line = len(text.splitlines())
+    assert any(f"{path}:{line}:" in p and where in p and says in p for p in caught.value.problems), (
+        caught.value.problems
+    )
+
+
+def test_a_transmission_that_gives_needs_inertia_on_both_sides(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    text = resolve("practical", "benches").read_text()
+    text = text.replace("rotor_inertia_kg_m2: 0.00001", "rotor_inertia_kg_m2: 0.00003")
+    path.write_text(text.replace("effects: {}", "effects: {backlash: {gap_rad: 0.007}}"))
+    with pytest.raises(InputError, match="needs some on both sides"):
+        load_bench(path)
+
+
 def test_a_campaign_has_none(tmp_path: Path) -> None:
     assert truth_of(tmp_path / "bench.yaml") is None
     assert truth_of(tmp_path) is None
@@ -66,10 +168,3 @@ def test_the_report_goes_into_the_run_folder_with_the_truth_beside(
     assert "error" in header
     assert (run / "report.html").is_file()
     assert (run / "identify.json").is_file()
-
-
-@pytest.mark.parametrize("attached", [b"bench: 99", b"]", b"\xff"])
-def test_a_bench_file_of_another_version_has_none(run: Path, monkeypatch: pytest.MonkeyPatch, attached: bytes) -> None:
-    log = dataclasses.replace(truth.read_run(run / "recording.mcap"), attachments={"bench.yaml": attached})
-    monkeypatch.setattr(truth, "read_run", lambda path: log)
-    assert truth.truth_of(run) is None

@@ -6,18 +6,23 @@ joins them (assumption 5, theta = i theta_r).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
 class Motor:
-    """DC motor, eq. 1: R I + L dI/dt = U - Ke domega_m ; torque Km I."""
+    """DC motor, eq. 1: R I + L dI/dt = U - Ke domega_m ; torque Km I.
+
+    ``rotor_inertia_kg_m2``, at the motor, is part of the joint's total; it shows only where the transmission gives.
+    """
 
     resistance_ohm: float = 1.56
     inductance_H: float = 0.00132
     torque_constant_N_m_A: float = 0.03
     back_emf_constant_V_s_rad: float = 0.02588
     gear_ratio: float = 100.0
+    rotor_inertia_kg_m2: float = 1e-5
 
 
 @dataclass(frozen=True)
@@ -78,7 +83,12 @@ class Sensing:
 
 @dataclass(frozen=True)
 class Machine:
-    """Everything that defines one simulated bench. ``steps_per_loop`` integration steps make one drive-loop period."""
+    """Everything that defines one simulated bench. ``steps_per_loop`` integration steps make one drive-loop period.
+
+    The temperature that the drive reports is ``temperature_C`` at the start and ``warming_K`` above in the end, first
+    order in ``warming_s``. ``effects`` is the physics that it hides, effect -> parameter -> value
+    (:mod:`drivers.mock.plant.effects.table`).
+    """
 
     motor: Motor = field(default_factory=Motor)
     joint: Joint = field(default_factory=Joint)
@@ -87,3 +97,6 @@ class Machine:
     steps_per_loop: int = 2
     supply_V: float = 60.0
     temperature_C: float = 25.0
+    warming_K: float = 0.0
+    warming_s: float = 600.0
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)

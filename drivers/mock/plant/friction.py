@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, compiled
+from drivers.mock.plant.compiled import Vector, inlined
 
 # Layout of the friction vector handed to compiled code.
 MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, ALPHA, MOMENT, INERTIA, FRICTION_SIZE = range(12)
 
 
-@compiled
+@inlined
 def friction(speed: float, p: Vector) -> tuple[float, float]:
     """Return (|M_f| + |M_L|, its slope) while slipping at ``speed`` >= 0 rad/s, in N m and N m s/rad.
 
@@ -40,7 +40,7 @@ def friction(speed: float, p: Vector) -> tuple[float, float]:
     return magnitude, slope
 
 
-@compiled
+@inlined
 def step_velocity(omega: float, before: float, torque: float, h: float, p: Vector) -> tuple[float, float, float]:
     """Advance J domega/dt = torque - friction by ``h``.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, compiled
+from drivers.mock.plant.compiled import Vector, compiled, inlined
 from drivers.mock.plant.friction import friction, step_velocity
 
 # State vector.
@@ -53,7 +53,7 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 ) = range(18)
 
 
-@compiled
+@inlined
 def current_command(s: Vector, d: Vector) -> float:
     """Run position P and velocity PI once; return the current asked for, A, within its limit."""
     measured = s[THETA]
@@ -82,7 +82,7 @@ def current_command(s: Vector, d: Vector) -> float:
     return float(min(max(wanted, -limit), limit))
 
 
-@compiled
+@inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
     """Run the current PI once; return the voltage for the coming loop period, V, within its limit."""
     error = wanted - (s[CURRENT] + noise)
@@ -94,7 +94,7 @@ def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
     return float(min(max(voltage, -limit), limit))
 
 
-@compiled
+@inlined
 def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, decay: float) -> None:
     """Integrate eq. 1 over one loop period at constant voltage.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 from typing import NamedTuple
 
@@ -9,8 +10,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.plant import constants, friction, loops
+from drivers.mock.plant.effects import state as extra
+from drivers.mock.plant.effects import table
+from drivers.mock.plant.effects.kernel import advance_hiding
+from drivers.mock.plant.effects.pack import bare_vector, effect_vector
+from drivers.mock.plant.record import (
+    FOLLOWING,
+    JOINT_SEEN,
+    LATCHED,
+    LINK_VOLTAGE,
+    MEAN_CURRENT,
+    MEAN_VOLTAGE,
+    ROTOR,
+    RUN_TIME,
+    SPEED,
+    Latches,
+    record_cycles,
+)
 
 _NOISE_BLOCK = 1 << 16
+_REFERENCE_FORCE_N = 3000.0
+_REFERENCE_MASS_KG = 30.6
 _NO_PATH = np.zeros(0)
 
 
@@ -87,6 +107,10 @@ class SimulatedMachine:
 
     Starts at rest at angle 0 with the power off and nothing on the lever. With exact sensors (zero counts) a motor
     count is 1 microradian of the joint for the interface's sake, and the loops see the exact angle.
+
+    Attributes:
+        motor_count_rad: Joint angle of one count of the motor encoder, rad.
+        joint_count_rad: That of the joint encoder.
     """
 
     def __init__(self, machine: constants.Machine, rng: np.random.Generator) -> None:
@@ -97,18 +121,61 @@ class SimulatedMachine:
         self._noise_at = 0
         self._s = np.zeros(loops.STATE_SIZE)
         self._d = drive_vector(machine)
-        self._p = friction_vector(machine.joint, 0.0)
-        self._motor_count_rad = float(self._d[loops.COUNT]) or 1e-6
-        self._joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
+        self._e = effect_vector(machine)
+        self._x = np.zeros(extra.EXTRA_SIZE)
+        self._x[extra.SUPPLY] = machine.supply_V
+        self._histories = np.zeros((2, extra.HISTORY))
+        self._label_kg = 0.0
+        self._force_N: float | None = None
+        self._fixed_inertia = 0.0
+        self._load()
+        self.motor_count_rad = float(self._d[loops.COUNT]) or 1e-6
+        self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
-        """Hang a total of ``mass_kg`` on the lever: contact force (L3/L4) m_w g (eq. 17)."""
-        joint = self.constants.joint
-        self.press(joint.lever_ratio * mass_kg * joint.gravity_m_s2)
+        """Hang a total of ``mass_kg``, as its label says, on the lever: contact force (L3/L4) m_w g (eq. 17)."""
+        self._label_kg, self._force_N = mass_kg, None
+        self._load()
 
     def press(self, contact_force_N: float) -> None:
         """Press on the valve with this contact force F_P (eq. 13)."""
-        self._p = friction_vector(self.constants.joint, contact_force_N)
+        self._force_N = contact_force_N
+        self._load()
+
+    def fix_weight(self, mass_kg: float, length_m: float, zero_rad: float) -> None:
+        """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m l^2."""
+        if not self._e.size:
+            self._e = bare_vector(self.constants)
+            self._x[extra.JOINT] = self._x[extra.SEEN] = self._s[loops.THETA]
+        # Two sines of the angle make one: the weight and an imbalance that is hidden.
+        hidden = self.constants.effects.get("gravity_imbalance", {"torque_Nm": 0.0, "zero_rad": 0.0})
+        weight_N_m = mass_kg * self.constants.joint.gravity_m_s2 * length_m
+        both = cmath.rect(weight_N_m, zero_rad) + cmath.rect(hidden["torque_Nm"], hidden["zero_rad"])
+        self._e[table.GRAVITY_TORQUE], self._e[table.GRAVITY_ZERO] = cmath.polar(both)
+        self._fixed_inertia = mass_kg * length_m**2
+        self._load()
+
+    def _load(self) -> None:
+        """Pack the friction vector for what presses on the valve in the recording that is on, or comes next."""
+        joint, e = self.constants.joint, self._e
+        per_kg = joint.lever_ratio * joint.gravity_m_s2
+        force = joint.lever_ratio * self._label_kg * joint.gravity_m_s2 if self._force_N is None else self._force_N
+        if not e.size:
+            self._p = friction_vector(joint, force)
+            return
+        coming = self._x[extra.RECORDING] + (self._s[loops.MODE] == loops.OFF)
+        if e[table.WEIGHT_RECORDING] == coming and self._force_N is None:
+            force = per_kg * e[table.WEIGHT_MASS]
+        felt = force
+        if e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
+            felt = _REFERENCE_FORCE_N * (force / _REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT]
+        self._p = friction_vector(joint, float(felt))
+        self._p[friction.INERTIA] += e[table.LOAD_INERTIA] * force / per_kg / _REFERENCE_MASS_KG + self._fixed_inertia
+        if e[table.STRIBECK_ALPHA] > 0.0:
+            self._p[friction.ALPHA] = e[table.STRIBECK_ALPHA]
+        if self._s[loops.OMEGA] == 0.0:
+            p = self._p
+            self._x[extra.FALLING] = p[friction.DM] + p[friction.MOMENT] * p[friction.DMU]
 
     def limit_current(self, current_A: float) -> None:
         """Lower the current the drive may ask for; it never exceeds the limit of its own loops."""
@@ -122,8 +189,18 @@ class SimulatedMachine:
             s[loops.TARGET] = s[loops.MEASURED]
             s[loops.TARGET_LEFT] = 0.0
             s[loops.TARGET_STEP] = 0.0
+            self._x[extra.TIME] = 0.0
+            self._x[extra.RECORDING] += 1.0
+            self._load()
         elif not on:
             s[loops.MODE] = loops.OFF
+
+    def rest(self, seconds: float) -> None:
+        """Let time pass with the power off and the joint at rest: what is warm cools, the campaign goes on."""
+        self._x[extra.RUN] += seconds
+        e = self._e
+        if e.size and e[table.HEATING_RISE] > 0.0:
+            self._x[extra.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
     def track(self, target_counts: float, over_ns: int) -> None:
         """Follow ``target_counts`` (motor encoder), reached by linear interpolation ``over_ns`` from now."""
@@ -133,7 +210,7 @@ class SimulatedMachine:
         s[loops.MODE] = loops.TRACK
         left = max(1, round(over_ns / self.loop_ns))
         s[loops.TARGET_LEFT] = left
-        s[loops.TARGET_STEP] = (target_counts * self._motor_count_rad - s[loops.TARGET]) / left
+        s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
     def brake(self, deceleration_rad_s2: float) -> None:
         """Ramp the commanded joint speed to zero at this deceleration and hold there (quick stop)."""
@@ -151,10 +228,13 @@ class SimulatedMachine:
         Raises:
             ValueError: ``duration_ns`` is not one.
         """
+        self._advance(self._loops_in(duration_ns), _NO_PATH)
+
+    def _loops_in(self, duration_ns: int) -> int:
         count, rest = divmod(duration_ns, self.loop_ns)
         if rest or count < 0:
             raise ValueError(f"{duration_ns} ns is not a whole number of loop periods of {self.loop_ns} ns")
-        self._advance(count, _NO_PATH)
+        return count
 
     def follow(self, path_rad: NDArray[np.float64]) -> None:
         """Integrate one loop period for each joint angle of ``path_rad``, asked for one after another."""
@@ -168,15 +248,56 @@ class SimulatedMachine:
                 self._noise_at = 0
             n = min(count, _NOISE_BLOCK - self._noise_at)
             noise = self._noise[self._noise_at : self._noise_at + n]
-            loops.advance(n, self._s, self._d, self._p, noise, path[done : done + n])
+            part = path[done : done + n]
+            if self._e.size:
+                advance_hiding(n, self._s, self._x, self._histories, self._d, self._p, self._e, noise, part)
+            else:
+                loops.advance(n, self._s, self._d, self._p, noise, part)
+                self._x[extra.RUN] += n * self._d[loops.LOOP_S]
             self._noise_at += n
             done += n
             count -= n
+
+    def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
+        """Advance one cycle, latch and obey one target (motor encoder counts), for each of ``target_counts``.
+
+        Raises:
+            ValueError: The cycle is no whole number of loop periods.
+        """
+        per_cycle = self._loops_in(cycle_ns)
+        out = np.zeros((len(target_counts), LATCHED))
+        targets = target_counts * self.motor_count_rad
+        x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
+        noise = self._take_noise(per_cycle * len(targets))
+        record_cycles(per_cycle, self._s, x, histories, d, p, e, noise, targets, _NO_PATH, out)
+        return Latches(
+            np.floor(out[:, ROTOR] / self.motor_count_rad),
+            np.floor(out[:, JOINT_SEEN] / self.joint_count_rad),
+            out[:, SPEED],
+            out[:, MEAN_CURRENT],
+            out[:, MEAN_VOLTAGE],
+            out[:, LINK_VOLTAGE],
+            out[:, FOLLOWING],
+            out[:, RUN_TIME],
+        )
+
+    def _take_noise(self, count: int) -> NDArray[np.float64]:
+        """Return the next ``count`` samples of the noise, the same that as many loop periods would draw."""
+        left = self._noise[self._noise_at :]
+        if count <= len(left):
+            self._noise_at += count
+            return left[:count]
+        more = -(-(count - len(left)) // _NOISE_BLOCK) * _NOISE_BLOCK
+        drawn = np.concatenate((left, self._rng.standard_normal(more)))
+        self._noise = drawn[-_NOISE_BLOCK:]
+        self._noise_at = _NOISE_BLOCK - (len(drawn) - count)
+        return drawn[:count]
 
     def latch(self) -> Reading:
         """Return what the sensors see now and start new means for current and voltage."""
         s = self._s
         theta = float(s[loops.THETA])
+        seen = float(self._x[extra.SEEN]) if self._e.size else theta
         n = float(s[loops.SUM_LOOPS])
         if n:
             seconds = n * float(self._d[loops.LOOP_S])
@@ -188,21 +309,25 @@ class SimulatedMachine:
         s[loops.SUM_CURRENT] = s[loops.SUM_VOLTAGE] = s[loops.SUM_NOISE] = s[loops.SUM_LOOPS] = 0.0
         following = 0.0
         if s[loops.MODE] != loops.OFF:
-            following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self._motor_count_rad
+            following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self.motor_count_rad
         return Reading(
-            math.floor(theta / self._motor_count_rad),
-            math.floor(theta / self._joint_count_rad),
+            math.floor(theta / self.motor_count_rad),
+            math.floor(seen / self.joint_count_rad),
             float(s[loops.VELOCITY_ESTIMATE]) * self.constants.motor.gear_ratio,
             current,
             voltage,
-            self.constants.supply_V,
-            self.constants.temperature_C,
+            float(self._x[extra.SUPPLY]),
+            float(self.temperature(self._x[extra.RUN : extra.RUN + 1])[0]),
             following,
         )
+
+    def temperature(self, run_s: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return what the drive reports after this running time, deg C."""
+        machine = self.constants
+        return machine.temperature_C - machine.warming_K * np.expm1(-run_s / machine.warming_s)
 
     def truth(self) -> Truth:
         """Return the exact state."""
         s = self._s
-        return Truth(
-            float(s[loops.THETA]), float(s[loops.OMEGA]), float(s[loops.CURRENT]), float(s[loops.FRICTION_WORK])
-        )
+        angle = self._x[extra.JOINT] if self._e.size else s[loops.THETA]
+        return Truth(float(angle), float(s[loops.OMEGA]), float(s[loops.CURRENT]), float(s[loops.FRICTION_WORK]))

@@ -1,0 +1,76 @@
+"""Recordings of the simulated bench without its bus: the same samples, two hundred times sooner.
+
+The bus adds nothing to a good recording but its timing, the same in every cycle: at a SYNC both devices latch, and
+the target that came with it is reached by interpolation one cycle later. What is left of the devices is their units.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mock.drive import RATED_CURRENT_MA, encoder_resolution
+from drivers.mock.plant.machine import SimulatedMachine
+
+SLOW_EVERY = 10
+"""Cycles between two frames that carry supply voltage and temperature, as the host asks of the drive."""
+
+Channel = NDArray[np.float64]
+
+
+class Samples(NamedTuple):
+    """A recording as the host's drivers would give it, SI units, arrays of shape (n,).
+
+    ``velocity`` is the drive's estimate at the joint; ``angle`` is the joint encoder's, ``motor_angle`` the motor's.
+    ``current`` and ``voltage`` are means over the cycle that ends at the sample.
+    """
+
+    time: Channel
+    command: Channel
+    motor_angle: Channel
+    angle: Channel
+    velocity: Channel
+    current: Channel
+    voltage: Channel
+    supply_voltage: Channel
+    temperature: Channel
+
+
+def record(machine: SimulatedMachine, command_rad: Channel, cycle_s: float = 0.001, slow_phase: int = 0) -> Samples:
+    """Have a powered machine follow one joint angle a cycle, from where it stands.
+
+    Args:
+        machine: Its power is on; the drive's limits are those of its own loops.
+        command_rad: Joint angle sent with each SYNC, shape (n,).
+        cycle_s: Control cycle, s; a whole number of loop periods.
+        slow_phase: Cycles since the last frame with supply voltage and temperature.
+
+    Raises:
+        ValueError: The cycle is no whole number of loop periods.
+    """
+    gear = machine.constants.motor.gear_ratio
+    increments, turns = encoder_resolution(machine.constants)
+    motor_unit_rad = 2.0 * np.pi / (increments / turns)
+    sent = np.rint(command_rad / (motor_unit_rad / gear))
+    latches = machine.record(sent, round(cycle_s * 1e9))
+    speed = np.rint(latches.joint_velocity_rad_s * gear * (increments / turns / (2.0 * np.pi)))
+    cycle = np.arange(len(sent))
+    held = np.maximum(cycle - (cycle + slow_phase) % SLOW_EVERY, 0)
+    return Samples(
+        np.asarray(cycle * cycle_s, dtype=np.float64),
+        np.asarray(command_rad, dtype=np.float64),
+        latches.motor_counts * motor_unit_rad,
+        latches.joint_counts * machine.joint_count_rad,
+        speed * (motor_unit_rad / gear),
+        _int16(latches.current_A * (1e6 / RATED_CURRENT_MA)) * (RATED_CURRENT_MA / 1e6),
+        _int16(latches.voltage_V * 1e2) * 0.01,
+        np.rint(latches.supply_V * 1e3)[held] * 1e-3,
+        np.rint(machine.temperature(latches.run_s) * 1e1)[held] * 0.1,
+    )
+
+
+def _int16(units: Channel) -> Channel:
+    """Round and clamp to the range of the drive's 16-bit objects."""
+    return np.asarray(np.clip(np.rint(units), -0x8000, 0x7FFF))

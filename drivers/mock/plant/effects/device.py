@@ -1,0 +1,53 @@
+"""Torques of the device on the joint, and its load."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.mock.plant.compiled import Vector, inlined
+from drivers.mock.plant.effects.table import (
+    GRAVITY_TORQUE,
+    GRAVITY_ZERO,
+    LOAD_SLOPE,
+    SPRING_REST,
+    SPRING_STIFFNESS,
+    STOP_ANGLE,
+    STOP_STIFFNESS,
+    SWING_DECAY,
+    SWING_FRACTION,
+    SWING_FREQUENCY,
+)
+
+_STOP_DAMPING_S = 2e-3
+"""Damping of an end stop over its stiffness, s; chosen: a rubber pad."""
+
+
+@inlined
+def device_torque(theta: float, omega: float, e: Vector) -> float:
+    """Return the torque of imbalance, spring and end stop on the joint, N m.
+
+    A stop pushes and never pulls. It is beyond ``angle_rad`` on the side of that angle's sign.
+    """
+    torque = 0.0
+    if e[GRAVITY_TORQUE] != 0.0:
+        torque -= e[GRAVITY_TORQUE] * math.sin(theta - e[GRAVITY_ZERO])
+    if e[SPRING_STIFFNESS] != 0.0:
+        torque -= e[SPRING_STIFFNESS] * (theta - e[SPRING_REST])
+    if e[STOP_STIFFNESS] != 0.0:
+        side = math.copysign(1.0, e[STOP_ANGLE])
+        depth = side * (theta - e[STOP_ANGLE])
+        if depth > 0.0:
+            torque -= side * max(e[STOP_STIFFNESS] * (depth + _STOP_DAMPING_S * side * omega), 0.0)
+    return torque
+
+
+@inlined
+def load_factor(theta: float, time: float, e: Vector) -> float:
+    """Return the contact force over that of the hanging weight, at an angle and a time since the power came on."""
+    factor = 1.0
+    if e[LOAD_SLOPE] != 0.0:
+        factor = max(1.0 + e[LOAD_SLOPE] * theta, 0.0)
+    if e[SWING_FRACTION] != 0.0:
+        swing = math.cos(2.0 * math.pi * e[SWING_FREQUENCY] * time) * math.exp(-time / e[SWING_DECAY])
+        factor *= 1.0 + e[SWING_FRACTION] * swing
+    return factor

@@ -1,0 +1,79 @@
+"""Motor and power stage with what eq. 1 leaves out."""
+
+from __future__ import annotations
+
+import math
+
+from drivers.mock.plant.compiled import Vector, inlined
+from drivers.mock.plant.effects.table import (
+    BRUSH_CURRENT,
+    BRUSH_VOLTAGE,
+    COGGING_ORDER,
+    COGGING_PHASE,
+    COGGING_TORQUE,
+    DEAD_TIME_VOLTAGE,
+    RIPPLE_FRACTION,
+    RIPPLE_ORDER,
+    RIPPLE_PHASE,
+    SATURATION_KNEE,
+)
+
+COPPER_PER_K = 0.00393
+"""Rise of a copper winding's resistance."""
+MAGNET_PER_K = -0.001
+"""Fall of a ferrite or neodymium magnet's flux, and with it of torque constant and back-EMF."""
+
+
+@inlined
+def winding(
+    current: float, voltage: float, emf: float, resistance: float, dead: float, decay: float, e: Vector
+) -> float:
+    """Return the current after half a step at constant voltage and speed.
+
+    The dead time opposes the current with a fixed voltage ``dead``, the brushes with one that grows with the current.
+    A current that the dead time brings to zero stays there until the voltage exceeds it.
+    """
+    push = voltage - emf
+    if e[BRUSH_VOLTAGE] != 0.0:
+        push -= e[BRUSH_VOLTAGE] * math.tanh(current / e[BRUSH_CURRENT])
+    if dead == 0.0:
+        settled = push / resistance
+        return settled + (current - settled) * decay
+    if current == 0.0:
+        if abs(push) <= dead:
+            return 0.0
+        side = math.copysign(1.0, push)
+    else:
+        side = math.copysign(1.0, current)
+    settled = (push - side * dead) / resistance
+    after = settled + (current - settled) * decay
+    return 0.0 if after * side < 0.0 else after
+
+
+@inlined
+def dead_time_voltage(supply: float, nominal: float, e: Vector) -> float:
+    """Return what the dead time takes off, V; it is a share of the supply."""
+    return float(e[DEAD_TIME_VOLTAGE] * supply / nominal)
+
+
+@inlined
+def flux_factor(shaft: float, e: Vector) -> float:
+    """Return flux over its mean at a motor angle in rad; it scales torque and back-EMF alike."""
+    if e[RIPPLE_FRACTION] == 0.0:
+        return 1.0
+    return float(1.0 + e[RIPPLE_FRACTION] * math.sin(e[RIPPLE_ORDER] * shaft + e[RIPPLE_PHASE]))
+
+
+@inlined
+def saturated(current: float, e: Vector) -> float:
+    """Return the current that counts for the torque, A."""
+    knee = e[SATURATION_KNEE]
+    return knee * math.tanh(current / knee) if knee > 0.0 else current
+
+
+@inlined
+def cogging(shaft: float, e: Vector) -> float:
+    """Return the torque at the joint that needs no current, at a motor angle in rad."""
+    if e[COGGING_TORQUE] == 0.0:
+        return 0.0
+    return float(e[COGGING_TORQUE] * math.sin(e[COGGING_ORDER] * shaft + e[COGGING_PHASE]))

@@ -1,0 +1,96 @@
+"""Effects as asked for, checked and packed into the vector that compiled code reads."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mock.plant import constants
+from drivers.mock.plant.effects.kernel import CONSTANTS_AT
+from drivers.mock.plant.effects.outside import OUTSIDE
+from drivers.mock.plant.effects.shaft import DAMPING_RATIO, stiffness_of
+from drivers.mock.plant.effects.state import (
+    CONSTANTS_SIZE,
+    GEAR,
+    NOMINAL_SUPPLY,
+    OUTSIDE_TORQUE,
+    ROTOR_INERTIA,
+    SHAFT_DAMPING,
+    TWO_MASSES,
+)
+from drivers.mock.plant.effects.table import CATALOGUE, Parameter
+
+Effects = Mapping[str, Mapping[str, float]]
+KNOWN: Mapping[str, Mapping[str, Parameter]] = {**CATALOGUE, **OUTSIDE}
+_TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
+
+
+def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield what is wrong with effects as asked for, each a path of names and a message."""
+    for name, given in effects.items():
+        parameters = KNOWN.get(name)
+        if parameters is None:
+            yield (name,), f"no such effect; known are {', '.join(KNOWN)}"
+            continue
+        for missing in parameters.keys() - given.keys():
+            yield (name,), f"{missing} is missing; {name} needs {', '.join(parameters)}"
+        for key, value in given.items():
+            if key not in parameters:
+                yield (name, key), f"{name} has no such parameter; it has {', '.join(parameters)}"
+            elif not parameters[key].low <= value <= parameters[key].high:
+                yield (name, key), f"must be within {parameters[key].low:g} to {parameters[key].high:g}"
+
+
+def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
+    """Pack a machine's effects; empty where it hides nothing.
+
+    Raises:
+        ValueError: An effect or parameter is unknown or out of range, or no inertia is left for the joint beside that
+            of the rotor.
+    """
+    effects = machine.effects
+    if not effects:
+        return np.zeros(0)
+    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(effects)]
+    if wrong or (text := too_light(machine)):
+        raise ValueError("; ".join(wrong) or text)
+    e = bare_vector(machine)
+    for name, given in effects.items():
+        for key, value in given.items():
+            e[KNOWN[name][key].slot] = value
+    if _TWO_MASS & effects.keys():
+        rotor = _rotor(machine)
+        total = machine.joint.inertia_kg_m2
+        e[CONSTANTS_AT + TWO_MASSES] = 1.0
+        reduced = rotor * (total - rotor) / total
+        e[CONSTANTS_AT + SHAFT_DAMPING] = 2.0 * DAMPING_RATIO * math.sqrt(stiffness_of(e) * reduced)
+    e[CONSTANTS_AT + OUTSIDE_TORQUE] = 1.0 if OUTSIDE.keys() & effects.keys() else 0.0
+    return e
+
+
+def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
+    """Return the vector of a machine that is integrated by the hiding kernel and hides nothing."""
+    e = np.zeros(CONSTANTS_AT + CONSTANTS_SIZE)
+    e[CONSTANTS_AT + ROTOR_INERTIA] = _rotor(machine)
+    e[CONSTANTS_AT + GEAR] = machine.motor.gear_ratio
+    e[CONSTANTS_AT + NOMINAL_SUPPLY] = machine.supply_V
+    return e
+
+
+def too_light(machine: constants.Machine) -> str | None:
+    """Return what is wrong where a transmission that gives leaves no inertia on one of its sides."""
+    rotor, total = _rotor(machine), machine.joint.inertia_kg_m2
+    if not _TWO_MASS & machine.effects.keys() or 0.0 < rotor < total:
+        return None
+    return (
+        f"the rotor has {rotor:g} kg m^2 at the joint, of {total:g} in all, and a transmission that gives needs some "
+        f"on both sides; between 0 and {total / machine.motor.gear_ratio**2:g} kg m^2 at the motor"
+    )
+
+
+def _rotor(machine: constants.Machine) -> float:
+    """Return the rotor's inertia at the joint, kg m^2."""
+    return machine.motor.rotor_inertia_kg_m2 * machine.motor.gear_ratio**2

@@ -1,0 +1,185 @@
+"""The effects of the catalogue that the simulated machine can hide: parameters, ranges, places in the kernel's vector.
+
+Sizes are at the joint, after the gear, unless the name says otherwise. Effects that are in no catalogue are in
+:mod:`drivers.mock.plant.effects.outside`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+# Layout of the effect vector handed to compiled code; 0 is off, whatever the effect.
+(
+    COGGING_TORQUE,
+    COGGING_ORDER,
+    COGGING_PHASE,
+    RIPPLE_FRACTION,
+    RIPPLE_ORDER,
+    RIPPLE_PHASE,
+    SATURATION_KNEE,
+    LAG_TIME,
+    DEAD_TIME_VOLTAGE,
+    BRUSH_VOLTAGE,
+    BRUSH_CURRENT,
+    HEATING_RISE,
+    HEATING_TIME,
+    SAG_RESISTANCE,
+    GAP,
+    STIFFNESS,
+    MESH_AMPLITUDE,
+    MESH_ORDER,
+    MESH_PHASE,
+    EFFICIENCY,
+    HYSTERESIS_TORQUE,
+    HYSTERESIS_DEFLECTION,
+    ASYMMETRIC_COULOMB,
+    ASYMMETRIC_VISCOUS,
+    QUADRATIC_DRAG,
+    STRIBECK_ALPHA,
+    MEMORY_TIME,
+    DWELL_GROWTH,
+    DWELL_TIME,
+    PRESLIDING_STIFFNESS,
+    PATCH_TORQUE,
+    PATCH_CENTER,
+    PATCH_WIDTH,
+    THERMAL_FRACTION,
+    THERMAL_TIME,
+    COULOMB_RATE,
+    GRAVITY_TORQUE,
+    GRAVITY_ZERO,
+    SPRING_STIFFNESS,
+    SPRING_REST,
+    STOP_ANGLE,
+    STOP_STIFFNESS,
+    LOAD_EXPONENT,
+    LOAD_SLOPE,
+    WEIGHT_MASS,
+    WEIGHT_RECORDING,
+    SWING_FRACTION,
+    SWING_FREQUENCY,
+    SWING_DECAY,
+    LOAD_INERTIA,
+    PIVOT_TORQUE,
+    LOAD_FRICTION,
+    SKEW_TIME,
+    DELAY_TIME,
+    CURRENT_OFFSET,
+    CURRENT_DRIFT,
+    ECCENTRICITY,
+    ECCENTRICITY_PHASE,
+    SLIP_ANGLE,
+    SLIP_TIME,
+    SLIP_RECORDING,
+    CATALOGUE_SIZE,
+) = range(62)
+
+
+class Parameter(NamedTuple):
+    """One parameter of an effect: its slot in the vector and what it may be."""
+
+    slot: int
+    low: float
+    high: float
+
+
+_PHASE = (-6.3, 6.3)
+_LONGEST_DELAY_S = 0.1
+
+CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
+    "cogging": {
+        "torque_Nm": Parameter(COGGING_TORQUE, 0.0, 30.0),
+        "per_motor_turn": Parameter(COGGING_ORDER, 0.01, 100.0),
+        "phase_rad": Parameter(COGGING_PHASE, *_PHASE),
+    },
+    "torque_ripple": {
+        "fraction": Parameter(RIPPLE_FRACTION, 0.0, 0.5),
+        "per_motor_turn": Parameter(RIPPLE_ORDER, 0.01, 100.0),
+        "phase_rad": Parameter(RIPPLE_PHASE, *_PHASE),
+    },
+    "torque_saturation": {"knee_A": Parameter(SATURATION_KNEE, 1.0, 1e4)},
+    "current_loop_lag": {"time_s": Parameter(LAG_TIME, 0.0, 0.02)},
+    "inverter_dead_time": {"voltage_V": Parameter(DEAD_TIME_VOLTAGE, 0.0, 10.0)},
+    "brush_drop": {
+        "voltage_V": Parameter(BRUSH_VOLTAGE, 0.0, 10.0),
+        "current_A": Parameter(BRUSH_CURRENT, 0.01, 20.0),
+    },
+    "winding_heating": {
+        "rise_K_per_W": Parameter(HEATING_RISE, 0.0, 50.0),
+        "time_s": Parameter(HEATING_TIME, 1.0, 1e5),
+    },
+    "supply_sag": {"resistance_ohm": Parameter(SAG_RESISTANCE, 0.0, 2.0)},
+    "backlash": {"gap_rad": Parameter(GAP, 0.0, 0.1)},
+    "compliance": {"stiffness_Nm_rad": Parameter(STIFFNESS, 300.0, 1e6)},
+    "gear_mesh_ripple": {
+        "amplitude_rad": Parameter(MESH_AMPLITUDE, 0.0, 0.02),
+        "per_turn": Parameter(MESH_ORDER, 0.1, 200.0),
+        "phase_rad": Parameter(MESH_PHASE, *_PHASE),
+    },
+    "transmission_efficiency": {"efficiency": Parameter(EFFICIENCY, 0.3, 1.0)},
+    "coupling_hysteresis": {
+        "torque_Nm": Parameter(HYSTERESIS_TORQUE, 0.1, 100.0),
+        "deflection_rad": Parameter(HYSTERESIS_DEFLECTION, 0.0, 0.05),
+    },
+    "asymmetric_coulomb": {"torque_Nm": Parameter(ASYMMETRIC_COULOMB, -30.0, 30.0)},
+    "asymmetric_viscous": {"coefficient_Nms_rad": Parameter(ASYMMETRIC_VISCOUS, -20.0, 20.0)},
+    "quadratic_drag": {"coefficient_Nms2_rad2": Parameter(QUADRATIC_DRAG, 0.0, 100.0)},
+    "stribeck_shape": {"alpha": Parameter(STRIBECK_ALPHA, 0.3, 6.0)},
+    "friction_memory": {"time_s": Parameter(MEMORY_TIME, 0.0, 1.0)},
+    "dwell_static_friction": {
+        "growth_Nm": Parameter(DWELL_GROWTH, 0.0, 30.0),
+        "time_s": Parameter(DWELL_TIME, 0.01, 1e4),
+    },
+    "presliding": {"stiffness_Nm_rad": Parameter(PRESLIDING_STIFFNESS, 300.0, 1e7)},
+    "position_dependent_friction": {
+        "torque_Nm": Parameter(PATCH_TORQUE, -10.0, 30.0),
+        "center_rad": Parameter(PATCH_CENTER, -3.2, 3.2),
+        "width_rad": Parameter(PATCH_WIDTH, 1e-3, 3.2),
+    },
+    "viscous_thermal_drift": {
+        "fraction": Parameter(THERMAL_FRACTION, -1.0, 1.0),
+        "time_s": Parameter(THERMAL_TIME, 1.0, 1e5),
+    },
+    "coulomb_drift": {"rate_Nm_s": Parameter(COULOMB_RATE, -0.1, 0.1)},
+    "gravity_imbalance": {
+        "torque_Nm": Parameter(GRAVITY_TORQUE, 0.0, 50.0),
+        "zero_rad": Parameter(GRAVITY_ZERO, *_PHASE),
+    },
+    "return_spring": {
+        "stiffness_Nm_rad": Parameter(SPRING_STIFFNESS, 0.0, 200.0),
+        "rest_rad": Parameter(SPRING_REST, -3.2, 3.2),
+    },
+    "end_stop": {
+        "angle_rad": Parameter(STOP_ANGLE, -3.2, 3.2),
+        "stiffness_Nm_rad": Parameter(STOP_STIFFNESS, 0.0, 1e5),
+    },
+    "load_exponent": {"exponent": Parameter(LOAD_EXPONENT, 0.2, 3.0)},
+    "load_position_dependence": {"slope_per_rad": Parameter(LOAD_SLOPE, -2.0, 2.0)},
+    "wrong_weight": {
+        "mass_kg": Parameter(WEIGHT_MASS, 0.01, 100.0),
+        "recording": Parameter(WEIGHT_RECORDING, 1.0, 1e4),
+    },
+    "load_swing": {
+        "fraction": Parameter(SWING_FRACTION, -0.9, 0.9),
+        "frequency_Hz": Parameter(SWING_FREQUENCY, 0.01, 100.0),
+        "decay_s": Parameter(SWING_DECAY, 0.01, 1e4),
+    },
+    "load_inertia": {"inertia_kgm2": Parameter(LOAD_INERTIA, 0.0, 10.0)},
+    "lever_pivot_friction": {"torque_Nm": Parameter(PIVOT_TORQUE, 0.0, 30.0)},
+    "load_dependent_friction": {"coefficient": Parameter(LOAD_FRICTION, 0.0, 1.0)},
+    "time_skew": {"time_s": Parameter(SKEW_TIME, 0.0, _LONGEST_DELAY_S)},
+    "transport_delay": {"time_s": Parameter(DELAY_TIME, 0.0, _LONGEST_DELAY_S)},
+    "current_offset": {"current_A": Parameter(CURRENT_OFFSET, -5.0, 5.0)},
+    "current_drift": {"rate_A_s": Parameter(CURRENT_DRIFT, -0.5, 0.5)},
+    "encoder_eccentricity": {
+        "amplitude_rad": Parameter(ECCENTRICITY, 0.0, 0.1),
+        "phase_rad": Parameter(ECCENTRICITY_PHASE, *_PHASE),
+    },
+    "encoder_slip": {
+        "angle_rad": Parameter(SLIP_ANGLE, -0.5, 0.5),
+        "at_s": Parameter(SLIP_TIME, 0.0, 1e5),
+        "recording": Parameter(SLIP_RECORDING, 1.0, 1e4),
+    },
+}
+"""Effect -> parameter -> slot and range. ``recording`` counts power-ons from 1; ``at_s`` runs from there."""

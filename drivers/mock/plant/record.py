@@ -1,0 +1,90 @@
+"""Whole recordings in one call: machine, drive loops and latches of the bus's control cycle, without the bus."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mock.plant.compiled import Vector, compiled
+from drivers.mock.plant.effects.kernel import advance_hiding
+from drivers.mock.plant.effects.sensing import Histories
+from drivers.mock.plant.effects.state import RUN, SEEN, SUPPLY
+from drivers.mock.plant.loops import (
+    LOOP_S,
+    MEASURED,
+    SUM_CURRENT,
+    SUM_LOOPS,
+    SUM_NOISE,
+    SUM_VOLTAGE,
+    TARGET,
+    TARGET_LEFT,
+    TARGET_STEP,
+    THETA,
+    VELOCITY_ESTIMATE,
+    advance,
+)
+
+# Columns of what is latched.
+ROTOR, JOINT_SEEN, SPEED, MEAN_CURRENT, MEAN_VOLTAGE, LINK_VOLTAGE, FOLLOWING, RUN_TIME, LATCHED = range(9)
+
+_NO_PATH = np.zeros(0)
+
+
+class Latches(NamedTuple):
+    """What drive and joint encoder see at each SYNC, before their own units; every array has shape (n,).
+
+    ``current_A`` and ``voltage_V`` are means over the cycle that ends there; ``run_s`` is the machine's running time.
+    """
+
+    motor_counts: NDArray[np.float64]
+    joint_counts: NDArray[np.float64]
+    joint_velocity_rad_s: NDArray[np.float64]
+    current_A: NDArray[np.float64]
+    voltage_V: NDArray[np.float64]
+    supply_V: NDArray[np.float64]
+    following_rad: NDArray[np.float64]
+    run_s: NDArray[np.float64]
+
+
+@compiled
+def record_cycles(
+    loops_per_cycle: int,
+    s: Vector,
+    x: Vector,
+    histories: Histories,
+    d: Vector,
+    p: Vector,
+    e: Vector,
+    noise: Vector,
+    targets: Vector,
+    no_path: Vector,
+    out: Histories,
+) -> None:
+    """Run one cycle for each joint angle of ``targets``: advance, latch, obey.
+
+    As on the bus, the target that goes out with a SYNC is reached by interpolation one cycle after that SYNC.
+    """
+    for k in range(len(targets)):
+        part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]
+        if len(e) > 0:
+            advance_hiding(loops_per_cycle, s, x, histories, d, p, e, part, no_path)
+        else:
+            advance(loops_per_cycle, s, d, p, part, no_path)
+            x[RUN] += loops_per_cycle * d[LOOP_S]
+            x[SEEN] = s[THETA]
+        n = s[SUM_LOOPS]
+        seconds = n * d[LOOP_S]
+        row = out[k]
+        row[ROTOR] = s[THETA]
+        row[JOINT_SEEN] = x[SEEN]
+        row[SPEED] = s[VELOCITY_ESTIMATE]
+        row[MEAN_CURRENT] = s[SUM_CURRENT] / seconds + s[SUM_NOISE] / n
+        row[MEAN_VOLTAGE] = s[SUM_VOLTAGE] / seconds
+        row[LINK_VOLTAGE] = x[SUPPLY]
+        row[FOLLOWING] = s[TARGET] - s[MEASURED]
+        row[RUN_TIME] = x[RUN]
+        s[SUM_CURRENT] = s[SUM_VOLTAGE] = s[SUM_NOISE] = s[SUM_LOOPS] = 0.0
+        s[TARGET_LEFT] = loops_per_cycle
+        s[TARGET_STEP] = (targets[k] - s[TARGET]) / loops_per_cycle
