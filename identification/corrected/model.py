@@ -1,0 +1,85 @@
+"""The corrected model as a whole: nominal parameters, effects, and the curve of what has no name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identification.corrected.motor import DRIVE, VOLTAGE, nominal_voltage
+from identification.corrected.torque import TORQUE, nominal_torque
+from identification.corrected.transmission import TRANSMISSION
+from identification.diagnosis.result import Curve
+from identification.prepare import ampere_torque
+from identification.recording import Array, Recording
+
+Signals = Mapping[str, object]
+PARAMETERS = ("J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2", "offset")
+COORDINATES = {"angle": "angle", "speed": "velocity", "time": "time"}
+"""Coordinates over which a curve can be carried, and the signal each is."""
+
+
+@dataclass(frozen=True)
+class CorrectedModel:
+    """What a diagnosis leaves behind for a simulation.
+
+    Attributes:
+        parameters: Nominal ones, name to value; absent ones count as 0.
+        alpha: Stribeck exponent.
+        effects: Name to parameters; those of one recording carry ``recording``, counted from 1.
+        curve: Of what has no name, or None.
+    """
+
+    parameters: Mapping[str, float]
+    alpha: float = 2.0
+    effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    curve: Curve | None = None
+
+    def numbers(self, recording: Recording) -> dict[str, float]:
+        """Return the nominal parameters and a bench's constants, as the functions take them; unknown ones are 0."""
+        bench = recording.bench
+        known = {name: float(self.parameters.get(name, 0.0)) for name in PARAMETERS}
+        constants = {
+            "R": bench.resistance,
+            "L": bench.inductance,
+            "Ke": bench.back_emf_constant,
+            "L1": bench.moment_arm,
+            "i": bench.gear_ratio,
+            "ampere_torque": ampere_torque(recording),
+        }
+        return {**known, "alpha": self.alpha, **{name: float(value or 0.0) for name, value in constants.items()}}
+
+    def torque(self, s: Signals, m: Mapping[str, float]) -> Array:
+        """Return what the motion asks of the drive, N m at the joint, shape (n,)."""
+        total = nominal_torque(s, m) + self._added(TORQUE, s, m)
+        return total + carried(self.curve, "torque", s)
+
+    def drive(self, s: Signals, m: Mapping[str, float]) -> Array:
+        """Return what the logged current gives, N m at the joint, shape (n,)."""
+        return np.asarray(s["drive"]) + self._added(DRIVE, s, m)
+
+    def twist(self, s: Signals, m: Mapping[str, float]) -> Array:
+        """Return motor_angle / i - angle but for a constant, rad, shape (n,)."""
+        return self._added(TRANSMISSION, s, m) + carried(self.curve, "transmission", s)
+
+    def voltage(self, s: Signals, m: Mapping[str, float]) -> Array:
+        """Return what the logged current asks of the supply, V, shape (n,)."""
+        return nominal_voltage(s, m) + self._added(VOLTAGE, s, m) + carried(self.curve, "voltage", s)
+
+    def _added(self, table: Mapping[str, object], s: Signals, m: Mapping[str, float]) -> Array:
+        total = np.zeros(len(np.asarray(s["time"])))
+        for name, given in self.effects.items():
+            function = table.get(name)
+            if callable(function):
+                total = total + function(s, m, **given)
+        return total
+
+
+def carried(curve: Curve | None, equation: str, s: Signals) -> Array:
+    """Return the empirical curve of one equation at the signals, shape (n,); 0 where there is none for it."""
+    n = len(np.asarray(s["time"]))
+    if curve is None or curve.equation != equation or curve.coordinate not in COORDINATES:
+        return np.zeros(n)
+    along = np.asarray(s[COORDINATES[curve.coordinate]])
+    return np.asarray(np.interp(along, curve.grid, curve.value))

@@ -1,0 +1,74 @@
+"""How far a corrected model is from recordings: the error of each equation at the stated bandwidth.
+
+Both sides of an equation are formed at the full rate and pass one filter together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.corrected.model import CorrectedModel
+from identification.corrected.signals import signals_of
+from identification.diagnosis.view import View
+from identification.recording import Array
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """One equation of one recording at the stated bandwidth.
+
+    Attributes:
+        equation: ``torque``, ``transmission`` or ``voltage``.
+        recording: Name.
+        role: ``fit`` or ``validate``.
+        time: s, shape (n,).
+        measured: In the equation's unit, shape (n,); NaN where it does not apply (at rest, or unpowered).
+        model: Shape (n,), likewise.
+    """
+
+    equation: str
+    recording: str
+    role: str
+    time: Array
+    measured: Array
+    model: Array
+
+    @property
+    def error(self) -> Array:
+        """Measured less model where the equation applies, shape (k,)."""
+        off = self.measured - self.model
+        return off[np.isfinite(off)]
+
+
+def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
+    """Return every equation that a recording bears, measured and predicted.
+
+    The zero of motor against joint angle is the recording's own, so that ``transmission`` is free of a constant.
+    """
+    s, m, recording = signals_of(view), model.numbers(view.recording), view.recording
+    found = [_one(view, "torque", model.drive(s, m), model.torque(s, m), ~view.moving)]
+    if view.lag is not None:
+        lag, twist = view.low_pass(view.lag), view.low_pass(model.twist(s, m))
+        zero = float(np.median(lag - twist))
+        found.append(Predicted("transmission", recording.name, recording.role, view.kept_times, lag - zero, twist))
+    known = recording.bench.resistance is not None and recording.bench.back_emf_constant is not None
+    if view.voltage is not None and view.current is not None and known:
+        dark = ~view.low_pass.untouched(np.isnan(view.voltage))
+        found.append(_one(view, "voltage", np.nan_to_num(view.voltage), model.voltage(s, m), dark))
+    return tuple(found)
+
+
+def rms(parts: Iterable[Predicted]) -> float | None:
+    """Return the root mean square of the errors of several recordings; None where none applies."""
+    errors = [p.error for p in parts]
+    count = sum(len(e) for e in errors)
+    return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None
+
+
+def _one(view: View, equation: str, measured: Array, model: Array, left_out: np.ndarray) -> Predicted:
+    series = (np.where(left_out, np.nan, view.low_pass(side)) for side in (measured, model))
+    return Predicted(equation, view.recording.name, view.recording.role, view.kept_times, *series)

@@ -1,0 +1,35 @@
+"""The signals of one recording as the functions of the corrected model take them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from identification.diagnosis.view import View
+
+
+def signals_of(view: View) -> dict[str, Any]:
+    """Return the full-rate signals of a view, SI, at the joint unless said; arrays of shape (m,).
+
+    ``drive`` is what the current gives nominally, known loads not taken off; ``number`` counts recordings from 1.
+    """
+    nothing = np.zeros(len(view.time))
+    return {
+        "time": view.time,
+        "run_time": view.run_time,
+        "angle": view.angle,
+        "velocity": view.velocity,
+        "acceleration": view.acceleration,
+        "sense": view.sense,
+        "rest_time": view.rest_time,
+        "moment": view.moment,
+        "mass": view.recording.weight_mass,
+        "known": view.known,
+        "drive": view.torque - view.known,
+        "current": nothing if view.current is None else view.current,
+        "voltage": nothing if view.voltage is None else np.nan_to_num(view.voltage),
+        "supply": nothing + 1.0 if view.supply is None else view.supply,
+        "motor_angle": view.motor,
+        "number": view.index + 1,
+    }

@@ -1,0 +1,52 @@
+"""Functions of a series that remember: lag, shift, Dahl friction, play, heat."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from identification.recording import Array
+
+
+def lagged(series: Array, time: Array, time_s: float) -> Array:
+    """Return a series through a first-order lag that starts settled, shape (n,)."""
+    out = np.array(series, dtype=float)
+    share = 1.0 - np.exp(-np.diff(time) / time_s) if time_s > 0.0 else np.ones(len(out) - 1)
+    for k in range(1, len(out)):
+        out[k] = out[k - 1] + share[k - 1] * (series[k] - out[k - 1])
+    return out
+
+
+def advanced(series: Array, time: Array, time_s: float) -> Array:
+    """Return the values of ``time_s`` later, shape (n,); the ends are held."""
+    return np.asarray(np.interp(time + time_s, time, series))
+
+
+def dahl_friction(angle: Array, level: Array, stiffness: float) -> Array:
+    """Return friction that turns over a small travel, dF = k (1 - F sgn(dtheta) / level) dtheta, N m, shape (n,)."""
+    out = np.zeros(len(angle))
+    force = 0.0
+    for k in range(1, len(angle)):
+        travel = angle[k] - angle[k - 1]
+        if travel != 0.0 and level[k] > 0.0:
+            goal = level[k] if travel > 0.0 else -level[k]
+            force = goal + (force - goal) * np.exp(-stiffness * abs(travel) / level[k])
+        out[k] = force
+    return out
+
+
+def play(angle: Array, gap: float) -> Array:
+    """Return how far the driving side of a gap leads the driven one, within +- gap/2, rad, shape (n,)."""
+    out = np.zeros(len(angle))
+    for k in range(1, len(angle)):
+        out[k] = min(max(out[k - 1] + angle[k] - angle[k - 1], -0.5 * gap), 0.5 * gap)
+    return out
+
+
+def winding_rise(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:
+    """Return the winding's temperature rise, K, shape (n,); before the recording it was warmed as in its mean."""
+    loss = m["R"] * s["current"] ** 2
+    before = float(np.mean(loss)) * (1.0 - np.exp(-s["run_time"][0] / time_s))
+    series = np.concatenate(([before], loss[1:]))
+    return rise_K_per_W * lagged(series, s["time"], time_s)

@@ -1,0 +1,176 @@
+"""What the motion asks of the drive: eq. 15, and what each effect adds to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from identification.corrected.states import dahl_friction, lagged
+from identification.recording import Array
+
+
+def friction_level(speed: Array, m: Any, alpha: float) -> Array:
+    """Return the magnitude of eq. 9 without its viscous part, N m."""
+    fall = np.exp(-(np.abs(speed / m["omega_sf"]) ** alpha)) if m["omega_sf"] > 0.0 else 0.0
+    return np.asarray(m["Mc"] + (m["Ms"] - m["Mc"]) * fall + np.zeros_like(speed))
+
+
+def load_level(speed: Array, m: Any, alpha: float) -> Array:
+    """Return the magnitude of eq. 12's bracket without its viscous part; times F_P L1 it is a torque."""
+    fall = np.exp(-(np.abs(speed / m["omega_sL"]) ** alpha)) if m["omega_sL"] > 0.0 else 0.0
+    return np.asarray(m["mu_c"] + (m["mu_s"] - m["mu_c"]) * fall + np.zeros_like(speed))
+
+
+def dry_level(s: Any, m: Any, alpha: float) -> Array:
+    """Return all friction but the viscous, without its sign, N m."""
+    return np.asarray(friction_level(s["velocity"], m, alpha) + s["moment"] * load_level(s["velocity"], m, alpha))
+
+
+def load_torque(s: Any, m: Any) -> Array:
+    """Return the working load M_L with its sign, N m (eq. 13)."""
+    coefficient = load_level(s["velocity"], m, m["alpha"]) + m["mu_2"] * np.abs(s["velocity"])
+    return np.asarray(s["sense"] * s["moment"] * coefficient)
+
+
+def nominal_torque(s: Any, m: Any) -> Array:
+    """Return J domega/dt + M_f + M_L, N m at the joint (eq. 15)."""
+    system = s["sense"] * friction_level(s["velocity"], m, m["alpha"]) + m["sigma_2"] * s["velocity"]
+    return np.asarray(m["J"] * s["acceleration"] + system + load_torque(s, m) + m["offset"])
+
+
+def asymmetric_coulomb(s: Any, m: Any, torque_Nm: float) -> Array:
+    """Mc, Ms + d one way and - d the other."""
+    return np.full(len(s["time"]), torque_Nm)
+
+
+def asymmetric_viscous(s: Any, m: Any, coefficient_Nms_rad: float) -> Array:
+    """sigma_2 + d one way and - d the other."""
+    return np.asarray(coefficient_Nms_rad * np.abs(s["velocity"]))
+
+
+def quadratic_drag(s: Any, m: Any, coefficient_Nms2_rad2: float) -> Array:
+    """c omega |omega|."""
+    return np.asarray(coefficient_Nms2_rad2 * s["velocity"] * np.abs(s["velocity"]))
+
+
+def stribeck_shape(s: Any, m: Any, alpha: float) -> Array:
+    """Another exponent of both Stribeck curves."""
+    return np.asarray(s["sense"] * (dry_level(s, m, alpha) - dry_level(s, m, m["alpha"])))
+
+
+def friction_memory(s: Any, m: Any, time_s: float) -> Array:
+    """The dry level lags."""
+    level = dry_level(s, m, m["alpha"])
+    return np.asarray(s["sense"] * (lagged(level, s["time"], time_s) - level))
+
+
+def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Array:
+    """Ms grows with the rest before; it fades as Ms does."""
+    fall = np.exp(-(np.abs(s["velocity"] / m["omega_sf"]) ** m["alpha"]))
+    return np.asarray(s["sense"] * growth_Nm * (1.0 - np.exp(-s["rest_time"] / time_s)) * fall)
+
+
+def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
+    """Dahl's friction in place of a sign."""
+    level = dry_level(s, m, m["alpha"])
+    return np.asarray(dahl_friction(s["angle"], level, stiffness_Nm_rad) - s["sense"] * level)
+
+
+def position_dependent_friction(s: Any, m: Any, torque_Nm: float, center_rad: float, width_rad: float) -> Array:
+    """A worn patch."""
+    return np.asarray(s["sense"] * torque_Nm * np.exp(-0.5 * ((s["angle"] - center_rad) / width_rad) ** 2))
+
+
+def viscous_thermal_drift(s: Any, m: Any, fraction: float, time_s: float) -> Array:
+    """sigma_2 falls with running time."""
+    return np.asarray(-m["sigma_2"] * fraction * (1.0 - np.exp(-s["run_time"] / time_s)) * s["velocity"])
+
+
+def coulomb_drift(s: Any, m: Any, rate_Nm_s: float) -> Array:
+    """Mc, Ms + r t_run."""
+    return np.asarray(s["sense"] * rate_Nm_s * s["run_time"])
+
+
+def gravity_imbalance(s: Any, m: Any, torque_Nm: float, zero_rad: float) -> Array:
+    """M sin(theta - zero)."""
+    return np.asarray(torque_Nm * np.sin(s["angle"] - zero_rad))
+
+
+def return_spring(s: Any, m: Any, stiffness_Nm_rad: float, rest_rad: float) -> Array:
+    """k (theta - rest)."""
+    return np.asarray(stiffness_Nm_rad * (s["angle"] - rest_rad))
+
+
+def end_stop(s: Any, m: Any, angle_rad: float, stiffness_Nm_rad: float) -> Array:
+    """k (theta - a) beyond a, on the side of a's sign."""
+    side = np.copysign(1.0, angle_rad)
+    return np.asarray(side * stiffness_Nm_rad * np.maximum(side * (s["angle"] - angle_rad), 0.0))
+
+
+def load_exponent(s: Any, m: Any, exponent: float) -> Array:
+    """Load friction proportional to F_P^p, as it is at 3000 N."""
+    force = np.maximum(s["moment"] / m["L1"], 1e-9)
+    return np.asarray(load_torque(s, m) * ((force / 3000.0) ** (exponent - 1.0) - 1.0))
+
+
+def load_position_dependence(s: Any, m: Any, slope_per_rad: float) -> Array:
+    """F_P (1 + s theta)."""
+    return np.asarray(load_torque(s, m) * slope_per_rad * s["angle"])
+
+
+def wrong_weight(s: Any, m: Any, mass_kg: float, recording: float) -> Array:
+    """Another mass than the label's on one recording, counted from 1."""
+    if s["number"] != round(recording) or s["mass"] <= 0.0:
+        return np.zeros_like(s["time"])
+    return np.asarray(load_torque(s, m) * (mass_kg / s["mass"] - 1.0))
+
+
+def load_swing(s: Any, m: Any, fraction: float, frequency_Hz: float, decay_s: float) -> Array:
+    """F_P (1 + f cos(2 pi nu t) exp(-t / T))."""
+    t = s["time"] - s["time"][0]
+    return np.asarray(load_torque(s, m) * fraction * np.cos(2.0 * np.pi * frequency_Hz * t) * np.exp(-t / decay_s))
+
+
+def load_inertia(s: Any, m: Any, inertia_kgm2: float) -> Array:
+    """Inertia in proportion to the mass hung."""
+    return np.asarray(inertia_kgm2 * s["mass"] / 30.6 * s["acceleration"])
+
+
+def lever_pivot_friction(s: Any, m: Any, torque_Nm: float) -> Array:
+    """Coulomb friction under any weight."""
+    return np.asarray(s["sense"] * torque_Nm * (s["moment"] != 0.0))
+
+
+def load_dependent_friction(s: Any, m: Any, coefficient: float) -> Array:
+    """Friction in proportion to the torque of a weight that turns with the joint."""
+    return np.asarray(s["sense"] * coefficient * np.abs(s["known"]))
+
+
+TORQUE: Mapping[str, Callable[..., Array]] = {
+    f.__name__: f
+    for f in (
+        asymmetric_coulomb,
+        asymmetric_viscous,
+        quadratic_drag,
+        stribeck_shape,
+        friction_memory,
+        dwell_static_friction,
+        presliding,
+        position_dependent_friction,
+        viscous_thermal_drift,
+        coulomb_drift,
+        gravity_imbalance,
+        return_spring,
+        end_stop,
+        load_exponent,
+        load_position_dependence,
+        wrong_weight,
+        load_swing,
+        load_inertia,
+        lever_pivot_friction,
+        load_dependent_friction,
+    )
+}
+"""Effect to what it adds to the torque that the motion asks for."""

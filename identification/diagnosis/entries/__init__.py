@@ -1,0 +1,15 @@
+"""The catalogue in words, one module per group; adding an effect means adding one entry, its term and their tests."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from identification.diagnosis.catalogue import Entry
+from identification.diagnosis.entries.device import DEVICE
+from identification.diagnosis.entries.friction import FRICTION
+from identification.diagnosis.entries.motor import MOTOR
+from identification.diagnosis.entries.sensing import SENSING
+from identification.diagnosis.entries.transmission import TRANSMISSION
+
+ENTRIES: Mapping[str, Entry] = {e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)}
+"""Name to entry, in the order of the catalogue."""

@@ -1,0 +1,244 @@
+"""The equations that physics can break, as stacked, filtered rows with the tangent of what the nominal model absorbs.
+
+torque        drive torque = J domega/dt + friction (eq. 15), in motion
+breakaway     torque at the end of a rest = static friction (eq. 9 and 13 at omega = 0)
+transmission  motor_angle/i - angle = constant (assumption 5)
+voltage       U = R I + L dI/dt + Ke omega_motor (eq. 1)
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.view import RISE_SAMPLES, View
+from identification.recording import Array
+from identification.signals import BoolArray, Decimator, central_difference, quantum
+
+LEAST_BREAKAWAYS = 12
+"""Breakaways, over all recordings, below which they make no equation."""
+WITHIN_STEP = 0.3
+"""Standard deviation of a breakaway's instant within its sample, over the sample (uniform: 0.29)."""
+SURE_NM = 0.1
+"""Torque noise of one sample, about."""
+EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
+
+
+@dataclass(frozen=True)
+class Equation:
+    """One equation over all recordings.
+
+    Attributes:
+        name: Out of :data:`EQUATIONS`.
+        unit: Of the mismatch.
+        views: Recordings, in order.
+        kept: Per view, which filter outputs (or breakaways) are rows.
+        residual: Measured less nominal, shape (n,).
+        tangent: What the nominal model absorbs, shape (n, k).
+        names: Of the tangent's columns; those of the torque equation are nominal parameters.
+        owner: Index of each row's recording, shape (n,).
+        time: Time stamp of each row, s, shape (n,).
+        sigma: Noise of one row.
+    """
+
+    name: str
+    unit: str
+    views: tuple[View, ...]
+    kept: tuple[BoolArray, ...]
+    residual: Array
+    tangent: Array
+    names: tuple[str, ...]
+    owner: np.ndarray
+    time: Array
+    sigma: float
+
+    def rows(self, per_view: Callable[[View], Array]) -> Array:
+        """Return full-rate series, shape (m,) or (k, m) per view, as rows, shape (n, k)."""
+        return _stack(self.name, self.views, self.kept, per_view)
+
+
+def equations(
+    views: Sequence[View], nominal: Nominal, unit: str, before: Sequence[Equation] = ()
+) -> tuple[Equation, ...]:
+    """Return every equation that these recordings bear, at the nominal values.
+
+    Args:
+        views: Recordings.
+        nominal: Values of the nominal parameters.
+        unit: Of the torque.
+        before: The equations at other nominal values: their noise is kept, and all but the torque's rows, whose
+            tangents absorb what the nominal values change in them.
+    """
+    if before:
+        torque = _torque(views, nominal, unit)
+        known = {e.name: e for e in before}
+        kept = tuple(e for e in before if e.name != "torque")
+        return kept if torque is None else (replace(torque, sigma=known["torque"].sigma), *kept)
+    found = (_torque(views, nominal, unit), _breakaway(views, nominal, unit), _transmission(views), _voltage(views))
+    return tuple(e for e in found if e is not None)
+
+
+def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
+    """Return the scatter that white noise before the filter has left in a filtered series.
+
+    Third differences within recordings take away what is smooth from row to row, the median what is rough but rare;
+    the filter's own correlation from row to row is allowed for.
+    """
+    difference = np.diff(series, n=3)
+    same = owner[3:] == owner[:-3]
+    spread = 1.4826 * float(np.median(np.abs(difference[same]))) if np.any(same) else 0.0
+    taps, factor = low_pass.taps, low_pass.factor
+    lags = [
+        float(taps[k * factor :] @ taps[: len(taps) - k * factor]) if k * factor < len(taps) else 0.0 for k in range(4)
+    ]
+    weights = np.convolve([1.0, -3.0, 3.0, -1.0], [-1.0, 3.0, -3.0, 1.0])[3:]
+    gain = weights[0] * lags[0] + 2.0 * float(weights[1:] @ np.array(lags[1:]))
+    return spread * float(np.sqrt(lags[0] / gain))
+
+
+def _stack(name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view: Callable[[View], Array]) -> Array:
+    parts = []
+    for view, keep in zip(views, kept, strict=True):
+        series = np.atleast_2d(per_view(view))
+        if name == "breakaway":
+            parts.append((series * _sharpness(view))[:, view.breakaways][:, keep].T)
+        else:
+            parts.append(view.low_pass(series)[:, keep].T)
+    return np.concatenate(parts)
+
+
+def _build(
+    name: str,
+    unit: str,
+    views: Sequence[View],
+    kept: Sequence[BoolArray],
+    measured: Callable[[View], Array],
+    tangent: Callable[[View], Array],
+    names: Sequence[str],
+) -> Equation | None:
+    residual = _stack(name, views, kept, measured)[:, 0]
+    if len(residual) < 2 * len(names) + 8:
+        return None
+    counts = [int(np.sum(k)) for k in kept]
+    owner = np.repeat([v.index for v in views], counts)
+    times = [
+        (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k] for v, k in zip(views, kept, strict=True)
+    ]
+    columns = _stack(name, views, kept, tangent)
+    basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
+    rest = residual - basis @ (basis.T @ residual)
+    if name == "breakaway":
+        sigma = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
+    else:
+        sigma = noise(rest, owner, views[0].low_pass)
+    sigma = max(sigma, 1e-9 * float(np.max(np.abs(residual), initial=1e-300)))
+    return Equation(
+        name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, np.concatenate(times), sigma
+    )
+
+
+def _torque(views: Sequence[View], nominal: Nominal, unit: str) -> Equation | None:
+    # Where the transmission gives, the rotor's share of the inertia moves otherwise than the valve; how large it is
+    # no recording is told.
+    gives = any(np.any(v.twist) for v in views)
+
+    def tangent(view: View) -> Array:
+        return np.concatenate([nominal.tangent(view), view.twist[None]]) if gives else nominal.tangent(view)
+
+    return _build(
+        "torque",
+        unit,
+        views,
+        [v.moving for v in views],
+        lambda v: np.asarray(v.torque - nominal.torque(v)),
+        tangent,
+        (*nominal.free, *(("rotor",) if gives else ())),
+    )
+
+
+def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation | None:
+    if sum(len(v.breakaways) for v in views) < LEAST_BREAKAWAYS:
+        return None
+    loaded = any(v.loaded for v in views)
+
+    def limit(view: View) -> Array:
+        # The last sample that the encoder still shows at rest; what is late about it goes with the torque's rise.
+        last = np.roll(view.raw_torque, 1)
+        return np.asarray(last - view.sense * (nominal.get("Ms") + view.moment * nominal.get("mu_s")))
+
+    def tangent(view: View) -> Array:
+        return np.stack([view.sense, _rise(view), *([view.moment * view.sense] if loaded else [])])
+
+    names = ("Ms", "rate", *(["mu_s"] if loaded else []))
+    return _build("breakaway", unit, views, [np.ones(len(v.breakaways), bool) for v in views], limit, tangent, names)
+
+
+def _rise(view: View) -> Array:
+    """Return the torque's rise over the samples before each one, N m/s."""
+    before = np.roll(view.raw_torque, 1)
+    return np.asarray((before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step))
+
+
+def _sharpness(view: View) -> Array:
+    """Return weights of breakaways: the faster the torque rises, the less does one sample say where it broke away."""
+    unsure = np.abs(_rise(view)) * view.step * WITHIN_STEP
+    return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_NM) ** 2))
+
+
+def _transmission(views: Sequence[View]) -> Equation | None:
+    both = [v for v in views if v.lag is not None]
+    if not both:
+        return None
+
+    def measured(view: View) -> Array:
+        assert view.lag is not None
+        return view.lag - np.median(view.lag)
+
+    def tangent(view: View) -> Array:
+        place = np.zeros((len(both), len(view.time)))
+        place[[v.index for v in both].index(view.index)] = 1.0
+        return place
+
+    kept = [np.ones(len(v.kept_times), bool) for v in both]
+    names = [f"zero of {v.recording.name}" for v in both]
+    built = _build("transmission", "rad", both, kept, measured, tangent, names)
+    # In slow motion rounding errors follow one another; no filter averages them out.
+    rounding = max(quantum(v.recording.channels["angle"]) for v in both) / math.sqrt(12.0)
+    return None if built is None else replace(built, sigma=max(built.sigma, rounding))
+
+
+def _voltage(views: Sequence[View]) -> Equation | None:
+    known = [v for v in views if _has_voltage(v)]
+    if not known:
+        return None
+
+    def measured(view: View) -> Array:
+        bench = view.recording.bench
+        assert view.voltage is not None
+        assert view.current is not None
+        assert bench.resistance is not None
+        assert bench.back_emf_constant is not None
+        inductive = (bench.inductance or 0.0) * central_difference(view.current, view.step)
+        emf = bench.back_emf_constant * view.motor_speed
+        return np.where(np.isnan(view.voltage), 0.0, view.voltage) - bench.resistance * view.current - inductive - emf
+
+    def tangent(view: View) -> Array:
+        assert view.current is not None
+        return np.stack([view.current, view.motor_speed])
+
+    kept = [v.low_pass.untouched(np.isnan(v.voltage)) for v in known if v.voltage is not None]
+    return _build("voltage", "V", known, kept, measured, tangent, ("R", "Ke"))
+
+
+def _has_voltage(view: View) -> bool:
+    bench = view.recording.bench
+    return (
+        view.voltage is not None
+        and view.current is not None
+        and bench.resistance is not None
+        and bench.back_emf_constant is not None
+    )

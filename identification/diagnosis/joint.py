@@ -1,0 +1,267 @@
+"""Nominal parameters and named effects fitted together, with intervals by blocks of time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.equations import Equation, equations
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.result import Estimate
+from identification.diagnosis.stack import Stack, granting, stacked
+from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.diagnosis.view import View
+from identification.estimate.assemble import WIDEST
+from identification.estimate.uncertainty import CONFIDENCE
+from identification.recording import Array
+
+ROUNDS = 12
+"""Most Gauss-Newton rounds of one joint fit."""
+SETTLED = 1e-4
+"""Relative change of the cost at which it ends."""
+REACHES = (1.0, 0.2)
+"""How far continuous shapes are sought in the first rounds, over their full reach."""
+FACTOR = 4.0
+"""Full reach of an entry that is a scale."""
+TRIALS = 9
+ZOOMS = 3
+STEP = 1e-3
+"""Step of numerical derivatives by shape, over the reach."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """One effect in the model: its term, shape and coefficients."""
+
+    term: Term
+    shape: Shape
+    coefficients: tuple[float, ...]
+
+    def parameters(self, context: Context) -> dict[str, float]:
+        """Return the catalogue's parameters."""
+        return dict(self.term.read(np.array(self.coefficients), self.shape, context))
+
+
+@dataclass(frozen=True)
+class Joint:
+    """A model fitted to all equations.
+
+    Attributes:
+        nominal: Nominal values.
+        effects: In the order they were added.
+        equations: At these nominal values; effects not taken off.
+        residual: Whitened rows less everything, shape (n,).
+        stack: With the effects, and the directions of their shapes, granted.
+    """
+
+    nominal: Nominal
+    effects: tuple[Added, ...]
+    equations: tuple[Equation, ...]
+    residual: Array
+    stack: Stack
+
+    @property
+    def cost(self) -> float:
+        """Sum of whitened squares."""
+        return float(self.residual @ self.residual)
+
+
+def fit(
+    views: Sequence[View], unit: str, start: Nominal, effects: Sequence[Added] = (), before: Joint | None = None
+) -> Joint:
+    """Fit nominal parameters, coefficients and continuous shapes together.
+
+    Args:
+        views: Recordings to fit.
+        unit: Of the torque.
+        start: Nominal values to start from.
+        effects: With their trial shapes; coefficients are found.
+        before: A fit of the same recordings, whose noise and blocks are kept.
+    """
+    nominal, effects = start, tuple(effects)
+    best: Joint | None = None
+    stack = None if before is None else before.stack
+    for k in range(ROUNDS):
+        rows = equations(views, nominal, unit, () if stack is None else stack.equations)
+        here = stack = stacked(rows, nominal, stack)
+        if k < len(REACHES):
+            for place in range(len(effects)):
+                effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
+        step, effects, residual = _solve(here, effects)
+        joint = Joint(nominal, effects, here.equations, residual, here)
+        if best is not None and joint.cost > (1.0 - SETTLED) * best.cost:
+            best = joint if joint.cost < best.cost else best
+            break
+        best = joint
+        nominal = nominal.moved(step)
+    assert best is not None
+    return replace(best, stack=granting(best.stack, _directions(best.stack, best.effects)))
+
+
+def _wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
+    """Return (whitened columns of free coefficients, what coefficients that are known contribute)."""
+    free: list[Array] = []
+    known = np.zeros(len(stack.residual))
+    for effect in effects:
+        columns = stack.whitened(stack.columns(effect.term, effect.shape))
+        if effect.term.size is None:
+            free.append(columns)
+        else:
+            known = known + effect.term.size * columns[:, 0]
+    return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
+
+
+def _solve(stack: Stack, effects: Sequence[Added]) -> tuple[Array, tuple[Added, ...], Array]:
+    """Solve the linear problem; return the nominal step, effects with coefficients, and the residual."""
+    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    free, known = _wide(stack, effects)
+    left = stack.projected((target - known)[:, None])[:, 0]
+    columns = stack.projected(free)
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
+    residual = left - columns @ found
+    step = np.zeros(len(stack.nominal.free))
+    for equation in stack.equations:
+        if equation.name == "torque":
+            rows = stack.part("torque")
+            rest = (target - known - free @ found)[rows] * equation.sigma
+            norm = np.linalg.norm(equation.tangent, axis=0)
+            norm[norm == 0.0] = 1.0
+            found_step = np.linalg.lstsq(equation.tangent / norm, rest, rcond=1e-8)[0] / norm
+            step = found_step[: len(step)]
+    placed, at = [], 0
+    for effect in effects:
+        if effect.term.size is not None:
+            placed.append(replace(effect, coefficients=(effect.term.size,)))
+            continue
+        width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
+        placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
+        at += width
+    return step, tuple(placed), residual
+
+
+def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
+    """Return effect ``k`` with its continuous shape entries refined, the nominal tangent and the others free."""
+    effect = effects[k]
+    if not effect.term.refine:
+        return effect
+    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    others, known = _wide(stack, [e for j, e in enumerate(effects) if j != k])
+    granted, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
+    left = stack.projected((target - known)[:, None])[:, 0]
+    left = left - granted @ (granted.T @ left)
+
+    def cost(shape: Shape) -> float:
+        columns = stack.projected(stack.whitened(stack.columns(effect.term, shape)))
+        columns = columns - granted @ (granted.T @ columns)
+        if effect.term.size is not None:
+            rest = left - effect.term.size * columns[:, 0]
+            return float(rest @ rest)
+        rest = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]
+        return float(rest @ rest)
+
+    return replace(effect, shape=_search(cost, effect, share))
+
+
+def _search(cost: Callable[[Shape], float], effect: Added, share: float) -> Shape:
+    """Return the shape of the least cost, one entry after the other on a grid that closes in."""
+    best, least = effect.shape, cost(effect.shape)
+    width = share
+    for _ in range(ZOOMS):
+        for index, reach in effect.term.refine.items():
+            centre = best
+            for place in np.linspace(-width, width, TRIALS):
+                trial = _displaced(centre, index, reach, float(place))
+                if place != 0.0 and effect.term.physical(trial) and (value := cost(trial)) < least:
+                    best, least = trial, value
+        width *= 2.0 / (TRIALS - 1)
+    return best
+
+
+def _displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
+    """Return a shape with one entry moved by a share of its reach."""
+    entry = shape[index] * float(FACTOR**share) if reach == 0.0 else shape[index] + reach * share
+    return (*shape[:index], entry, *shape[index + 1 :])
+
+
+def _directions(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives of the model by every coefficient and continuous shape entry, shape (n, g)."""
+    parts = [np.zeros((len(stack.residual), 0))]
+    for effect in effects:
+        here = stack.whitened(stack.columns(effect.term, effect.shape))
+        if effect.term.size is None:
+            parts.append(here)
+        coefficients = np.array(effect.coefficients)
+        for index, reach in effect.term.refine.items():
+            there = stack.whitened(stack.columns(effect.term, _displaced(effect.shape, index, reach, STEP)))
+            parts.append((((there - here) @ coefficients) / STEP)[:, None])
+    return np.concatenate(parts, axis=1)
+
+
+def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
+    """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks of time.
+
+    The units are left empty; the catalogue knows them.
+    """
+    if not joint.effects:
+        return ()
+    context = Context(joint.equations[0].views, joint.nominal)
+    stack = stacked(joint.equations, joint.nominal, joint.stack)
+    directions = stack.projected(_directions(stack, joint.effects))
+    scale = np.linalg.norm(directions, axis=0)
+    scale[scale == 0.0] = 1.0
+    scaled = directions / scale
+    bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
+    sums = stack.sums(scaled * joint.residual[:, None])
+    covariance = bread @ (sums.T @ sums) @ bread / np.outer(scale, scale)
+    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - directions.shape[1], 3)))
+    out, at = [], 0
+    for effect in joint.effects:
+        moves = _moves(effect, context)
+        part = covariance[at : at + len(moves), at : at + len(moves)]
+        at += len(moves)
+        values = effect.parameters(context)
+        slopes = {name: np.array([move[name] - values[name] for move in moves]) / STEP for name in values}
+        half = {name: wide * math.sqrt(max(float(s @ part @ s), 0.0)) for name, s in slopes.items()}
+        out.append({name: Estimate(v, v - half[name], v + half[name], "") for name, v in values.items()})
+    return tuple(out)
+
+
+def pinned(joint: Joint, name: str) -> bool:
+    """Whether a nominal parameter's 90 % interval is narrower than half its value (its rise, its log) a side."""
+    nominal = joint.nominal
+    torque = next(e for e in joint.equations if e.name == "torque")
+    if name not in nominal.free:
+        return True
+    scale = np.linalg.norm(torque.tangent, axis=0)
+    if not np.all(scale > 0.0):
+        return False
+    scaled = torque.tangent / scale
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0)) / scale
+    rows = joint.residual[joint.stack.part("torque")]
+    noise = torque.sigma * max(1.0, float(np.sqrt(np.mean(rows**2))))
+    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * noise * float(spread[nominal.free.index(name)])
+    if name in ("omega_sf", "omega_sL"):
+        return half < WIDEST
+    base = {"Ms": "Mc", "mu_s": "mu_c"}.get(name)
+    size = nominal.get(name) - (nominal.get(base) if base else 0.0)
+    return half < WIDEST * abs(size) or name == "offset"
+
+
+def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
+    """Return the parameters after a small step along each direction of :func:`_directions`."""
+    moves = []
+    coefficients = np.array(effect.coefficients)
+    if effect.term.size is None:
+        for k in range(len(coefficients)):
+            step = np.zeros(len(coefficients))
+            step[k] = STEP
+            moves.append(dict(effect.term.read(coefficients + step, effect.shape, context)))
+    for index, reach in effect.term.refine.items():
+        moves.append(dict(effect.term.read(coefficients, _displaced(effect.shape, index, reach, STEP), context)))
+    return moves

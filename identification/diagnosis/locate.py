@@ -1,0 +1,119 @@
+"""Where the mismatch shows: its mean over each coordinate, with bands that allow for looking everywhere."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from identification.diagnosis.equations import Equation
+from identification.diagnosis.generic import COORDINATES, Coordinate, edges
+from identification.diagnosis.result import Curve, Location, Map
+from identification.diagnosis.stack import Stack
+from identification.diagnosis.view import View
+from identification.estimate.uncertainty import CONFIDENCE
+from identification.recording import Array
+
+BINS = 16
+LEAST_ROWS = 5
+DRAWS = 499
+OWN_RECORDING = 2.0
+"""Mean square of a recording's mismatch over the noise, from which on the mismatch shows in it."""
+
+
+def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.random.Generator) -> tuple[Map, ...]:
+    """Return the mismatch of one equation over every coordinate, the greatest share first.
+
+    Args:
+        stack: Which knows blocks and rows.
+        equation: The equation.
+        before: Its mismatch in its own unit before correction, shape (n,).
+        after: The same after, shape (n,).
+        rng: For the bands.
+    """
+    block = stack.block[stack.part(equation.name)]
+    found = []
+    for coordinate in COORDINATES:
+        if any(coordinate.values(v) is None for v in equation.views):
+            continue
+        values = equation.rows(partial(_known, coordinate))[:, 0]
+        made = _map(equation, coordinate, values, before, after, block, stack.blocks, rng)
+        if made is not None:
+            found.append(made)
+    return tuple(sorted(found, key=lambda m: -m.share))
+
+
+def location(equation: Equation, found: Map, before: Array) -> Location:
+    """Return where the mismatch lies along the coordinate of a map, and in which recordings."""
+    outside = (found.low > 0.0) | (found.high < 0.0)
+    half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
+    ranges: list[tuple[float, float]] = []
+    for k in np.flatnonzero(outside):
+        low, high = float(found.centre[k] - half[k]), float(found.centre[k] + half[k])
+        if ranges and k > 0 and outside[k - 1]:
+            ranges[-1] = (ranges[-1][0], high)
+        else:
+            ranges.append((low, high))
+    power = {v.index: before[equation.owner == v.index] for v in equation.views}
+    names = tuple(
+        v.recording.name
+        for v in equation.views
+        if len(power[v.index]) and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
+    )
+    return Location(found.coordinate, found.unit, tuple(ranges), found.share, names)
+
+
+def curve(found: Map) -> Curve:
+    """Return a map's mean as an empirical curve of what is missing."""
+    return Curve(found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean)
+
+
+def _known(coordinate: Coordinate, view: View) -> Array:
+    values = coordinate.values(view)
+    return np.zeros(len(view.time)) if values is None else values
+
+
+def _map(
+    equation: Equation,
+    coordinate: Coordinate,
+    values: Array,
+    before: Array,
+    after: Array,
+    block: np.ndarray,
+    blocks: int,
+    rng: np.random.Generator,
+) -> Map | None:
+    grid = edges(values, BINS)
+    if len(grid) < 3:
+        levels = np.unique(values)
+        if len(levels) < 2:
+            return None
+        grid = np.array([levels[0], 0.5 * (levels[0] + levels[1]), levels[1]])
+    bins = len(grid) - 1
+    place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, bins - 1)
+    count = np.bincount(place, minlength=bins).astype(np.float64)
+    if np.any(count < LEAST_ROWS):
+        return None
+    mean = np.bincount(place, before, bins) / count
+    centre = np.bincount(place, values, bins) / count
+    rest = before - mean[place]
+    sums = np.bincount(block * bins + place, rest, blocks * bins).reshape(blocks, bins) / count
+    spread = np.sqrt(np.sum(sums**2, axis=0))
+    spread[spread == 0.0] = 1e-300
+    drawn = np.abs(rng.choice((-1.0, 1.0), size=(DRAWS, blocks)) @ sums) / spread
+    wide = float(np.quantile(np.max(drawn, axis=1), CONFIDENCE)) * spread
+    power = float(before @ before)
+    chance = float(np.sum(count * spread**2))
+    share = max(0.0, float(np.sum(count * mean**2)) - chance) / power if power > 0.0 else 0.0
+    return Map(
+        equation=equation.name,
+        coordinate=coordinate.name,
+        unit=coordinate.unit,
+        residual_unit=equation.unit,
+        centre=centre,
+        mean=mean,
+        low=mean - wide,
+        high=mean + wide,
+        after=np.bincount(place, after, bins) / count,
+        share=min(share, 1.0),
+    )

@@ -1,0 +1,115 @@
+"""The nominal nine parameters at the full rate: torque, friction level and tangent, for regressors and joint refits.
+
+Written with the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.diagnosis.view import View
+from identification.recording import Array
+
+LARGEST_STEP = 0.4
+"""Greatest change of log omega_s in one iteration."""
+_RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"))
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """Values of the nominal parameters.
+
+    Attributes:
+        values: Name to value, at the joint.
+        free: Names that the recordings are asked for.
+        alpha: Stribeck exponent.
+    """
+
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    alpha: float
+
+    def get(self, name: str) -> float:
+        """Return a value; 0 where the bench has no such parameter."""
+        return float(self.values.get(name, 0.0))
+
+    def level(self, view: View, speed: Array | None = None) -> Array:
+        """Return the system friction's magnitude at a speed (the view's own unless given), eq. 9, N m."""
+        return self._level(np.abs(view.velocity if speed is None else speed), _RISES[0], "sigma_2")
+
+    def coefficient(self, view: View, speed: Array | None = None) -> Array:
+        """Return the magnitude of m_L, eq. 12."""
+        return self._level(np.abs(view.velocity if speed is None else speed), _RISES[1], "mu_2")
+
+    def falling(self, view: View) -> Array:
+        """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""
+        omega_s = self.get("omega_sf")
+        if omega_s <= 0.0:
+            return np.zeros(len(view.velocity))
+        return np.asarray(np.exp(-(np.abs(view.velocity / omega_s) ** self.alpha)))
+
+    def friction(self, view: View) -> Array:
+        """Return friction with its sign, eq. 9 + 13, N m."""
+        total = self.level(view)
+        if view.loaded:
+            total = total + view.moment * self.coefficient(view)
+        return np.asarray(view.sense * total)
+
+    def torque(self, view: View) -> Array:
+        """Return what eq. 15 says the torque should be, N m."""
+        return np.asarray(self.friction(view) + self.get("J") * view.acceleration + self.get("offset"))
+
+    def tangent(self, view: View) -> Array:
+        """Return the torque's derivatives by the free directions, shape (len(free), m)."""
+        return np.stack([self._direction(view, name) for name in self.free])
+
+    def moved(self, step: Array) -> Nominal:
+        """Return the values after a step along the free directions, kept physical."""
+        values = dict(self.values)
+        for name, change in zip(self.free, (float(s) for s in step), strict=True):
+            if name in ("omega_sf", "omega_sL"):
+                values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
+            elif name in ("Ms", "mu_s"):
+                continue
+            elif name == "offset":
+                values[name] += change
+            else:
+                values[name] = max(0.0, values[name] + change)
+        for coulomb, static, _ in _RISES:
+            if static in values:
+                rise = self.get(static) - self.get(coulomb)
+                if static in self.free:
+                    rise += float(step[self.free.index(static)])
+                values[static] = values[coulomb] + max(rise, 1e-6 * values[coulomb])
+        return Nominal(values, self.free, self.alpha)
+
+    def _level(self, speed: Array, names: tuple[str, str, str], viscous: str) -> Array:
+        coulomb, static, omega = (self.get(n) for n in names)
+        total = coulomb + self.get(viscous) * speed
+        if omega > 0.0:
+            total = total + (static - coulomb) * np.exp(-((speed / omega) ** self.alpha))
+        return np.asarray(total)
+
+    def _direction(self, view: View, name: str) -> Array:
+        load = view.moment * view.sense
+        if name == "J":
+            return view.acceleration
+        if name == "offset":
+            return np.ones(len(view.time))
+        if name == "sigma_2":
+            return view.velocity
+        if name == "mu_2":
+            return np.asarray(view.moment * view.velocity)
+        scale, names = (view.sense, _RISES[0]) if name in _RISES[0] else (load, _RISES[1])
+        coulomb, static, omega = (self.get(n) for n in names)
+        ratio = np.abs(view.velocity) / omega
+        fall = np.exp(-(ratio**self.alpha))
+        if name == names[0]:
+            return scale
+        if name == names[1]:
+            return np.asarray(scale * fall)
+        return np.asarray(scale * (static - coulomb) * fall * self.alpha * ratio**self.alpha)

@@ -1,0 +1,308 @@
+"""The search: is anything missing, which effect explains it best, what else, and is each still needed at the end."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.generic import families
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.result import Step
+from identification.diagnosis.stack import Candidate, Stack, surprise
+from identification.diagnosis.terms.term import Context, Term
+from identification.diagnosis.view import View
+from identification.recording import Array
+
+LEVEL = 0.01
+"""Of the test that anything is missing, and that anything more is."""
+LEAST_SHARE = 0.01
+"""Power of a contribution over that of the noise, in the equations where it shows, below which it does not matter."""
+EXCESS = 1.5
+"""Mean square of the mismatch over that of the noise, up to which the noise may have been taken too small."""
+RARE = 6.0
+DRAWS = 999
+MOST_EFFECTS = 3
+FINALISTS = 4
+"""Effects that are fitted jointly before one of them is taken."""
+FURTHER_SHARE = 0.4
+"""Share of what is left beyond the noise that one more effect must explain; less is the first one's own shape."""
+SIMPLER_IF = 1.0
+"""Standard errors of preference below which the effect with fewer parameters is taken."""
+LEAST_FURTHER = 0.01
+"""Gain of one more effect over what is explained already where it shows; less is the shape of what was named before."""
+RIVAL_SHARE = 0.3
+"""Score over the best one's, below which an effect is no finalist."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Contender:
+    """An effect fitted jointly, and how far the data prefer the chosen one to it.
+
+    ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica 57 (1989) 307).
+    """
+
+    name: str
+    joint: Joint
+    preference: float
+
+
+@dataclass(frozen=True)
+class Round:
+    """One effect taken: the contenders it won against, best first, itself not among them."""
+
+    name: str
+    rivals: tuple[Contender, ...]
+
+
+@dataclass(frozen=True)
+class Search:
+    """How the search ended.
+
+    Attributes:
+        baseline: The nominal model alone.
+        final: With every effect kept.
+        rounds: One for each effect kept.
+        p_value: Of the test that anything is missing.
+        p_after: Of the test that anything more is missing.
+        loudest: Generic family, or effect, with the least chance after all (name, gain).
+        steps: As it went.
+    """
+
+    baseline: Joint
+    final: Joint
+    rounds: tuple[Round, ...]
+    p_value: float
+    p_after: float
+    loudest: str
+    steps: tuple[Step, ...]
+
+
+def search(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    terms: Sequence[Term],
+    rng: np.random.Generator,
+    progress: Progress,
+) -> Search:
+    """Add effects one at a time while the test allows, then try to remove each."""
+    by_name = {t.name: t for t in terms}
+    joint, rounds, steps = baseline, [], []
+    p_value = p_after = 1.0
+    loudest = ""
+    for turn in range(MOST_EFFECTS + 1):
+        left = [t for t in terms if t.name not in {e.term.name for e in joint.effects}]
+        progress(f"screening {len(left)} effects", turn / (MOST_EFFECTS + 1))
+        trials = list(screened(joint.stack, Context(tuple(views), joint.nominal), left))
+        unnamed = list(generic(joint.stack))
+        by_size = excess(joint)
+        p_after = min(1.0, 2.0 * min(chance([*trials, *unnamed], joint.stack.blocks, rng), max(by_size, 1e-12)))
+        loudest = max((*trials, *unnamed), key=lambda c: c.surprise).name if trials or unnamed else ""
+        if turn == 0:
+            p_value = p_after
+        steps.append(Step("test", loudest, p_after, 0.0, "the most surprising candidate"))
+        best = _best_of_each(trials)
+        if p_after > LEVEL or turn == MOST_EFFECTS or not best:
+            break
+        finalists = [c for c in best if c.score > RIVAL_SHARE * best[0].score][:FINALISTS]
+        fitted = []
+        for candidate in finalists:
+            progress(f"fitting {candidate.name}", (turn + 0.5) / (MOST_EFFECTS + 1))
+            added = Added(by_name[candidate.name], candidate.shape, tuple(float(c) for c in candidate.coefficients))
+            fitted.append(fit(views, unit, joint.nominal, (*joint.effects, added), baseline))
+        plausible = [k for k, f in enumerate(fitted) if _plausible(f)]
+        if not plausible:
+            steps.append(Step("stop", best[0].name, p_after, best[0].gain, "fits only beyond what is plausible for it"))
+            break
+        finalists, fitted = [finalists[k] for k in plausible], [fitted[k] for k in plausible]
+        order = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
+        winner = min(
+            (k for k in order if preference(fitted[order[0]], fitted[k]) < SIMPLER_IF),
+            key=lambda k: (_numbers(fitted[k]), order.index(k)),
+        )
+        order.remove(winner)
+        rivals = tuple(Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k])) for k in order)
+        gain = joint.cost - fitted[winner].cost
+        if gain <= 2.0 * finalists[winner].penalty:
+            steps.append(Step("stop", finalists[winner].name, p_after, gain, "explains no more than chance would"))
+            break
+        term = by_name[finalists[winner].name]
+        share = gain / _beyond_noise(joint, term)
+        before = _explained(baseline, joint, term)
+        if turn > 0 and (share < FURTHER_SHARE or gain < LEAST_FURTHER * before):
+            beside = 100.0 * gain / max(before, gain)
+            note = (
+                f"explains {100.0 * share:.0f} % of what is left beyond the noise, and {beside:.2g} % of what is "
+                "explained already: too little for one more name"
+            )
+            steps.append(Step("stop", finalists[winner].name, p_after, gain, note))
+            break
+        steps.append(Step("add", finalists[winner].name, p_after, gain, _why(rivals)))
+        joint = fitted[winner]
+        rounds.append(Round(finalists[winner].name, rivals))
+    joint, rounds = _pruned(views, unit, baseline, joint, rounds, steps)
+    return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
+
+
+def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
+    """Yield every effect at every trial shape that these recordings can show."""
+    for term in terms:
+        for shape in term.shapes(context):
+            candidate = stack.term(term, shape)
+            if candidate is not None:
+                yield candidate
+
+
+def generic(stack: Stack) -> Iterator[Candidate]:
+    """Yield the families without a name, in every equation."""
+    for equation in stack.equations:
+        for name, columns in families(equation):
+            candidate = stack.independent(f"{equation.name} over {name}", equation.name, columns)
+            if candidate is not None:
+                yield candidate
+
+
+def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generator) -> float:
+    """Return the p-value of the most surprising of all candidates that matter, by flipping signs of whole blocks.
+
+    The same flips serve all candidates, so that what they share counts once and how many there are is allowed for.
+    One that explains less than :data:`LEAST_SHARE` of the noise is no finding however sure: it is left out of what is
+    seen, and stays among what might have been.
+    """
+    if not candidates:
+        return 1.0
+    flips = rng.choice((-1.0, 1.0), size=(DRAWS, blocks))
+    seen = -np.inf
+    drawn = np.full(DRAWS, -np.inf)
+    for candidate in candidates:
+        if candidate.share > LEAST_SHARE:
+            seen = max(seen, candidate.surprise)
+        drawn = np.maximum(drawn, surprise(flipped(candidate, flips), candidate.blocks.shape[1]))
+    return float((1 + np.sum(drawn >= seen)) / (1 + DRAWS))
+
+
+def flipped(candidate: Candidate, flips: Array) -> Array:
+    """Return the statistic under flips of sign, shape (draws, b), computed as the one that was seen, shape (draws,)."""
+    sums, weights = candidate.blocks, candidate.weights
+    if not len(weights):
+        values, vectors = np.linalg.eigh(sums.T @ sums)
+        keep = values > 1e-10 * max(float(values[-1]), 1e-300)
+        return np.asarray(np.sum((flips @ sums @ (vectors[:, keep] / np.sqrt(values[keep]))) ** 2, axis=1))
+    score = flips @ sums
+    # V = sum over blocks of (w a - G s)(w a - G s)', multiplied out so that flips meet blocks in one product.
+    blocks, degrees = sums.shape
+    crossed = np.einsum("bj,bkl->bjkl", sums, weights).reshape(blocks, -1)
+    mixed = np.einsum("djkl,dl->djk", (flips @ crossed).reshape(-1, degrees, degrees, degrees), score)
+    square = np.einsum("bjk,blm->jklm", weights, weights)
+    squared = np.einsum("jklm,dk,dm->djl", square, score, score)
+    variance = sums.T @ sums - mixed - np.swapaxes(mixed, 1, 2) + squared
+    if degrees == 1:
+        return np.asarray(score[:, 0] ** 2 / np.maximum(variance[:, 0, 0], 1e-300))
+    return np.asarray(np.einsum("dj,djk,dk->d", score, np.linalg.pinv(variance, hermitian=True), score))
+
+
+def excess(joint: Joint) -> float:
+    """Return the p-value of the mean square of the mismatch being no more than :data:`EXCESS` times the noise's.
+
+    It needs no candidate: what looks like nothing in the catalogue, nor like anything smooth, is noticed by its size.
+    Rows beyond :data:`RARE` times the noise count as that, so that a few of them are not taken for physics; and a row
+    counts as half an observation, as neighbours share the filter.
+    """
+    chances = []
+    for equation in joint.equations:
+        if equation.name == "breakaway":
+            continue
+        rows = joint.residual[joint.stack.part(equation.name)]
+        power = float(np.mean(np.minimum(np.abs(rows), RARE) ** 2))
+        chances.append(float(stats.chi2.sf(0.5 * len(rows) * power / EXCESS, 0.5 * len(rows))))
+    return min(1.0, len(chances) * min(chances, default=1.0))
+
+
+def preference(chosen: Joint, rival: Joint) -> float:
+    """Return how far the data prefer ``chosen``, in standard errors of the difference by blocks."""
+    stack = chosen.stack
+    loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
+    spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
+    return float(np.sum(loss)) / spread if spread > 0.0 else 0.0
+
+
+def probability(preferred: float) -> float:
+    """Return the probability that goes with a preference."""
+    return float(stats.norm.cdf(preferred))
+
+
+def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
+    best: dict[str, Candidate] = {}
+    for candidate in candidates:
+        if candidate.name not in best or candidate.score > best[candidate.name].score:
+            best[candidate.name] = candidate
+    return sorted((c for c in best.values() if c.score > 0.0 and c.share > LEAST_SHARE), key=lambda c: -c.score)
+
+
+def _plausible(joint: Joint) -> bool:
+    """Whether the last effect's parameters are within the ranges of the catalogue."""
+    last = joint.effects[-1]
+    found = last.parameters(Context(joint.equations[0].views, joint.nominal))
+    ranges = {q.name: (q.low, q.high) for q in ENTRIES[last.term.name].parameters}
+    return all(ranges[name][0] <= value <= ranges[name][1] for name, value in found.items())
+
+
+def _numbers(joint: Joint) -> int:
+    """Return how many numbers of the last effect the data choose."""
+    last = joint.effects[-1]
+    return last.term.freedom + len(last.coefficients)
+
+
+def _beyond_noise(joint: Joint, term: Term) -> float:
+    """Return the sum of whitened squares beyond the noise in the equations that an effect touches."""
+    total = 1.0
+    for equation in joint.equations:
+        if equation.name in term.columns:
+            rest = joint.residual[joint.stack.part(equation.name)]
+            total += max(float(rest @ rest) - EXCESS * len(rest), 0.0)
+    return total
+
+
+def _explained(baseline: Joint, joint: Joint, term: Term) -> float:
+    """Return the sum of whitened squares that has been explained in the equations that an effect touches."""
+    total = 0.0
+    for equation in joint.equations:
+        if equation.name in term.columns:
+            rows = joint.stack.part(equation.name)
+            total += float(np.sum(baseline.residual[rows] ** 2) - np.sum(joint.residual[rows] ** 2))
+    return total
+
+
+def _why(rivals: Sequence[Contender]) -> str:
+    if not rivals:
+        return "nothing else comes near"
+    return "; ".join(f"preferred to {r.name} by {r.preference:.1f} standard errors" for r in rivals)
+
+
+def _pruned(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Take out every effect that the others have made needless."""
+    if len(joint.effects) < 2:
+        return joint, rounds
+    for name in [e.term.name for e in joint.effects]:
+        rest = tuple(e for e in joint.effects if e.term.name != name)
+        without = fit(views, unit, joint.nominal, rest, baseline)
+        worth = preference(joint, without)
+        if worth < stats.norm.isf(LEVEL):
+            steps.append(Step("remove", name, None, joint.cost - without.cost, f"worth {worth:.1f} standard errors"))
+            joint = without
+            rounds = [r for r in rounds if r.name != name]
+    return joint, rounds

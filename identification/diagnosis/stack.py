@@ -1,0 +1,295 @@
+"""All equations stacked and whitened, what the nominal model absorbs taken out, and candidates scored against the rest.
+
+Scores are sums over blocks of time, so that what is correlated within a block counts once (wild cluster bootstrap:
+Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy import sparse, stats
+
+from identification.diagnosis.equations import Equation
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.term import Columns, Shape, Term
+from identification.diagnosis.view import View
+from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
+from identification.recording import Array
+
+LEAST_BLOCK_S = 1.0
+GREATEST_BLOCK_S = 3.0
+"""What is missing correlates over whole strokes; longer blocks would leave too few to see it."""
+ABSORBED = 1e-3
+"""Share of a regressor's norm left after projection, below which the nominal model absorbs it."""
+FEW = 4
+"""Regressors up to which the variance is that of the residual after the fit."""
+NO_WEIGHTS = np.zeros((0, 0, 0))
+LEAST_ACTIVE = 3.0
+"""Blocks in which a regressor must be active (inverse participation)."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One effect at one shape, as far as the stack has anything to say about it.
+
+    Attributes:
+        name: Of the term, or of a generic family.
+        shape: Its nonlinear parameters.
+        coefficients: Least squares, in the term's own units, shape (k,).
+        gain: Sum of whitened squares it explains.
+        penalty: What chance would explain (Takeuchi), same unit.
+        statistic: Its square over its variance by blocks after the fit; about chi square with k degrees where nothing
+            is missing.
+        blocks: Score by block, shape (b, k).
+        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty where there are many.
+        share: Power of its contribution over that of the noise, over the rows of the equations where it shows.
+    """
+
+    name: str
+    shape: Shape
+    coefficients: Array
+    gain: float
+    penalty: float
+    statistic: float
+    blocks: Array
+    weights: Array
+    share: float
+
+    @property
+    def score(self) -> float:
+        """Gain beyond chance."""
+        return self.gain - 2.0 * self.penalty
+
+    @property
+    def surprise(self) -> float:
+        """-log of the chance of such a statistic."""
+        return surprise(self.statistic, len(self.coefficients))
+
+
+def surprise(statistic: Array | float, degrees: int) -> float:
+    """Return -log of the chance of a chi square beyond ``statistic``."""
+    return -stats.chi2.logsf(statistic, degrees)  # type: ignore[no-any-return]
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Whitened rows of all equations with everything that is granted projected out.
+
+    Attributes:
+        equations: In order of the stack.
+        nominal: At which they stand.
+        basis: Orthonormal columns of each equation's tangent.
+        granted: Orthonormal columns of what else is granted (effects already named), shape (n, g).
+        residual: Whitened residual after projection, shape (n,).
+        block: Block of each row, shape (n,).
+        blocks: Number of blocks.
+        gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
+        cache: Regressors that do not depend on the nominal values, by term and shape; shared between stacks of the
+            same recordings.
+    """
+
+    equations: tuple[Equation, ...]
+    nominal: Nominal
+    basis: tuple[Array, ...]
+    granted: Array
+    residual: Array
+    block: np.ndarray
+    blocks: int
+    gather: tuple[sparse.csr_matrix, ...] = field(repr=False)
+    cache: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
+
+    def part(self, name: str) -> slice:
+        """Return the rows of one equation."""
+        start = 0
+        for equation in self.equations:
+            if equation.name == name:
+                return slice(start, start + len(equation.residual))
+            start += len(equation.residual)
+        return slice(0, 0)
+
+    def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
+        """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
+        key = (term.name, shape)
+        if key in self.cache:
+            return self.cache[key]
+        found = {
+            equation.name: equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
+            for equation in self.equations
+            if equation.name in term.columns
+        }
+        if not term.follows:
+            self.cache[key] = found
+        return found
+
+    def whitened(self, columns: Mapping[str, Array]) -> Array:
+        """Return regressors as whitened rows of the whole stack, nothing projected, shape (n, k)."""
+        width = max(c.shape[1] for c in columns.values())
+        out = np.zeros((len(self.residual), width))
+        for equation in self.equations:
+            if equation.name in columns:
+                out[self.part(equation.name)] = columns[equation.name] / equation.sigma
+        return out
+
+    def projected(self, whitened: Array) -> Array:
+        """Take out what the nominal model and the granted effects absorb."""
+        out = whitened.copy()
+        for equation, basis in zip(self.equations, self.basis, strict=True):
+            rows = self.part(equation.name)
+            out[rows] -= basis @ (basis.T @ out[rows])
+        if self.granted.shape[1]:
+            out -= self.granted @ (self.granted.T @ out)
+        return out
+
+    def sums(self, values: Array) -> Array:
+        """Return sums over blocks, shape (b, k)."""
+        return np.asarray(sum(g @ values[self.part(e.name)] for e, g in zip(self.equations, self.gather, strict=True)))
+
+    def candidate(
+        self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
+    ) -> Candidate | None:
+        """Score regressors; None where they are absorbed, hardly active, or ask for an unphysical sign."""
+        if not columns:
+            return None
+        full = self.whitened(columns)
+        before = np.linalg.norm(full, axis=0)
+        rest = self.projected(full)
+        after = np.linalg.norm(rest, axis=0)
+        if np.any(before == 0.0) or np.any(after < ABSORBED * before):
+            return None
+        q, r = np.linalg.qr(rest)
+        diagonal = np.abs(np.diag(r))
+        if np.any(diagonal < ABSORBED * before):
+            return None
+        energy = self.sums(np.einsum("ij,ij->i", q, q)[:, None])[:, 0] / q.shape[1]
+        if 1.0 / float(energy @ energy) < LEAST_ACTIVE:
+            return None
+        score = q.T @ self.residual
+        coefficients = np.linalg.solve(r, score)
+        if any(coefficients[k] <= 0.0 for k in positive):
+            return None
+        sums = self.sums(q * self.residual[:, None])
+        weights = self._weights(q)
+        rest_sums = sums - weights @ score if len(weights) else sums
+        return Candidate(
+            name=name,
+            shape=shape,
+            coefficients=coefficients,
+            gain=float(score @ score),
+            penalty=float(np.sum(rest_sums**2)),
+            statistic=wald(score, rest_sums),
+            blocks=sums,
+            weights=weights,
+            share=float(score @ score) / sum(len(c) for c in columns.values()),
+        )
+
+    def _weights(self, q: Array) -> Array:
+        if q.shape[1] > FEW:
+            return NO_WEIGHTS
+        products = np.einsum("ij,ik->ijk", q, q).reshape(len(q), -1)
+        return self.sums(products).reshape(self.blocks, q.shape[1], q.shape[1])
+
+    def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
+        """Score regressors of one equation of which some may be absorbed: the directions that are left count."""
+        number = next(k for k, e in enumerate(self.equations) if e.name == equation)
+        rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
+        granted = self.granted[rows]
+        rest = columns - basis @ (basis.T @ columns)
+        if granted.shape[1]:
+            rest = rest - granted @ np.linalg.lstsq(granted, rest, rcond=1e-10)[0]
+        values, vectors = np.linalg.eigh(rest.T @ rest)
+        keep = values > ABSORBED * float(np.max(np.sum(columns**2, axis=0), initial=0.0))
+        if not np.any(keep):
+            return None
+        q = rest @ (vectors[:, keep] / np.sqrt(values[keep]))
+        score = q.T @ self.residual[rows]
+        products = q * self.residual[rows][:, None]
+        sums = np.asarray(self.gather[number] @ products)
+        gain = float(score @ score)
+        share, chance = gain / len(columns), float(len(score))
+        return Candidate(name, (), score * sigma, gain, chance, wald(score, sums), sums, NO_WEIGHTS, share)
+
+    def term(self, term: Term, shape: Shape) -> Candidate | None:
+        """Score one effect at one shape."""
+        return self.candidate(term.name, shape, self.columns(term, shape), term.positive)
+
+
+def _bound(make: Columns, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
+    return lambda view: make(view, nominal, shape)
+
+
+def wald(score: Array, sums: Array) -> float:
+    """Return the score's square over its variance by blocks."""
+    variance = sums.T @ sums
+    return float(score @ np.linalg.lstsq(variance, score, rcond=1e-10)[0])
+
+
+def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
+    """Stack equations at the nominal values; ``like`` lends blocks and cache of the same recordings."""
+    basis = []
+    residuals = []
+    for equation in equations:
+        scale = np.linalg.norm(equation.tangent, axis=0)
+        q, r = np.linalg.qr(equation.tangent / np.where(scale > 0.0, scale, 1.0))
+        q = q[:, np.abs(np.diag(r)) > 1e-9]
+        basis.append(q)
+        residuals.append((equation.residual - q @ (q.T @ equation.residual)) / equation.sigma)
+    residual = np.concatenate(residuals)
+    block, blocks = _blocks(equations, residuals) if like is None else (like.block, like.blocks)
+    gather = _gather(equations, block, blocks) if like is None else like.gather
+    cache = {} if like is None else like.cache
+    nothing = np.zeros((len(residual), 0))
+    return Stack(tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache)
+
+
+def granting(stack: Stack, regressors: Array) -> Stack:
+    """Return the stack with whitened regressors, shape (n, g), taken out as well."""
+    columns = stack.projected(regressors)
+    q, r = np.linalg.qr(columns)
+    diagonal = np.abs(np.diag(r))
+    q = q[:, diagonal > 1e-9 * max(float(np.max(diagonal, initial=0.0)), 1e-300)]
+    return replace(stack, granted=q, residual=stack.residual - q @ (q.T @ stack.residual))
+
+
+def _gather(equations: Sequence[Equation], block: np.ndarray, blocks: int) -> tuple[sparse.csr_matrix, ...]:
+    out, start = [], 0
+    for equation in equations:
+        count = len(equation.residual)
+        mine = block[start : start + count]
+        out.append(sparse.csr_matrix((np.ones(count), (mine, np.arange(count))), shape=(blocks, count)))
+        start += count
+    return tuple(out)
+
+
+def _blocks(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple[np.ndarray, int]:
+    """Number blocks of time that all equations share: ten correlation times of the worst residual, within limits."""
+    length = LEAST_BLOCK_S
+    for equation, residual in zip(equations, residuals, strict=True):
+        if equation.name == "breakaway":
+            continue
+        for view in equation.views:
+            mine = residual[equation.owner == view.index]
+            step = view.step * view.low_pass.factor
+            if len(mine) > 8:
+                length = max(length, BLOCK_CORRELATION_TIMES * correlation_samples(mine) * step)
+    views = {v.index: v for e in equations for v in e.views}
+    longest = max(float(v.time[-1] - v.time[0]) for v in views.values())
+    length = min(length, GREATEST_BLOCK_S, max(LEAST_BLOCK_S, longest / 4.0))
+    first: dict[int, int] = {}
+    count = 0
+    for index in sorted(views):
+        first[index] = count
+        count += max(1, round(float(views[index].time[-1] - views[index].time[0]) / length))
+    parts = []
+    for equation in equations:
+        for_rows = np.empty(len(equation.residual), dtype=np.int64)
+        for view in equation.views:
+            mine = equation.owner == view.index
+            span = float(view.time[-1] - view.time[0])
+            number = max(1, round(span / length))
+            place = (equation.time[mine] - view.time[0]) / span * number
+            for_rows[mine] = first[view.index] + np.clip(place.astype(np.int64), 0, number - 1)
+        parts.append(for_rows)
+    return np.concatenate(parts), count

@@ -1,0 +1,175 @@
+"""The lever, the weight and the valve, where eq. 10 to 13 and 17 leave something out; and times of sampling."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, one, polar, rows, shaped
+from identification.diagnosis.view import View
+from identification.recording import Array
+from identification.signals import central_difference
+
+REFERENCE_FORCE_N = 3000.0
+REFERENCE_MASS_KG = 30.6
+"""Case 2 of the paper: where load exponent and load inertia are referred to."""
+EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
+STOPS = 10
+"""Trial stops on either side, over the outer half of the travel."""
+SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
+
+
+def _load(view: View, nominal: Nominal) -> Array:
+    """Return the working load's friction, eq. 13, with its sign, N m."""
+    return np.asarray(view.sense * view.moment * nominal.coefficient(view))
+
+
+def _is_loaded(view: View) -> bool:
+    return view.loaded
+
+
+def _forces(context: Context) -> set[float]:
+    return {round(v.recording.contact_force, 6) for v in context.views if v.loaded}
+
+
+def _exponent(view: View, nominal: Nominal, shape: Shape) -> Array:
+    arm = view.recording.bench.moment_arm or 1.0
+    force = np.maximum(view.moment / arm, 1e-9)
+    return rows(_load(view, nominal) * ((force / REFERENCE_FORCE_N) ** (shape[0] - 1.0) - 1.0))
+
+
+def _mislabelled(view: View, nominal: Nominal, shape: Shape) -> Array:
+    return rows(_load(view, nominal) * float(view.index == round(shape[0])))
+
+
+def _labels(context: Context) -> list[Shape]:
+    loaded = [v for v in context.views if v.loaded]
+    return [(float(v.index),) for v in loaded] if len(loaded) > 1 else []
+
+
+def _read_mass(c: Array, shape: Shape, context: Context) -> dict[str, float]:
+    label = next(v.recording.weight_mass for v in context.views if v.index == round(shape[0]))
+    return {"mass_kg": (1.0 + float(c[0])) * label}
+
+
+def _swing(view: View, nominal: Nominal, shape: Shape) -> Array:
+    since = view.time - view.time[0]
+    envelope = _load(view, nominal) * np.exp(-since / shape[1])
+    phase = 2.0 * np.pi * shape[0] * since
+    return rows(envelope * np.sin(phase), envelope * np.cos(phase))
+
+
+def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
+    return {"fraction": polar(float(c[0]), float(c[1]))[0], "frequency_Hz": shape[0], "decay_s": shape[1]}
+
+
+def _stop(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    side, angle = shape
+    return rows(side * np.maximum(side * (view.angle - angle), 0.0))
+
+
+def _stops(context: Context) -> list[Shape]:
+    low = min(float(np.min(v.angle)) for v in context.views)
+    high = max(float(np.max(v.angle)) for v in context.views)
+    shares = np.linspace(0.5, 0.97, STOPS)
+    middle, half = 0.5 * (low + high), 0.5 * (high - low)
+    return [(side, float(middle + side * share * half)) for side in (1.0, -1.0) for share in shares]
+
+
+def _gravity(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(np.sin(view.angle), -np.cos(view.angle))
+
+
+def _read_gravity(c: Array, _shape: Shape, _context: Context) -> dict[str, float]:
+    torque = float(np.hypot(c[0], c[1]))
+    return {"torque_Nm": torque, "zero_rad": float(np.arctan2(c[1], c[0]))}
+
+
+def _spring(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(view.angle, -np.ones(len(view.time)))
+
+
+def _read_spring(c: Array, _shape: Shape, _context: Context) -> dict[str, float]:
+    return {"stiffness_Nm_rad": float(c[0]), "rest_rad": float(c[1] / c[0]) if c[0] else 0.0}
+
+
+def _skew(view: View, nominal: Nominal, _shape: Shape) -> Array:
+    torque = nominal.torque(view) - view.known
+    return rows(-central_difference(torque, view.step))
+
+
+def _skew_voltage(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    bench = view.recording.bench
+    assert view.current is not None
+    rate = central_difference(view.current, view.step)
+    inductive = (bench.inductance or 0.0) * central_difference(rate, view.step)
+    return rows((bench.resistance or 0.0) * rate + inductive)
+
+
+TERMS = (
+    Term("gravity_imbalance", in_motion(_gravity), _read_gravity),
+    Term("return_spring", in_motion(_spring), _read_spring, positive=(0,)),
+    Term(
+        "end_stop",
+        in_motion(_stop),
+        lambda c, shape, _context: {"angle_rad": shape[1], "stiffness_Nm_rad": float(c[0])},
+        _stops,
+        refine={1: 0.08},
+        positive=(0,),
+    ),
+    Term(
+        "load_exponent",
+        in_motion(_exponent),
+        shaped("exponent"),
+        lambda context: EXPONENTS if len(_forces(context)) > 1 else (),
+        refine={0: 0.0},
+        positive=(0,),
+        size=1.0,
+        follows=True,
+    ),
+    Term(
+        "load_position_dependence",
+        in_motion(lambda v, n, _s: rows(_load(v, n) * v.angle)),
+        one("slope_per_rad"),
+        lambda context: everywhere(context, _is_loaded, ((),)),
+        follows=True,
+    ),
+    Term(
+        "wrong_weight",
+        in_motion(_mislabelled),
+        _read_mass,
+        _labels,
+        place=0,
+        follows=True,
+    ),
+    Term(
+        "load_swing",
+        in_motion(_swing),
+        _read_swing,
+        lambda c: everywhere(c, _is_loaded, SWINGS),
+        refine={0: 0.0, 1: 0.0},
+        follows=True,
+    ),
+    Term(
+        "load_inertia",
+        in_motion(lambda v, _n, _s: rows(v.acceleration * (v.recording.weight_mass / REFERENCE_MASS_KG))),
+        one("inertia_kgm2"),
+        lambda context: everywhere(context, lambda v: v.recording.weight_mass > 0.0, ((),)),
+        positive=(0,),
+    ),
+    Term(
+        "lever_pivot_friction",
+        in_motion(lambda v, _n, _s: rows(v.sense * float(v.loaded))),
+        one("torque_Nm"),
+        lambda context: ((),) if len(_forces(context)) > 1 else (),
+        positive=(0,),
+    ),
+    Term(
+        "load_dependent_friction",
+        in_motion(lambda v, _n, _s: rows(v.sense * np.abs(v.known))),
+        one("coefficient"),
+        lambda context: everywhere(context, lambda v: v.recording.pendulum is not None, ((),)),
+        positive=(0,),
+    ),
+    Term("time_skew", {"torque": _skew, "voltage": _skew_voltage}, one("time_s"), follows=True),
+)

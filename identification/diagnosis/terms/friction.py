@@ -1,0 +1,157 @@
+"""Friction beyond eq. 9 and 13."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.memory import dahl, lagged
+from identification.diagnosis.terms.term import Context, Shape, Term, in_motion, one, rows, shaped
+from identification.diagnosis.view import View
+from identification.recording import Array
+
+ALPHAS: tuple[Shape, ...] = tuple((a,) for a in (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5))
+LAGS_S: tuple[Shape, ...] = tuple((t,) for t in (0.002, 0.005, 0.01, 0.02, 0.05))
+DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
+STIFFNESSES: tuple[Shape, ...] = tuple((k,) for k in np.geomspace(3e2, 1e6, 15))
+WARM_UPS_S: tuple[Shape, ...] = tuple((t,) for t in (20.0, 60.0, 150.0, 400.0))
+PATCH_CENTRES = 12
+PATCH_WIDTHS = (0.02, 0.05, 0.12)
+"""Standard width of a worn patch over the travel."""
+
+
+def _stribeck_shape(view: View, nominal: Nominal, shape: Shape) -> Array:
+    total = _fall(view, nominal, "omega_sf", shape[0]) * (nominal.get("Ms") - nominal.get("Mc"))
+    if view.loaded:
+        rise = view.moment * (nominal.get("mu_s") - nominal.get("mu_c"))
+        total = total + _fall(view, nominal, "omega_sL", shape[0]) * rise
+    return rows(view.sense * total)
+
+
+def _fall(view: View, nominal: Nominal, name: str, alpha: float) -> Array:
+    omega_s = nominal.get(name)
+    if omega_s <= 0.0:
+        return np.zeros(len(view.velocity))
+    ratio = np.abs(view.velocity) / omega_s
+    return np.asarray(np.exp(-(ratio**alpha)) - np.exp(-(ratio**nominal.alpha)))
+
+
+def _level(view: View, nominal: Nominal) -> Array:
+    """Return the part of friction that depends on speed otherwise than in proportion, without its sign, N m."""
+    total = nominal.level(view) - nominal.get("sigma_2") * np.abs(view.velocity)
+    if view.loaded:
+        slope = nominal.get("mu_2") * np.abs(view.velocity)
+        total = total + view.moment * (nominal.coefficient(view) - slope)
+    return np.asarray(total)
+
+
+def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
+    level = _level(view, nominal)
+    return rows(view.sense * (lagged(level, view.step, shape[0]) - level))
+
+
+def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
+    level = _level(view, nominal)
+    return rows(dahl(view.angle, level, shape[0]) - view.sense * level)
+
+
+def _patch(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(view.sense * np.exp(-0.5 * ((view.angle - shape[0]) / shape[1]) ** 2))
+
+
+def _patches(context: Context) -> list[Shape]:
+    low = min(float(np.min(v.angle)) for v in context.views)
+    high = max(float(np.max(v.angle)) for v in context.views)
+    centres = np.linspace(low, high, PATCH_CENTRES + 2)[1:-1]
+    return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
+
+
+def _dwell(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(view.sense * (1.0 - np.exp(-_last_rest(view) / shape[0])))
+
+
+def _dwell_sliding(view: View, nominal: Nominal, shape: Shape) -> Array:
+    return _dwell(view, nominal, shape) * nominal.falling(view)
+
+
+def _last_rest(view: View) -> Array:
+    """Return how long the rest before each sample lasted, s, also at the sample that ends it."""
+    return np.asarray(np.maximum(view.rest_time, np.roll(view.rest_time, 1)))
+
+
+def _thermal(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(view.velocity * (1.0 - np.exp(-view.run_time / shape[0])))
+
+
+TERMS = (
+    Term("asymmetric_coulomb", in_motion(lambda v, _n, _s: rows(np.ones(len(v.time)))), one("torque_Nm")),
+    Term(
+        "asymmetric_viscous",
+        in_motion(lambda v, _n, _s: rows(np.abs(v.velocity))),
+        one("coefficient_Nms_rad"),
+    ),
+    Term(
+        "quadratic_drag",
+        in_motion(lambda v, _n, _s: rows(v.velocity * np.abs(v.velocity))),
+        one("coefficient_Nms2_rad2"),
+        positive=(0,),
+    ),
+    Term(
+        "stribeck_shape",
+        {"torque": _stribeck_shape},
+        shaped("alpha"),
+        lambda _context: ALPHAS,
+        refine={0: 0.0},
+        positive=(0,),
+        size=1.0,
+        follows=True,
+    ),
+    Term(
+        "friction_memory",
+        {"torque": _memory},
+        shaped("time_s"),
+        lambda _context: LAGS_S,
+        refine={0: 0.0},
+        positive=(0,),
+        size=1.0,
+        follows=True,
+    ),
+    Term(
+        "dwell_static_friction",
+        {"torque": _dwell_sliding, "breakaway": _dwell},
+        lambda c, shape, _context: {"growth_Nm": float(c[0]), "time_s": shape[0]},
+        lambda _context: DWELLS_S,
+        refine={0: 0.0},
+        positive=(0,),
+        follows=True,
+    ),
+    Term(
+        "presliding",
+        {"torque": _presliding},
+        shaped("stiffness_Nm_rad"),
+        lambda _context: STIFFNESSES,
+        refine={0: 0.0},
+        positive=(0,),
+        size=1.0,
+        follows=True,
+    ),
+    Term(
+        "position_dependent_friction",
+        in_motion(_patch),
+        lambda c, shape, _context: {"torque_Nm": float(c[0]), "center_rad": shape[0], "width_rad": shape[1]},
+        _patches,
+        refine={0: 0.1, 1: 0.0},
+    ),
+    Term(
+        "viscous_thermal_drift",
+        in_motion(_thermal),
+        lambda c, shape, context: {"fraction": -float(c[0]) / context.nominal.get("sigma_2"), "time_s": shape[0]},
+        lambda context: WARM_UPS_S if context.nominal.get("sigma_2") > 0.0 else (),
+        refine={0: 0.0},
+    ),
+    Term(
+        "coulomb_drift",
+        in_motion(lambda v, _n, _s: rows(v.sense * v.run_time)),
+        one("rate_Nm_s"),
+    ),
+)

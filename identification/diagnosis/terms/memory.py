@@ -1,0 +1,68 @@
+"""Regressors with a state, compiled: lags, Dahl friction, play and warming."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.compiled import compiled
+from identification.recording import Array
+
+
+@compiled
+def lagged(series: Array, step: float, time_constant: float) -> Array:
+    """Return a series through a first-order lag that starts settled, shape (m,)."""
+    out = np.empty_like(series)
+    state = series[0]
+    share = 1.0 - np.exp(-step / time_constant)
+    for k in range(len(series)):
+        state += share * (series[k] - state)
+        out[k] = state
+    return out
+
+
+@compiled
+def dahl(angle: Array, level: Array, stiffness: float) -> Array:
+    """Return Dahl's friction dF = stiffness (1 - F sgn(dtheta)/level) dtheta, N m, shape (m,).
+
+    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long.
+    """
+    out = np.empty_like(angle)
+    force = 0.0
+    out[0] = 0.0
+    for k in range(1, len(angle)):
+        travel = angle[k] - angle[k - 1]
+        if travel != 0.0 and level[k] > 0.0:
+            goal = level[k] if travel > 0.0 else -level[k]
+            force = goal + (force - goal) * np.exp(-stiffness * abs(travel) / level[k])
+        out[k] = force
+    return out
+
+
+@compiled
+def play(angle: Array, gap: float) -> Array:
+    """Return how far the driving side leads the driven one through a gap, within +- gap/2, shape (m,).
+
+    The driven side stands, held by its friction, until a flank carries it. Over torque instead of angle it is the force
+    of one Maxwell-slip element.
+    """
+    out = np.empty_like(angle)
+    half = 0.5 * gap
+    lead = 0.0
+    out[0] = 0.0
+    for k in range(1, len(angle)):
+        lead = min(max(lead + angle[k] - angle[k - 1], -half), half)
+        out[k] = lead
+    return out
+
+
+@compiled
+def heated(loss: Array, run_time: Array, start: float, time_constant: float) -> Array:
+    """Return the temperature rise per thermal resistance, W, of a first-order body, shape (m,)."""
+    out = np.empty_like(loss)
+    state = start
+    out[0] = state
+    for k in range(1, len(loss)):
+        step = run_time[k] - run_time[k - 1]
+        state += (1.0 - np.exp(-step / time_constant)) * (loss[k] - state)
+        out[k] = state
+    return out

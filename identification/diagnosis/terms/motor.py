@@ -1,0 +1,231 @@
+"""The motor and its supply: what makes the drive's torque, or its voltage, other than eq. 1 says.
+
+Where a regressor depends on the torque it is built from the nominal model's torque, never from the measured one, which
+stands on the other side of the equation and would explain everything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.memory import heated
+from identification.diagnosis.terms.term import (
+    NO_SHAPE,
+    Context,
+    Reader,
+    Shape,
+    Term,
+    everywhere,
+    in_motion,
+    one,
+    polar,
+    rows,
+    shaped,
+)
+from identification.diagnosis.view import View, torque_per_ampere
+from identification.recording import Array
+from identification.signals import central_difference
+
+COPPER_PER_K = 0.00393
+"""Temperature coefficient of a copper winding's resistance."""
+MAGNET_PER_K = 0.001
+"""Loss of the torque constant with temperature (ferrite to neodymium: 0.001 to 0.002)."""
+CYCLES_PER_TURN: tuple[Shape, ...] = tuple((float(n),) for n in range(1, 49))
+KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
+"""Knee of a saturating torque constant over the greatest current."""
+THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
+BRUSH_CURRENTS: tuple[Shape, ...] = tuple((i,) for i in (0.2, 0.5, 1.0, 2.0))
+
+
+def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    phase = shape[0] * view.motor
+    return rows(-np.sin(phase), -np.cos(phase))
+
+
+def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
+    phase = shape[0] * view.motor
+    torque = _drive(view, nominal)
+    return rows(-torque * np.sin(phase), -torque * np.cos(phase))
+
+
+def _drive(view: View, nominal: Nominal) -> Array:
+    """Return the whole torque that the nominal model asks of the drive, N m."""
+    return np.asarray(nominal.torque(view) - view.known)
+
+
+def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
+    gain = torque_per_ampere(view)
+    share = np.clip(_drive(view, nominal) / (gain * shape[0]), -0.999, 0.999)
+    return rows(gain * shape[0] * (np.arctanh(share) - share))
+
+
+def _knees(context: Context) -> list[Shape]:
+    greatest = max(float(np.max(np.abs(_drive(v, context.nominal)))) / torque_per_ampere(v) for v in context.views)
+    return [(k * greatest,) for k in KNEES]
+
+
+def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
+    return rows(central_difference(_drive(view, nominal), view.step))
+
+
+def _loss(view: View) -> Array:
+    assert view.current is not None
+    resistance = view.recording.bench.resistance
+    return np.asarray((resistance or 0.0) * view.current**2)
+
+
+def _rises(view: View, shape: Shape) -> Array:
+    """Return the winding's rise per K/W, and what each recording may have begun with, K, shape (1 + recordings, m)."""
+    time_constant, recordings = shape[0], round(shape[1])
+    since = view.run_time - view.run_time[0]
+    out = np.zeros((1 + recordings, len(since)))
+    out[0] = heated(_loss(view), view.run_time, 0.0, time_constant)
+    if view.index < recordings:  # how warm one that took no part began, nobody has asked
+        out[1 + view.index] = np.exp(-since / time_constant)
+    return out
+
+
+def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    assert view.current is not None
+    resistance = view.recording.bench.resistance or 0.0
+    return np.asarray(COPPER_PER_K * resistance * view.current * _rises(view, shape))
+
+
+def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+    return np.asarray(MAGNET_PER_K * _rises(view, shape) * _drive(view, nominal))
+
+
+def _warm_ups(context: Context) -> Sequence[Shape]:
+    count = float(1 + max(v.index for v in context.views))
+    return _with_voltage([(t, count) for t in THERMAL_TIMES_S])(context)
+
+
+def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    assert view.current is not None
+    assert view.voltage is not None
+    volts = np.where(np.isnan(view.voltage), 0.0, view.voltage)
+    supply = float(np.median(view.supply)) if view.supply is not None else float(np.max(np.abs(volts)))
+    return rows(volts**2 * view.current / supply**2)
+
+
+def _mean_over_sample(
+    view: View, antiderivative: Callable[[Array], Array], function: Callable[[Array], Array]
+) -> Array:
+    """Return the mean of a function of the current over each sample's period, the current going straight through it.
+
+    Around a reversal the current changes by its knee, and more, within one period.
+    """
+    current = view.current
+    assert current is not None
+    ends = 0.5 * (current[1:] + current[:-1])
+    before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
+    change = after - before
+    small = np.abs(change) < 1e-9
+    mean = (antiderivative(after) - antiderivative(before)) / np.where(small, 1.0, change)
+    return np.asarray(np.where(small, function(current), mean))
+
+
+def _dead_time(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(_mean_over_sample(view, np.abs, np.sign))
+
+
+def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    knee = shape[0]
+
+    def log_cosh(current: Array) -> Array:
+        size = np.abs(current) / knee
+        return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
+
+    return rows(_mean_over_sample(view, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
+
+
+def _current_offset(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(np.full(len(view.time), torque_per_ampere(view)))
+
+
+def _current_offset_voltage(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(np.full(len(view.time), -(view.recording.bench.resistance or 0.0)))
+
+
+def _has_current(view: View) -> bool:
+    return view.current is not None and view.recording.bench.torque_constant is not None
+
+
+def _with_current(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape]]:
+    return lambda context: everywhere(context, _has_current, shapes)
+
+
+def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape]]:
+    return lambda context: everywhere(context, lambda v: _has_current(v) and v.voltage is not None, shapes)
+
+
+def _wave(name: str) -> Reader:
+    def read(c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
+        amplitude, phase = polar(float(c[0]), float(c[1]))
+        return {name: amplitude, "per_motor_turn": shape[0], "phase_rad": phase}
+
+    return read
+
+
+TERMS = (
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), lambda _context: CYCLES_PER_TURN),
+    Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), lambda _context: CYCLES_PER_TURN, follows=True),
+    Term(
+        "torque_saturation",
+        in_motion(_saturation),
+        shaped("knee_A"),
+        lambda context: _knees(context) if any(_has_current(v) for v in context.views) else (),
+        refine={0: 0.0},
+        positive=(0,),
+        size=1.0,
+        follows=True,
+    ),
+    Term(
+        "current_loop_lag", {"torque": _loop_lag}, one("time_s"), _with_current(NO_SHAPE), positive=(0,), follows=True
+    ),
+    Term(
+        "inverter_dead_time",
+        {"voltage": _dead_time},
+        one("voltage_V"),
+        _with_voltage(NO_SHAPE),
+        positive=(0,),
+    ),
+    Term(
+        "brush_drop",
+        {"voltage": _brushes},
+        lambda c, shape, _context: {"voltage_V": float(c[0]), "current_A": shape[0]},
+        _with_voltage(BRUSH_CURRENTS),
+        refine={0: 0.0},
+        limits={0: (0.1, 10.0)},
+        positive=(0,),
+    ),
+    Term(
+        "winding_heating",
+        {"voltage": _heating_voltage, "torque": _heating_torque},
+        lambda c, shape, _context: {"rise_K_per_W": float(c[0]), "time_s": shape[0]},
+        _warm_ups,
+        refine={0: 0.0},
+        positive=(0,),
+        follows=True,
+    ),
+    Term("supply_sag", {"voltage": _sag}, one("resistance_ohm"), _with_voltage(NO_SHAPE), positive=(0,)),
+    Term(
+        "current_offset",
+        {"torque": _current_offset, "breakaway": _current_offset, "voltage": _current_offset_voltage},
+        one("current_A"),
+        _with_current(NO_SHAPE),
+    ),
+    Term(
+        "current_drift",
+        {
+            "torque": lambda v, n, s: _current_offset(v, n, s) * (v.time - v.time[0]),
+            "breakaway": lambda v, n, s: _current_offset(v, n, s) * (v.time - v.time[0]),
+            "voltage": lambda v, n, s: _current_offset_voltage(v, n, s) * (v.time - v.time[0]),
+        },
+        one("rate_A_s"),
+        _with_current(NO_SHAPE),
+    ),
+)

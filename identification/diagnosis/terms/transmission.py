@@ -1,0 +1,147 @@
+"""Between motor and valve: what two encoders show of assumption 5, and where the gear loses power."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.memory import play
+from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, one, polar, rows, shaped
+from identification.diagnosis.view import View
+from identification.recording import Array
+
+TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(2, 201))
+GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
+LOOP_SHARES = (0.05, 0.15, 0.4)
+"""Torque that closes a hysteresis loop over the greatest torque."""
+SLIPS_PER_RECORDING = 12
+
+
+def _both_encoders(view: View) -> bool:
+    return view.lag is not None
+
+
+def transmitted(view: View) -> Array:
+    """Return the torque that the transmission carries, N m."""
+    return view.torque
+
+
+def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(play(view.motor / view.recording.bench.gear_ratio, shape[0]))
+
+
+def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    return rows(play(transmitted(view), 2.0 * shape[0]) / shape[0])
+
+
+def _loops(context: Context) -> list[Shape]:
+    known = [v for v in context.views if v.lag is not None]
+    if not known:
+        return []
+    greatest = max(float(np.max(np.abs(v.torque))) for v in known)
+    return [(share * greatest,) for share in LOOP_SHARES]
+
+
+def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    phase = shape[0] * view.angle
+    return rows(np.sin(phase), np.cos(phase))
+
+
+def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
+    amplitude, phase = polar(float(c[0]), float(c[1]))
+    return {"amplitude_rad": amplitude, "per_turn": shape[0], "phase_rad": phase}
+
+
+def _eccentric(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(-np.sin(view.angle), -np.cos(view.angle))
+
+
+def _read_eccentric(c: Array, _shape: Shape, _context: Context) -> dict[str, float]:
+    amplitude, phase = polar(float(c[0]), float(c[1]))
+    return {"amplitude_rad": amplitude, "phase_rad": phase}
+
+
+def _late(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    return rows(view.velocity)
+
+
+def _slip(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    here = view.index == round(shape[0])
+    return rows(np.where(here & (view.time - view.time[0] >= shape[1]), -1.0, 0.0))
+
+
+def _slips(context: Context) -> list[Shape]:
+    shapes: list[Shape] = []
+    for view in context.views:
+        if view.lag is not None:
+            length = float(view.time[-1] - view.time[0])
+            times = np.linspace(0.0, length, SLIPS_PER_RECORDING + 2)[1:-1]
+            shapes += [(float(view.index), float(t)) for t in times]
+    return shapes
+
+
+def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
+    torque = nominal.torque(view) - view.known
+    return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -1.0))
+
+
+TERMS = (
+    Term(
+        "backlash",
+        {"transmission": _play},
+        shaped("gap_rad"),
+        lambda context: everywhere(context, _both_encoders, GAPS_RAD),
+        refine={0: 0.0},
+        positive=(0,),
+        size=1.0,
+    ),
+    Term(
+        "compliance",
+        {"transmission": lambda v, _n, _s: rows(transmitted(v))},
+        lambda c, _shape, _context: {"stiffness_Nm_rad": 1.0 / float(c[0])},
+        lambda context: everywhere(context, _both_encoders, ((),)),
+        positive=(0,),
+    ),
+    Term(
+        "gear_mesh_ripple",
+        {"transmission": _mesh},
+        _read_mesh,
+        lambda context: everywhere(context, _both_encoders, TEETH),
+    ),
+    Term(
+        "coupling_hysteresis",
+        {"transmission": _loop},
+        lambda c, shape, _context: {"deflection_rad": float(c[0]), "torque_Nm": shape[0]},
+        _loops,
+        refine={0: 0.0},
+        positive=(0,),
+    ),
+    Term(
+        "transmission_efficiency",
+        in_motion(_efficiency),
+        lambda c, _shape, _context: {"efficiency": 1.0 / (1.0 + float(c[0]))},
+        positive=(0,),
+        follows=True,
+    ),
+    Term(
+        "transport_delay",
+        {"transmission": _late},
+        one("time_s"),
+        lambda context: everywhere(context, _both_encoders, ((),)),
+        positive=(0,),
+    ),
+    Term(
+        "encoder_eccentricity",
+        {"transmission": _eccentric},
+        _read_eccentric,
+        lambda context: everywhere(context, _both_encoders, ((),)),
+    ),
+    Term(
+        "encoder_slip",
+        {"transmission": _slip},
+        lambda c, shape, _context: {"angle_rad": float(c[0]), "at_s": shape[1]},
+        _slips,
+        place=0,
+        refine={1: 3.0},
+    ),
+)

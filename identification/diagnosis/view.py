@@ -1,0 +1,322 @@
+"""One recording as the diagnosis sees it: full-rate signals on an even grid, and the filter to the stated bandwidth.
+
+Every regressor of every effect is built from these at the full rate and then passes the same filter as the mismatch, so
+that no filter imitates physics.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+
+from identification.prepare import (
+    POSITION_BANDWIDTH,
+    ampere_torque,
+    drive_torque,
+    joint_angle,
+    resting,
+    uniform_grid,
+    widened,
+)
+from identification.recording import Array, Recording, RecordingError
+from identification.signals import BoolArray, Decimator, central_difference, decimator, resample, smooth
+
+RISE_SAMPLES = 5
+"""Samples before a breakaway over which the torque's rise is taken."""
+STEADY_SHARE = 0.7
+"""Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
+LEAST_REST_S = 0.02
+"""Rests shorter than this are not told from a slow passage through zero."""
+
+
+@dataclass(frozen=True)
+class View:
+    """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless said.
+
+    Attributes:
+        recording: Where they came from.
+        index: Its place among the recordings under diagnosis.
+        time: Time stamps, s.
+        run_time: s since the first recording began.
+        angle: rad, by the finer encoder.
+        velocity: rad/s.
+        acceleration: rad/s^2.
+        torque: Drive torque less known loads, N m.
+        raw_torque: The same before any filter, for what happens within a few samples.
+        twist: Acceleration of the motor before the joint's where friction follows the joint, else zero, rad/s^2.
+        known: Known loads (a declared weight that turns with the joint), N m.
+        moment: F_P L1, N m.
+        sense: Direction in which friction acts: that of motion, at rest that of the torque.
+        still: Samples at rest.
+        rest_time: How long the last rest had lasted when it ended, or lasts so far, s.
+        reversal_time: Time since the direction last changed, s.
+        reversal_travel: Travel since then, rad.
+        motor: Angle of the motor shaft, rad; by the joint's where only that is known.
+        motor_speed: Its speed, rad/s.
+        lag: Drive side less joint side, motor_angle/i - angle, rad; None without both encoders.
+        current: A; None without it.
+        voltage: V, NaN while unpowered; None without it.
+        supply: V; None without it.
+        temperature: deg C; None without it.
+        low_pass: To the stated bandwidth.
+        moving: Which of its outputs no sample at rest or reversing has touched, shape (n,).
+        breakaways: Samples at which a rest ends, shape (e,).
+    """
+
+    recording: Recording
+    index: int
+    time: Array
+    run_time: Array
+    angle: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    raw_torque: Array
+    twist: Array
+    known: Array
+    moment: Array
+    sense: Array
+    still: BoolArray
+    rest_time: Array
+    reversal_time: Array
+    reversal_travel: Array
+    motor: Array
+    motor_speed: Array
+    lag: Array | None
+    current: Array | None
+    voltage: Array | None
+    supply: Array | None
+    temperature: Array | None
+    low_pass: Decimator
+    moving: BoolArray
+    breakaways: np.ndarray
+
+    @property
+    def step(self) -> float:
+        """Grid step, s."""
+        return float(self.time[1] - self.time[0])
+
+    @property
+    def loaded(self) -> bool:
+        """Whether a weight presses."""
+        return bool(np.any(self.moment != 0.0))
+
+    @property
+    def kept_times(self) -> Array:
+        """Times of the filter's outputs, s, shape (n,)."""
+        half = self.low_pass.half
+        return self.time[half : len(self.time) - half : self.low_pass.factor]
+
+
+def views(recordings: Sequence[Recording], bandwidth_Hz: float, valve_side: bool = False) -> tuple[View, ...]:
+    """Return a view of each recording.
+
+    Args:
+        recordings: Any.
+        bandwidth_Hz: Of the filter.
+        valve_side: Take angle and speed from the joint encoder even if the motor's is finer: where the transmission
+            gives, friction acts on the valve's motion.
+
+    Raises:
+        RecordingError: A recording that cannot be brought to this bandwidth.
+    """
+    starts = run_starts(recordings)
+    return tuple(_view(r, k, starts[k], bandwidth_Hz, valve_side) for k, r in enumerate(recordings))
+
+
+def run_starts(recordings: Sequence[Recording]) -> list[float]:
+    """Return when each recording began, s since the first one.
+
+    Where their time stamps follow one another on one clock these say it, else the recordings are laid end to end.
+    """
+    spans = sorted((float(r.time[0]), float(r.time[-1])) for r in recordings)
+    if len(spans) > 1 and all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans)):
+        return [float(r.time[0]) - spans[0][0] for r in recordings]
+    lengths = [float(r.time[-1] - r.time[0]) for r in recordings]
+    return [float(x) for x in np.concatenate(([0.0], np.cumsum(lengths)[:-1]))]
+
+
+def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, valve_side: bool) -> View:
+    grid, rate = uniform_grid(recording), 1.0 / recording.period
+    low_pass = decimator(rate, bandwidth_Hz)
+    if len(grid) < 2 * low_pass.half + 8:
+        raise RecordingError(
+            f"{recording.name}: {len(grid)} samples are fewer than a bandwidth of {bandwidth_Hz:.3g} Hz needs "
+            f"({2 * low_pass.half + 8}); ask for a higher bandwidth or leave it out"
+        )
+    cutoff = POSITION_BANDWIDTH * bandwidth_Hz
+    angle, velocity, still = _motion(recording, grid, cutoff, valve_side)
+    acceleration = central_difference(velocity, 1.0 / rate)
+    drive = drive_torque(recording, grid, velocity)
+    known = _known(recording, angle, acceleration)
+    torque = smooth(drive, rate, cutoff) + known
+    sense = _sense(velocity, torque, still)
+    turned = _turned(sense)
+    bad = widened(still | turned | _unsteady(velocity, round(0.5 * rate / cutoff)), round(1.5 * rate / cutoff))
+    ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
+    rest = _since(grid, ~still)
+    long_enough = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1]
+    reversal = _since(grid, turned)
+    motor = _motor(recording, grid, angle)
+    return View(
+        recording=recording,
+        index=index,
+        time=grid,
+        run_time=start + grid - grid[0],
+        angle=angle,
+        velocity=velocity,
+        acceleration=acceleration,
+        torque=torque,
+        raw_torque=np.asarray(drive + known),
+        twist=_twist(recording, grid, cutoff, valve_side),
+        known=known,
+        moment=_moment(recording, grid),
+        sense=sense,
+        still=still,
+        rest_time=_held(rest, still),
+        reversal_time=reversal,
+        reversal_travel=_travel(angle, turned),
+        motor=motor,
+        motor_speed=_speed(recording, motor, velocity, cutoff),
+        lag=_lag(recording, grid),
+        current=_channel(recording, "current", grid),
+        voltage=_voltage(recording, grid),
+        supply=_channel(recording, "supply_voltage", grid),
+        temperature=_channel(recording, "temperature", grid),
+        low_pass=low_pass,
+        moving=low_pass.untouched(bad),
+        breakaways=np.array(long_enough, dtype=np.int64),
+    )
+
+
+def _motion(recording: Recording, grid: Array, cutoff: float, valve_side: bool) -> tuple[Array, Array, BoolArray]:
+    rate = 1.0 / recording.period
+    position = recording.channels.get("angle") if valve_side else joint_angle(recording)
+    if position is not None:
+        series = resample(recording.time, position, grid)
+        still = resting(series)
+        angle = smooth(series, rate, cutoff)
+        return angle, central_difference(angle, 1.0 / rate), still
+    if "velocity" not in recording.channels:
+        raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
+    velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
+    angle = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
+    return angle, velocity, np.asarray(velocity == 0.0)
+
+
+def _known(recording: Recording, angle: Array, acceleration: Array) -> Array:
+    pendulum = recording.pendulum
+    if pendulum is None:
+        return np.zeros(len(angle))
+    weight = pendulum.mass * recording.bench.gravity * pendulum.length
+    return np.asarray(-weight * np.sin(angle - pendulum.zero) - pendulum.mass * pendulum.length**2 * acceleration)
+
+
+def _moment(recording: Recording, grid: Array) -> Array:
+    if "load_force" in recording.channels:
+        force = resample(recording.time, recording.channels["load_force"], grid)
+    else:
+        force = np.full(len(grid), recording.contact_force)
+    arm = recording.bench.moment_arm
+    if arm is None:
+        if np.any(force != 0.0):
+            raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
+        return np.zeros(len(grid))
+    return np.asarray(force * arm)
+
+
+def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
+    values = recording.channels.get(name)
+    if values is None or not np.all(np.isfinite(values)):
+        return None
+    offset = -0.5 * recording.period if name in recording.averaged else 0.0
+    return resample(recording.time, values, grid, offset)
+
+
+def _voltage(recording: Recording, grid: Array) -> Array | None:
+    """Return the voltage, NaN where the power stage is off; None where it was not measured beside the current."""
+    values = recording.channels.get("voltage")
+    if values is None or "current" not in recording.channels:
+        return None
+    off = ~np.isfinite(values)
+    if "enabled" in recording.channels:
+        off |= recording.channels["enabled"] < 0.5
+    offset = -0.5 * recording.period if "voltage" in recording.averaged else 0.0
+    series = resample(recording.time, np.where(off, 0.0, values), grid, offset)
+    dark = resample(recording.time, off.astype(np.float64), grid, offset) > 0.0
+    return np.where(dark, np.nan, series)
+
+
+def _speed(recording: Recording, motor: Array, velocity: Array, cutoff: float) -> Array:
+    if "motor_angle" not in recording.channels:
+        return np.asarray(recording.bench.gear_ratio * velocity)
+    rate = 1.0 / recording.period
+    return central_difference(smooth(motor, rate, cutoff), 1.0 / rate)
+
+
+def _twist(recording: Recording, grid: Array, cutoff: float, valve_side: bool) -> Array:
+    lag = _lag(recording, grid) if valve_side else None
+    if lag is None:
+        return np.zeros(len(grid))
+    rate = 1.0 / recording.period
+    return central_difference(central_difference(smooth(lag, rate, cutoff), 1.0 / rate), 1.0 / rate)
+
+
+def _motor(recording: Recording, grid: Array, angle: Array) -> Array:
+    if "motor_angle" in recording.channels:
+        return resample(recording.time, recording.channels["motor_angle"], grid)
+    return np.asarray(recording.bench.gear_ratio * angle)
+
+
+def _lag(recording: Recording, grid: Array) -> Array | None:
+    channels = recording.channels
+    if "motor_angle" not in channels or "angle" not in channels:
+        return None
+    return resample(recording.time, channels["motor_angle"] / recording.bench.gear_ratio - channels["angle"], grid)
+
+
+def _sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
+    sense = np.where(still, np.sign(torque), np.sign(velocity))
+    known = np.maximum.accumulate(np.where(sense != 0.0, np.arange(len(sense)), 0))
+    return np.asarray(sense[known])
+
+
+def _unsteady(velocity: Array, reach: int) -> BoolArray:
+    """Mark samples about which the speed changes by more than its own size.
+
+    There friction is no longer a function of the filtered speed: the shaft slips and nearly sticks within the filter.
+    """
+    size = 2 * reach + 1
+    swing = ndimage.maximum_filter1d(velocity, size) - ndimage.minimum_filter1d(velocity, size)
+    return np.asarray(swing >= STEADY_SHARE * np.abs(velocity))
+
+
+def _turned(sense: Array) -> BoolArray:
+    """Mark samples whose direction differs from that of the one before."""
+    return np.concatenate(([False], sense[1:] != sense[:-1]))
+
+
+def _since(time: Array, marks: BoolArray) -> Array:
+    """Return the time since the last marked sample; since the start before there is one."""
+    last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
+    return np.asarray(time - time[last])
+
+
+def _held(rest: Array, still: BoolArray) -> Array:
+    """Keep the length of the last rest until the next one begins."""
+    last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
+    return np.asarray(rest[last])
+
+
+def _travel(angle: Array, turned: BoolArray) -> Array:
+    last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
+    return np.asarray(np.abs(angle - angle[last]))
+
+
+def torque_per_ampere(view: View) -> float:
+    """Return the joint torque of one motor ampere, N m/A."""
+    return ampere_torque(view.recording)

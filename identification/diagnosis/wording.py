@@ -1,0 +1,110 @@
+"""Findings in plain sentences, with values and intervals in units that engineers read.
+
+A sentence of the catalogue names parameters in braces. After the colon stands the unit to print (``{gap_rad:deg}``;
+with ``abs`` before it the size without its sign), or two words to choose from by sign (``{torque_Nm:?higher/lower}``).
+``{recordings}`` names the recordings in which the effect shows.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from string import Formatter
+
+from identification.diagnosis.catalogue import Entry
+from identification.diagnosis.result import Estimate
+
+_DEG = math.degrees(1.0)
+_FACTORS: Mapping[tuple[str, str], float] = {
+    ("rad", "deg"): _DEG,
+    ("N m/rad", "N m/deg"): 1.0 / _DEG,
+    ("1/rad", "%/deg"): 100.0 / _DEG,
+    ("", "%"): 100.0,
+    ("s", "ms"): 1e3,
+    ("A", "mA"): 1e3,
+    ("A/s", "mA/min"): 6e4,
+    ("N m/s", "N m/h"): 3600.0,
+    ("N/s", "N/h"): 3600.0,
+}
+_SIZE = "abs "
+_CHOICE = "?"
+_PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
+
+
+def sentence(entry: Entry, estimates: Mapping[str, Estimate], recordings: Sequence[str] = ()) -> str:
+    """Return the finding of one effect with its parameters, values first and 90 % intervals behind.
+
+    Args:
+        entry: Row of the catalogue.
+        estimates: Parameter name to estimate; every name in the sentence is there.
+        recordings: Names of those in which it shows.
+
+    Raises:
+        KeyError: The sentence names a parameter without an estimate.
+    """
+    words = []
+    for text, name, form, _ in Formatter().parse(entry.sentence):
+        words.append(text)
+        if name == "recordings":
+            words.append(_listed(recordings))
+        elif name is not None:
+            words.append(_field(estimates[name], form or ""))
+    return "".join(words)
+
+
+def finding(entry: Entry, estimates: Mapping[str, Estimate], recordings: Sequence[str] = ()) -> str:
+    """Return the sentence with the effect's name and the assumption it breaks.
+
+    Raises:
+        KeyError: The sentence names a parameter without an estimate.
+    """
+    what = f"{title(entry.name)} ({entry.group})"
+    return f"{sentence(entry, estimates, recordings)}: {what}, against {entry.assumption}"
+
+
+def title(name: str) -> str:
+    """Return a stable name as words, such as ``asymmetric Coulomb`` of ``asymmetric_coulomb``."""
+    return " ".join(_PROPER.get(word, word) for word in name.split("_"))
+
+
+def readable(estimate: Estimate, unit: str = "") -> str:
+    """Return value, unit and 90 % interval, such as ``0.42 deg (0.39 to 0.45)``.
+
+    Args:
+        estimate: In its own unit.
+        unit: To print; one that the estimate's own cannot be turned into is ignored.
+    """
+    factor = _FACTORS.get((estimate.unit, unit))
+    shown = unit if factor else estimate.unit
+    value, low, high = (x * (factor or 1.0) for x in (estimate.value, estimate.low, estimate.high))
+    behind = f" {shown}" if shown else ""
+    if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
+        return f"{value:.3g}{behind}"
+    places = _places(high - low)
+    if places is None:
+        return f"{value:.4g}{behind} ({low:.4g} to {high:.4g})"
+    return f"{value:.{places}f}{behind} ({low:.{places}f} to {high:.{places}f})"
+
+
+def _field(estimate: Estimate, form: str) -> str:
+    if form.startswith(_CHOICE):
+        plus, _, minus = form.removeprefix(_CHOICE).partition("/")
+        return plus if estimate.value >= 0.0 else minus
+    if form.startswith(_SIZE):
+        form = form.removeprefix(_SIZE)
+        if estimate.value < 0.0:
+            estimate = Estimate(-estimate.value, -estimate.high, -estimate.low, estimate.unit)
+    return readable(estimate, form)
+
+
+def _places(width: float) -> int | None:
+    """Decimals that show an interval of this width by one figure or two; None for sizes that need exponents."""
+    exponent = math.floor(math.log10(width))
+    places = -exponent + (1 if width / 10.0**exponent < 3.0 else 0)
+    return max(places, 0) if places <= 6 and exponent <= 5 else None
+
+
+def _listed(names: Sequence[str]) -> str:
+    if not names:
+        return "one recording"
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

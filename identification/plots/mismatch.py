@@ -1,0 +1,122 @@
+"""Figures of a diagnosis: the mismatch against each coordinate and in time, its curve, and the rivals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from identification.diagnosis.result import Curve, Effect, Map, ResidualTrace
+from identification.plots.style import BLACK, BLUE, GREY, SKY, VERMILION, figure, legend_above, thinned
+
+_COLUMNS = 2
+_MOST_MAPS = 8
+_DEG = math.degrees(1.0)
+
+
+def maps(shown: Sequence[Map]) -> Figure:
+    """Mismatch against each coordinate, largest share first: mean and simultaneous band before, mean after.
+
+    Args:
+        shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on one vertical scale.
+    """
+    ranked = sorted(shown, key=lambda m: -m.share)[:_MOST_MAPS]
+    columns = min(_COLUMNS, len(ranked))
+    rows = -(-len(ranked) // columns)
+    made, axes = figure(rows, columns, width=4.6 * columns, height=2.7 * rows + 0.5)
+    for axis, one in zip(axes, ranked, strict=False):
+        _map(axis, one)
+    for axis in axes[len(ranked) :]:
+        axis.set_visible(False)
+    top = max(max(abs(edge) for edge in axis.get_ylim()) for axis in axes[: len(ranked)])
+    for axis in axes[: len(ranked)]:
+        axis.set_ylim(-1.05 * top, 1.05 * top)
+    handles, labels = axes[0].get_legend_handles_labels()
+    made.legend(handles, labels, loc="outside lower center", ncols=3, fontsize=9, frameon=False)
+    made.suptitle(f"Where the {ranked[0].equation} equation misses", fontsize=11)
+    return made
+
+
+def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
+    """Mismatch of one recording in time, before and after the correction, with the noise floor as a band.
+
+    Args:
+        one: The recording.
+        noise_floor: Its rms, in the trace's unit; None where it is not known.
+    """
+    factor, unit = _shown_unit(one.unit)
+    made, (axis,) = figure(1, width=9.0, height=3.2)
+    few = thinned(len(one.time))
+    time = one.time[few]
+    axis.plot(time, factor * one.before[few], color=VERMILION, linewidth=0.9, label="before")
+    axis.plot(time, factor * one.after[few], color=BLUE, linewidth=0.9, label="after")
+    if noise_floor is not None:
+        band = factor * noise_floor
+        axis.axhspan(-band, band, color=GREY, alpha=0.3, linewidth=0, zorder=3, label=f"noise floor {band:.2g} {unit}")
+    axis.axhline(0.0, color=BLACK, linewidth=0.6)
+    axis.set_xlabel("time (s)")
+    axis.set_ylabel(f"measured - model ({unit})")
+    legend_above(axis, 3)
+    return made
+
+
+def curve(missing: Curve) -> Figure:
+    """What is missing, over the coordinate that explains most of it."""
+    along, unit = _shown_unit(missing.unit)
+    factor, residual_unit = _shown_unit(missing.residual_unit)
+    made, (axis,) = figure(1, width=7.0, height=3.2)
+    axis.plot(along * missing.grid, factor * missing.value, color=VERMILION, linewidth=1.6)
+    axis.axhline(0.0, color=BLACK, linewidth=0.6)
+    axis.set_xlabel(_labelled(missing.coordinate, unit))
+    axis.set_ylabel(f"missing {_quantity(missing.equation)} ({residual_unit})")
+    return made
+
+
+def rivals(effect: Effect) -> Figure:
+    """Confidence of an effect beside that of its rivals; those that the data cannot reject are filled."""
+    names = [effect.name, *(r.name for r in effect.rivals)]
+    shares = [effect.confidence, *(r.confidence for r in effect.rivals)]
+    open_ones = [True, *(r.why_not == "" for r in effect.rivals)]
+    made, (axis,) = figure(1, width=7.0, height=1.1 + 0.34 * len(names))
+    for row, (share, kept) in enumerate(zip(shares, open_ones, strict=True)):
+        color = BLUE if row == 0 else SKY
+        face = color if kept else "none"
+        axis.barh(row, share, height=0.6, facecolor=face, edgecolor=color, linewidth=1.2)
+        axis.text(share + 0.01, row, f"{share:.2g}{'' if kept else ', rejected'}", va="center", fontsize=8)
+    axis.set_yticks(range(len(names)), names)
+    axis.set_ylim(len(names) - 0.5, -0.5)
+    axis.set_xlim(0.0, 1.15)
+    axis.set_xlabel("confidence (1)")
+    axis.grid(visible=False, axis="y")
+    return made
+
+
+def _map(axis: Axes, one: Map) -> None:
+    along, unit = _shown_unit(one.unit)
+    factor, residual_unit = _shown_unit(one.residual_unit)
+    order = np.argsort(one.centre, kind="stable")
+    x = along * one.centre[order]
+    low, high, mean, after = (factor * series[order] for series in (one.low, one.high, one.mean, one.after))
+    axis.fill_between(x, low, high, color=VERMILION, alpha=0.22, linewidth=0, label="90 % band, all bins at once")
+    axis.plot(x, mean, color=VERMILION, linewidth=1.5, marker="o", markersize=3.0, label="before")
+    axis.plot(x, after, color=BLUE, linewidth=1.3, linestyle="--", marker="s", markersize=2.5, label="after")
+    axis.axhline(0.0, color=BLACK, linewidth=0.6)
+    axis.set_xlabel(_labelled(one.coordinate, unit))
+    axis.set_ylabel(f"mismatch ({residual_unit})")
+    axis.set_title(f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left")
+
+
+def _shown_unit(unit: str) -> tuple[float, str]:
+    """Return (factor, unit) to draw with: angles in degrees."""
+    return (_DEG, "deg") if unit == "rad" else (1.0, unit)
+
+
+def _labelled(coordinate: str, unit: str) -> str:
+    return f"{coordinate} ({unit or '1'})"
+
+
+def _quantity(equation: str) -> str:
+    return {"transmission": "angle", "voltage": "voltage"}.get(equation, "torque")

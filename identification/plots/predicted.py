@@ -1,0 +1,35 @@
+"""Figure of a prediction: measured and predicted, and what is left over."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from identification.corrected.score import Predicted
+from identification.plots.style import BLACK, BLUE, ORANGE, VERMILION, figure, legend_above, thinned
+
+
+def predicted(part: Predicted, unit: str) -> Figure:
+    """Both sides of one equation against time, and their difference.
+
+    Args:
+        part: One equation of one recording.
+        unit: Of the equation.
+    """
+    made, (top, bottom) = figure(2, height=5.0, sharex=True)
+    few = thinned(len(part.time))
+    top.plot(
+        part.time[few], part.measured[few], color=BLUE, linewidth=2.0, alpha=0.55, label="measured, where it moves"
+    )
+    top.plot(part.time[few], part.model[few], color=VERMILION, linewidth=0.9, label="model")
+    top.set_ylabel(f"{part.equation} ({unit})")
+    bottom.plot(part.time[few], (part.measured - part.model)[few], color=BLUE, linewidth=0.8)
+    if part.error.size:
+        level = float(np.sqrt(np.mean(part.error**2)))
+        bottom.axhspan(-level, level, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {level:.3g} {unit}")
+    bottom.axhline(0.0, color=BLACK, linewidth=0.8)
+    bottom.set_ylabel(f"measured - model ({unit})")
+    bottom.set_xlabel("time (s)")
+    for axis in (top, bottom):
+        legend_above(axis, 2)
+    return made

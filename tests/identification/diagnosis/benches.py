@@ -1,0 +1,75 @@
+"""Campaigns on the simulated machine, with physics hidden in it, for tests of the diagnosis."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import numpy as np
+
+from drivers.mock.direct import record
+from drivers.mock.plant.constants import Machine
+from drivers.mock.plant.machine import SimulatedMachine
+from identification.recording import Array, Bench, Recording
+
+CYCLE_S = 0.001
+PAUSE_S = 2.0
+BENCH = Bench(
+    torque_constant=0.03,
+    back_emf_constant=0.02588,
+    resistance=1.56,
+    inductance=0.00132,
+    gear_ratio=100.0,
+    moment_arm=0.095,
+    lever_ratio=10.0,
+)
+CHANNELS = ("command", "motor_angle", "angle", "current", "voltage", "supply_voltage", "temperature")
+PLAN = (
+    (0.0, ((22.0, 0.2),), "fit"),
+    (0.0, ((9.0, 0.7), (3.0, 2.3)), "fit"),
+    (10.0, ((22.0, 0.2),), "fit"),
+    (20.0, ((9.0, 0.7), (3.0, 2.3)), "fit"),
+    (30.6, ((22.0, 0.2),), "fit"),
+    (20.0, ((15.0, 0.35), (4.0, 1.3)), "validate"),
+)
+"""Weight in kg, tones as (deg, Hz), role."""
+
+
+def sines(tones: Sequence[tuple[float, float]], seconds: float) -> Array:
+    time = np.arange(round(seconds / CYCLE_S)) * CYCLE_S
+    ramp = np.clip(np.minimum(time, seconds - time), 0.0, 1.0)
+    total = sum(np.deg2rad(a) * np.sin(2.0 * np.pi * f * time) for a, f in tones)
+    return np.asarray(ramp**2 * (3.0 - 2.0 * ramp) * total)
+
+
+def campaign(effects: Mapping[str, Mapping[str, float]], seed: int, seconds: float = 12.0) -> tuple[Recording, ...]:
+    """Record the plan on a machine that hides ``effects``."""
+    machine = SimulatedMachine(Machine(effects=effects, warming_K=10.0), np.random.default_rng(seed))
+    recordings, began = [], 0.0
+    for number, (mass, tones, role) in enumerate(PLAN, 1):
+        machine.hang(mass)
+        machine.power(True)
+        samples = record(machine, sines(tones, seconds), CYCLE_S)
+        machine.power(False)
+        machine.rest(PAUSE_S)
+        channels = {name: getattr(samples, name) for name in CHANNELS}
+        channels["time"] = samples.time + began
+        began += float(samples.time[-1]) + PAUSE_S
+        recordings.append(
+            Recording(
+                name=f"r{number}",
+                channels=channels,
+                bench=BENCH,
+                stage="loaded" if mass else "unloaded",
+                weight_mass=mass,
+                role=role,
+                averaged=frozenset({"current", "voltage"}),
+            )
+        )
+    return tuple(recordings)
+
+
+@lru_cache
+def honest() -> tuple[Recording, ...]:
+    """Return a campaign that hides nothing."""
+    return campaign({}, 1)

@@ -1,0 +1,74 @@
+"""Hidden physics is found, named and sized; where there is none, none is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.result import Diagnosis, Verdict
+from identification.recording import Dataset, Model, Recording, RecordingError
+
+from .benches import campaign, honest
+
+
+def of(recordings: tuple[Recording, ...], seed: int = 1) -> Diagnosis:
+    return diagnose(Dataset(recordings), rng=np.random.default_rng(seed))
+
+
+def test_nothing_is_found_where_nothing_is_hidden() -> None:
+    found = of(honest())
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.effects == ()
+    assert found.p_value > 0.01
+    assert found.fit.final_rms < 1.2 * found.fit.noise_floor_rms
+    assert "nothing is missing" in found.statement
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "equation"),
+    [
+        ("backlash", {"gap_rad": 0.004}, "transmission"),
+        ("asymmetric_viscous", {"coefficient_Nms_rad": 0.4}, "torque"),
+        ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
+    ],
+)
+def test_what_is_hidden_is_named_and_sized(name: str, parameters: dict[str, float], equation: str) -> None:
+    found = of(campaign({name: parameters}, 2))
+    assert name in found.effects[0].alias_group
+    assert found.fit.equation == equation
+    for key, true in parameters.items():
+        assert found.effects[0].parameters[key].value == pytest.approx(true, rel=0.15)
+    assert found.fit.final_rms < 0.2 * found.fit.baseline_rms
+    assert found.fit.validate_baseline_rms is not None
+    assert found.fit.validate_final_rms is not None
+    assert found.fit.validate_final_rms < 0.5 * found.fit.validate_baseline_rms
+
+
+def test_what_is_declared_is_not_found() -> None:
+    recordings = campaign({"backlash": {"gap_rad": 0.004}}, 2)
+    found = diagnose(Dataset(recordings, Model(terms=("backlash",))), rng=np.random.default_rng(1))
+    assert "backlash" not in {e.name for e in found.effects}
+
+
+def test_what_is_in_no_catalogue_gets_no_name() -> None:
+    found = of(campaign({"x_timed_torque": {"torque_Nm": 1.0, "frequency_Hz": 3.7, "phase_rad": 0.0}}, 3))
+    assert found.verdict is Verdict.OUTSIDE_CATALOGUE
+    assert found.effects == ()
+    assert found.curve is not None
+    assert found.location is not None
+
+
+def test_the_same_seed_gives_the_same_verdict() -> None:
+    short = honest()[:4]
+    first, again = of(short), of(short)
+    assert first.p_value == again.p_value
+    assert first.statement == again.statement
+
+
+def test_without_a_recording_to_fit_it_says_so() -> None:
+    aside = tuple(replace(r, role="validate") for r in honest())
+    with pytest.raises(RecordingError, match="role fit"):
+        of(aside)

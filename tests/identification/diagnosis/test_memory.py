@@ -1,0 +1,53 @@
+"""Regressors with a state against their closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.terms.memory import dahl, heated, lagged, play
+
+TIME = np.arange(2000) * 1e-3
+
+
+def test_a_lag_answers_a_step_exponentially() -> None:
+    step = np.where(TIME >= 0.5, 1.0, 0.0)
+    answer = lagged(step, 1e-3, 0.1)
+    later = TIME >= 0.5
+    assert answer[later] == pytest.approx(1.0 - np.exp(-(TIME[later] - 0.499) / 0.1), abs=1e-9)
+
+
+def test_play_follows_only_beyond_its_gap() -> None:
+    angle = np.concatenate([np.linspace(0.0, 1.0, 101), np.linspace(1.0, 0.0, 101)])
+    lead = play(angle, 0.2)
+    driven = angle - lead
+    assert lead[100] == pytest.approx(0.1)
+    assert driven[100] == pytest.approx(0.9)
+    assert driven[110] == pytest.approx(0.9), "the driven side stands within the gap"
+    assert driven[-1] == pytest.approx(0.1)
+
+
+def test_dahl_friction_starts_at_its_stiffness_and_ends_at_its_level() -> None:
+    angle = np.linspace(0.0, 0.05, 2001)
+    force = dahl(angle, np.full(2001, 7.0), 2000.0)
+    assert force == pytest.approx(7.0 * (1.0 - np.exp(-2000.0 * angle / 7.0)), abs=1e-9)
+
+
+def test_dahl_friction_dissipates() -> None:
+    angle = 0.01 * np.sin(2.0 * np.pi * TIME)
+    force = dahl(angle, np.full(len(angle), 7.0), 3000.0)
+    assert float(np.sum(force[1001:] * np.diff(angle[1000:]))) > 0.0
+
+
+def test_a_maxwell_slip_element_closes_its_loop_within_its_force() -> None:
+    force = play(10.0 * np.sin(2.0 * np.pi * TIME), 4.0)
+    assert np.max(np.abs(force)) == 2.0
+    assert force[1250] == 2.0
+    assert force[1260] < 2.0, "it gives as soon as the torque turns"
+    assert force[999] == pytest.approx(force[1999], abs=1e-9)
+
+
+def test_a_warming_body_ends_at_its_loss() -> None:
+    run = np.linspace(0.0, 600.0, 6001)
+    rise = heated(np.full(6001, 3.0), run, 0.0, 60.0)
+    assert rise == pytest.approx(3.0 * (1.0 - np.exp(-run / 60.0)), abs=1e-9)

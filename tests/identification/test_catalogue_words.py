@@ -1,0 +1,118 @@
+"""The catalogue's words: every name once, parameters that the sentence can print, look-alikes that exist."""
+
+from __future__ import annotations
+
+import math
+from string import Formatter
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from identification.diagnosis.catalogue import Entry
+from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.entries.device import DEVICE
+from identification.diagnosis.entries.friction import FRICTION
+from identification.diagnosis.entries.motor import MOTOR
+from identification.diagnosis.entries.sensing import SENSING
+from identification.diagnosis.entries.transmission import TRANSMISSION
+from identification.diagnosis.result import Estimate
+from identification.diagnosis.wording import finding, readable, sentence
+
+GROUPS = {
+    "motor": "cogging torque_ripple torque_saturation current_loop_lag inverter_dead_time brush_drop winding_heating "
+    "supply_sag",
+    "transmission": "backlash compliance gear_mesh_ripple transmission_efficiency coupling_hysteresis",
+    "friction": "asymmetric_coulomb asymmetric_viscous quadratic_drag stribeck_shape friction_memory "
+    "dwell_static_friction presliding position_dependent_friction viscous_thermal_drift coulomb_drift",
+    "device": "gravity_imbalance return_spring end_stop load_exponent load_position_dependence wrong_weight load_swing "
+    "load_inertia lever_pivot_friction load_dependent_friction",
+    "sensing": "time_skew transport_delay current_offset current_drift encoder_eccentricity encoder_slip",
+}
+"""The catalogue as the specification prints it."""
+
+
+def middle(entry: Entry) -> dict[str, Estimate]:
+    """Estimates in the upper half of each plausible range."""
+    found = {}
+    for q in entry.parameters:
+        value = q.low + 0.7 * (q.high - q.low)
+        found[q.name] = Estimate(value, value - 0.01 * (q.high - q.low), value + 0.01 * (q.high - q.low), q.unit)
+    return found
+
+
+def test_every_name_of_the_specification_stands_in_the_catalogue_once_and_no_other() -> None:
+    rows = (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)
+    assert [(e.group, e.name) for e in rows] == [(g, name) for g, names in GROUPS.items() for name in names.split()]
+    assert len(ENTRIES) == len(rows)
+
+
+@pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
+def test_an_entry_is_whole(entry: Entry) -> None:
+    assert entry.shows_in in ("torque", "transmission", "voltage", "breakaway")
+    assert entry.look_alikes, "an effect without a look-alike needs no experiment"
+    assert entry.name not in entry.look_alikes
+    assert set(entry.look_alikes) <= set(ENTRIES)
+    for q in entry.parameters:
+        assert q.low < q.high, q.name
+    named = {name for _, name, _, _ in Formatter().parse(entry.sentence) if name}
+    assert {q.name for q in entry.parameters} <= named <= {q.name for q in entry.parameters} | {"recordings"}
+
+
+@pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
+def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(entry: Entry) -> None:
+    estimates = middle(entry)
+    words = finding(entry, estimates, ("loaded_2",))
+    assert "{" not in words
+    assert entry.assumption in words
+    for _, name, form, _ in Formatter().parse(entry.sentence):
+        if name in estimates and form and not form.startswith("?"):
+            assert f" {form.removeprefix('abs ')} (" in words, f"{name} is not printed in {form}"
+
+
+def test_the_sentence_of_the_page() -> None:
+    gap = {"gap_rad": Estimate(math.radians(0.42), math.radians(0.39), math.radians(0.45), "rad")}
+    assert finding(ENTRIES["backlash"], gap) == (
+        "the shaft turns 0.42 deg (0.39 to 0.45) before the valve follows each reversal of torque: backlash "
+        "(transmission), against assumption A5: no mechanical clearance, theta = i theta_r"
+    )
+
+
+def test_a_sign_becomes_words_and_the_size_keeps_its_interval() -> None:
+    words = sentence(ENTRIES["asymmetric_coulomb"], {"torque_Nm": Estimate(-0.4, -0.52, -0.28, "N m")})
+    assert words.startswith("friction is 0.40 N m (0.28 to 0.52) lower in the positive direction")
+    assert "higher in the negative" in words
+
+
+def test_a_linear_bench_keeps_its_own_units() -> None:
+    gap = {"gap_rad": Estimate(0.00042, 0.0004, 0.00044, "m")}
+    assert "0.00042 m (0.00040 to 0.00044)" in sentence(ENTRIES["backlash"], gap)
+
+
+def test_a_recording_is_named_where_the_effect_belongs_to_one() -> None:
+    weight = {"mass_kg": Estimate(24.1, 23.8, 24.4, "kg")}
+    assert "on loaded_2 is 24.1 kg" in sentence(ENTRIES["wrong_weight"], weight, ("loaded_2",))
+
+
+def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:
+    with pytest.raises(KeyError, match="gap_rad"):
+        sentence(ENTRIES["backlash"], {})
+
+
+@given(value=st.floats(1e-6, 1e5), share=st.floats(1e-4, 0.9))
+def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found(value: float, share: float) -> None:
+    width = 2.0 * share * value
+    words = readable(Estimate(value, value - width / 2, value + width / 2, "N m"))
+    printed, low, high = (
+        float(words.split(" N m")[0]),
+        float(words.split("(")[1].split(" to")[0]),
+        float(words.split("to ")[1].rstrip(")")),
+    )
+    slack = max(width / 3, 1e-3 * value)
+    assert abs(printed - value) <= slack
+    assert abs(low - (value - width / 2)) <= slack
+    assert abs(high - (value + width / 2)) <= slack
+
+
+def test_without_an_interval_the_value_stands_alone() -> None:
+    assert readable(Estimate(0.0031, math.nan, math.nan, "s"), "ms") == "3.1 ms"
