@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench loop prove paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -18,6 +18,7 @@ help:
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
+	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
@@ -27,6 +28,7 @@ help:
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
 	@echo "make long      time and memory of recordings from 1e4 to 3.6e7 samples"
+	@echo "make loop      hide an effect, diagnose, run the corrected model, compare the recordings"
 	@echo "make clean     remove the virtual environment and everything generated"
 
 $(VENV)/bin/python:
@@ -76,6 +78,12 @@ literal: $(VENV)/.runtime
 
 real: $(VENV)/.runtime
 	$(BIN)/python benchmarks/real_recordings.py
+
+loop: $(VENV)/.runtime
+	$(BIN)/python tests/long/close_loop.py
+
+prove: $(VENV)/.runtime
+	$(BIN)/rig prove --rigs $(or $(RIGS),48) --jobs 2 --out out/proof
 
 bench: $(VENV)/.runtime
 	for script in plant_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done

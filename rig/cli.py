@@ -20,8 +20,11 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "jog": ("rig.commands.jog:command", "Move a bench by hand, at low limits."),
     "check": ("rig.commands.check:command", "Connect to a bench and read it back; nothing moves."),
     "identify": ("rig.commands.identify:command", "Identify friction and inertia from a run or a campaign."),
-    "simulate": ("rig.commands.simulate:command", "Simulate recordings in closed loop with a fitted model."),
+    "simulate": ("rig.commands.simulate:command", "Predict recordings with a fitted model, and compare."),
+    "diagnose": ("rig.commands.diagnose:command", "Say what physics was left out, and model it."),
+    "effects": ("rig.commands.effects:command", "List the effects that a diagnosis can name."),
     "paper": ("rig.commands.paper:command", "Reproduce the paper's tables and figures."),
+    "prove": ("rig.commands.prove:command", "Prove the diagnosis blind on rigs that hide physics."),
     "export": ("rig.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.commands.recover:command", "Mend a run whose writer died."),
 }

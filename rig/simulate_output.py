@@ -9,8 +9,11 @@ from identification.plots.simulated import simulated
 from identification.simulate.score import Sums
 from rig.errors import InputError
 from rig.figures import Picture, save
+from rig.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.parameter_table import Table
 from rig.places import write_json, write_text
+from rig.predict import error_record, error_table
+from rig.predict import pictures as prediction_pictures
 from rig.report import provenance_tables, render
 from rig.simulate import Case, Simulation
 from rig.tables import number, percent, table
@@ -23,9 +26,23 @@ _FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
 
 def text(found: Simulation) -> str:
     """Return the pooled errors of every model for the terminal."""
-    cells = pooled_table(found)
-    head = f"closed loop, simulated from the first sample; torque at {number(found.bandwidth_Hz, 3)} Hz"
-    return f"{head}\n{table(cells.header, cells.rows, cells.right)}"
+    at = f"at {number(found.bandwidth_Hz, 3)} Hz"
+    cells = error_table(found.predictions, found.unit)
+    blocks = [f"equation errors {at}, in motion\n{table(cells.header, cells.rows, cells.right)}"]
+    if found.cases:
+        cells = pooled_table(found)
+        head = f"closed loop, simulated from the first sample; torque {at}"
+        blocks.append(f"{head}\n{table(cells.header, cells.rows, cells.right)}")
+    return "\n\n".join(blocks + [f"note: {note}" for note in _left_out(found)])
+
+
+def _left_out(found: Simulation) -> list[str]:
+    """Return what the closed loop does not show."""
+    if not found.cases:
+        return ["no closed loop: the controller of these recordings is not declared (`controller:` in a campaign)"]
+    if any(case.model.corrected.effects for case in found.cases):
+        return ["the closed loop is simulated without the effects; a simulated bench made of the result has them"]
+    return []
 
 
 def pooled_table(found: Simulation) -> Table:
@@ -46,29 +63,41 @@ def record(found: Simulation) -> dict[str, Any]:
         "unit": found.unit,
         "angle_unit": "rad" if _rotary(found) else "m",
         "bandwidth_Hz": found.bandwidth_Hz,
+        "equations": error_record(found.predictions, found.unit),
         "cases": [_case_record(found, case) for case in found.cases],
     }
 
 
-def write(folder: Path, name: str, found: Simulation, json_file: Path | None) -> Path:
-    """Write result file, figures and report into ``folder``, and the result once more where asked; return the page.
+def write(folder: Path, source: Path, found: Simulation, json_file: Path | None) -> Path:
+    """Write result file, figures, report and the model as a bench into ``folder``; return the page.
+
+    The result file goes to ``json_file`` as well where that is given.
 
     Raises:
         InputError: A place cannot be written.
     """
-    pictures = _pictures(found)
-    sections = [
-        {"title": "Errors", "table": pooled_table(found), "pictures": []},
-        {"title": "Recordings", "table": _recording_table(found), "pictures": pictures},
-    ]
-    notes = [
-        "The loop is simulated from the first sample on: only the command, the supply and declared loads enter.",
-        f"Errors of angle are over all samples; those of torque at {number(found.bandwidth_Hz, 4)} Hz.",
-    ]
+    predicted = prediction_pictures(found.predictions, found.unit)
+    errors = error_table(found.predictions, found.unit)
+    sections: list[dict[str, Any]] = [{"title": "Equation errors", "table": errors, "pictures": predicted}]
+    notes = [f"Equation errors are over samples in motion, at {number(found.bandwidth_Hz, 4)} Hz.", *_left_out(found)]
+    pictures = list(predicted)
+    if found.cases:
+        simulated_ones = _pictures(found)
+        pictures += simulated_ones
+        sections += [
+            {"title": "Closed loop", "table": pooled_table(found), "pictures": []},
+            {"title": "Recordings", "table": _recording_table(found), "pictures": simulated_ones},
+        ]
+        notes += [
+            "The loop is simulated from the first sample on: only the command, the supply and declared loads enter.",
+            f"Errors of angle are over all samples; those of torque at {number(found.bandwidth_Hz, 4)} Hz.",
+        ]
+    bench, said = _bench(source, found)
+    notes += said
     page = render(
         "paper.html.j2",
-        title=f"Simulation of {name}",
-        subtitle=f"Model: {', '.join(dict.fromkeys(str(case.model.file) for case in found.cases))}",
+        title=f"Simulation of {source.resolve().stem}",
+        subtitle=f"Model: {', '.join(dict.fromkeys(str(one.file) for one in found.predictions))}",
         notes=notes,
         sections=sections,
         **provenance_tables(found.provenance),
@@ -78,6 +107,8 @@ def write(folder: Path, name: str, found: Simulation, json_file: Path | None) ->
         save(pictures, folder)
         for place in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(place, record(found))
+        if bench is not None:
+            write_text(folder / BENCH_FILE, bench)
         path = folder / "report.html"
         write_text(path, page)
     except OSError as error:
@@ -86,6 +117,19 @@ def write(folder: Path, name: str, found: Simulation, json_file: Path | None) ->
             f"{places}: cannot be written: {error.strerror}; give --out or --json another place"
         ) from error
     return path
+
+
+def _bench(source: Path, found: Simulation) -> tuple[str | None, list[str]]:
+    """Return the first model as a bench file, or None, and what to say of it."""
+    try:
+        constants = found.dataset.recordings[0].bench
+        bench, left_out = model_bench(base_bench(source), found.models[0].corrected, constants)
+        return bench_text(bench, left_out), [
+            f"{BENCH_FILE} beside this page is the model as a simulated bench.",
+            *left_out,
+        ]
+    except InputError as error:
+        return None, list(error.problems)
 
 
 def _rotary(found: Simulation) -> bool:

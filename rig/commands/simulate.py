@@ -16,13 +16,13 @@ import click
     multiple=True,
     required=True,
     type=click.Path(path_type=Path, dir_okay=False),
-    help="Result file of rig identify; may be given more than once.",
+    help="Result file of rig identify or rig diagnose; may be given more than once.",
 )
 @click.option(
     "--bandwidth",
     metavar="HZ",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="Bandwidth of the torque errors; chosen from the recordings if left out.",
+    help="Bandwidth of the errors; that of the first result if left out.",
 )
 @click.option(
     "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for report and figures; ./SOURCE-simulated."
@@ -33,14 +33,17 @@ import click
 def command(
     source: Path, results: tuple[Path, ...], bandwidth: float | None, out: Path | None, json_file: Path | None
 ) -> None:
-    """Simulate the recordings of SOURCE in closed loop with a fitted model, and compare.
+    """Predict the recordings of SOURCE with the model of a result, and compare.
 
-    The errors stand beside those of the same simulation with half of the friction and with none.
+    Torque, voltage and the difference of the encoders are predicted from the motion, with the effects of a diagnosis
+    and without. Where the campaign declares a controller the closed loop is simulated too, from its command alone;
+    its errors stand beside those with half of the friction and with none. The model as a simulated bench lies beside
+    the report.
 
     \b
     Example:
-      rig identify bench.yaml --json fitted.json
-      rig simulate bench.yaml --result fitted.json
+      rig diagnose bench.yaml --json found.json
+      rig simulate later.yaml --result found.json
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
@@ -54,6 +57,6 @@ def command(
     with ShareBar() as bar:
         found = simulate_source(source, results, bandwidth, bar)
         bar("writing the report", 1.0)
-        report = write(folder, source.resolve().stem, found, json_file)
+        report = write(folder, source, found, json_file)
     click.echo(text(found))
     click.echo(f"report: {report}")

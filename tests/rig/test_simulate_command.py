@@ -81,10 +81,12 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
     ("text", "expected"),
     [
         ("{", "fitted.json: not JSON"),
-        ('{"schema": "loadrig.run/1"}', "schema: this program simulates loadrig.identify/1 (got 'loadrig.run/1')"),
-        ('{"schema": "loadrig.identify/1", "fitted": {}}', "fitted: no value to simulate with"),
+        (
+            '{"schema": "loadrig.run/1"}',
+            "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.run/1')",
+        ),
+        ('{"schema": "loadrig.identify/1", "fitted": {}}', "parameters: no value to simulate with"),
         ('{"schema": "loadrig.identify/1", "fitted": {"J": "x"}}', "J: must be a finite number (got 'x')"),
-        ('{"schema": "loadrig.identify/1", "parameters": {"J": 3}}', "parameters: must map names to records"),
         ('{"schema": "loadrig.identify/1", "parameters": {"Mc": {"value": 1}}}', "an inertia of 0 cannot be simulated"),
     ],
 )
@@ -96,13 +98,17 @@ def test_result_files_that_cannot_be_simulated(
     assert expected in capsys.readouterr().err
 
 
-def test_recordings_without_a_controller_are_refused(
-    campaign: Path, result: Path, capsys: pytest.CaptureFixture[str]
+def test_recordings_without_a_controller_are_scored_by_their_torque_alone(
+    campaign: Path, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     lines = [line for line in CAMPAIGN.splitlines(keepends=True) if "controller" not in line]
     campaign.write_text("".join(lines))
-    assert status(["simulate", str(campaign), "--result", str(result)]) == 2
-    assert "a simulation needs a `command` channel and the `controller`" in capsys.readouterr().err
+    out = tmp_path / "out"
+    assert status(["simulate", str(campaign), "--result", str(result), "--out", str(out)]) == 0
+    record = json.loads((out / "simulate.json").read_text())
+    assert record["cases"] == []
+    assert record["equations"]
+    assert "controller" in capsys.readouterr().out
 
 
 def test_ladder_and_score_are_printed_recorded_and_reported(

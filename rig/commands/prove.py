@@ -1,0 +1,74 @@
+"""``rig prove``: the blind proof."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+
+@click.command("prove")
+@click.option("--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many.")
+@click.option(
+    "--from",
+    "source",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Campaigns sealed by someone else: rig-NNNN/campaign.yaml and sealed/NNNN.json.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("proof"),
+    show_default=True,
+    help="Folder; one begun before is gone on with.",
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of draws and diagnosis.")
+@click.option("--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each.")
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(
+    rigs: int, source: Path | None, out: Path, jobs: int, seed: int, keep: bool, json_file: Path | None
+) -> None:
+    """Prove the diagnosis blind: draw rigs that hide physics, seal the truth, diagnose, unseal, score.
+
+    The SHA-256 of every sealed truth is printed before the first diagnosis starts.
+
+    \b
+    Example:
+      rig prove --rigs 24 --jobs 2 --out proof
+      rig prove --from sealed-by-others --json proof.json
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.bar import ShareBar
+    from rig.diagnose import diagnose_to_dict
+    from rig.errors import InputError
+    from rig.places import require_file, require_folder
+    from rig.prove import output
+    from rig.prove.run import PROOF_FILE, begin, work
+    from rig.results import Provenance
+    from rig.tables import table
+
+    require_folder(out, "--out")
+    require_file(json_file, "--json")
+    started = time.perf_counter()
+    try:
+        proof = begin(out, rigs, seed, source)
+        for sealed in proof.seals:
+            click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
+        with ShareBar() as bar:
+            rows = work(proof, diagnose_to_dict, jobs, keep, bar)
+        provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or out}: cannot be written: {error.strerror}; give --out another place"
+        ) from error
+    result = output.record(rows, provenance)
+    report = output.write(out, result, provenance, json_file)
+    cells = output.rates(result)
+    click.echo(table(cells.header, cells.rows, cells.right))
+    for line in output.remarks(result):
+        click.echo(line)
+    click.echo(f"report: {report}")

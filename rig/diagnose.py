@@ -1,0 +1,112 @@
+"""From a source to its diagnosis, timed, with its provenance."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identification.corrected.refit import refit
+from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.result import Diagnosis
+from identification.recording import Dataset, RecordingError
+from rig.diagnose_record import diagnosis_record, effects_record
+from rig.errors import InputError
+from rig.model_file import model_of
+from rig.results import Provenance
+from rig.run_record import RUN_FILE
+from rig.sources import load_source
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What ``rig diagnose`` found.
+
+    Attributes:
+        dataset: What was diagnosed.
+        diagnosis: The verdict with its evidence.
+        provenance: Seed, inputs, time.
+    """
+
+    dataset: Dataset
+    diagnosis: Diagnosis
+    provenance: Provenance
+
+
+def diagnose_source(
+    source: Path,
+    seed: int,
+    bandwidth_Hz: float | None = None,
+    progress: Callable[[str, float], None] | None = None,
+    refine: bool = False,
+) -> Outcome:
+    """Diagnose a run folder or campaign file.
+
+    Args:
+        source: Run folder or campaign file.
+        seed: Of the random generator.
+        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings.
+        progress: Called with what is being done and the share that is done.
+        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out.
+
+    Raises:
+        InputError: The source cannot be read, or its recordings cannot be diagnosed.
+    """
+    started = time.perf_counter()
+    if progress is not None:
+        progress("reading", 0.0)
+    dataset = load_source(source)
+    described_by = source / RUN_FILE if source.is_dir() else source
+    try:
+        found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+        if refine:
+            if progress is not None:
+                progress("refining", 0.95)
+            found = refined(dataset, found)
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    seconds = time.perf_counter() - started
+    found = dataclasses.replace(found, seconds=seconds)
+    return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
+
+
+def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis whose nominal parameters are those of the default estimator with the effects taken out.
+
+    Where the recordings do not pin static friction it falls to Coulomb's, and its shift reads None.
+
+    Raises:
+        RecordingError: The recordings cannot pin the nominal model.
+    """
+    record = {"parameters": found.parameters, "alpha": found.alpha, **effects_record(found)}
+    model = model_of(record, [r.name for r in dataset.recordings])
+    result = refit(dataset, model, found.fit.bandwidth_Hz)
+    values = result.values()
+    parameters = {**found.parameters, **values}
+    for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c")):
+        if static in parameters and static not in values:
+            parameters[static] = parameters[coulomb]
+    shift = {n: dataclasses.replace(s, after=values.get(n)) for n, s in found.parameter_shift.items()}
+    notes = tuple(f"refined: {w}" for w in result.warnings)
+    return dataclasses.replace(found, parameters=parameters, parameter_shift=shift, warnings=(*found.warnings, *notes))
+
+
+def as_json(outcome: Outcome) -> dict[str, Any]:
+    """Return the record of ``rig diagnose --json``."""
+    record = diagnosis_record(outcome.diagnosis, outcome.provenance)
+    record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
+    return record
+
+
+def diagnose_to_dict(source: Path, seed: int) -> dict[str, Any]:
+    """Diagnose a source and return the record of ``rig diagnose --json``.
+
+    Raises:
+        InputError: The source cannot be read, or its recordings cannot be diagnosed.
+    """
+    return as_json(diagnose_source(source, seed))

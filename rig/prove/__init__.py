@@ -1,0 +1,1 @@
+"""The blind proof: rigs with concealed physics, sealed, diagnosed, unsealed and scored."""

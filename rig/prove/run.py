@@ -1,0 +1,151 @@
+"""The proof, run: seal every rig, show the digests, then diagnose, unseal and score one after another."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from rig.errors import InputError
+from rig.places import write_json
+from rig.prove.draw import assignment, draw
+from rig.prove.generate import Sealed, place, seal_rig, simulate_rig
+from rig.prove.row import row_of
+from rig.prove.seal import unseal
+from rig.provenance import sha256_file
+
+Diagnose = Callable[[Path, int], Mapping[str, Any]]
+"""From a campaign file and a seed to the record of ``rig diagnose --json``."""
+
+PROOF_FILE = "proof.json"
+ROWS = "rows"
+
+
+class Proof(NamedTuple):
+    """A proof under way.
+
+    Attributes:
+        out: Its folder.
+        source: Where sealed campaigns of someone else are; None where rigs are drawn here.
+        seed: Of draws and diagnosis.
+        seals: Every rig, its truth sealed.
+    """
+
+    out: Path
+    source: Path | None
+    seed: int
+    seals: tuple[Sealed, ...]
+
+    def row_file(self, number: int) -> Path:
+        """Return where a rig's row is kept."""
+        return self.out / ROWS / f"{number:04d}.json"
+
+
+def begin(out: Path, rigs: int, seed: int, source: Path | None) -> Proof:
+    """Seal all rigs, or go on with a proof that was begun in this folder with the same settings.
+
+    Raises:
+        InputError: The folder holds a proof with other settings, or ``source`` no sealed campaigns.
+        OSError: It cannot be written.
+    """
+    settings = {"rigs": rigs, "seed": seed, "from": None if source is None else str(source.resolve())}
+    file = out / PROOF_FILE
+    if file.is_file():
+        begun = json.loads(file.read_text(encoding="utf-8"))
+        if begun["settings"] != settings:
+            raise InputError(
+                f"{out}: holds a proof with other settings, {begun['settings']}; give --out another folder"
+            )
+        home = source or out
+        return Proof(out, source, seed, tuple(place(home, int(n), d) for n, d in begun["seals"].items()))
+    for name in (ROWS, "diagnoses"):
+        (out / name).mkdir(parents=True, exist_ok=True)
+    if source is None:
+        drawn = enumerate(assignment(rigs, seed), start=1)
+        seals = tuple(seal_rig(out, n, draw(kind, names, (seed, n))) for n, (kind, names) in drawn)
+    else:
+        seals = tuple(_given(source))[:rigs]
+        if not seals:
+            raise InputError(f"{source}: no rig-NNNN/campaign.yaml with a sealed/NNNN.json; give --from such a folder")
+    write_json(file, {"settings": settings, "seals": {str(s.number): s.digest for s in seals}})
+    return Proof(out, source, seed, seals)
+
+
+def _given(source: Path) -> Iterator[Sealed]:
+    """Yield the sealed campaigns of a folder."""
+    for truth in sorted((source / "sealed").glob("[0-9]*.json")):
+        if truth.stem.isdecimal():
+            where = place(source, int(truth.stem))
+            if where.campaign.is_file():
+                yield where._replace(digest=sha256_file(truth))
+
+
+def work(
+    proof: Proof, diagnose: Diagnose, jobs: int, keep: bool, progress: Callable[[str, float], None]
+) -> list[dict[str, Any]]:
+    """Diagnose and score what is not done yet; return all rows in the rigs' order.
+
+    Args:
+        proof: As begun.
+        diagnose: Judges a campaign; with more than one job it must be importable.
+        jobs: Processes.
+        keep: Keep the recordings of rigs drawn here once they are scored.
+        progress: Told what is done and how much of it.
+
+    Raises:
+        InputError: A truth was changed after it was sealed.
+        OSError: Something cannot be written.
+    """
+    todo = [s for s in proof.seals if not proof.row_file(s.number).is_file()]
+    done = len(proof.seals) - len(todo)
+    one = partial(prove_rig, proof=proof, diagnose=diagnose, keep=keep)
+    for finished in _each(one, todo, jobs):
+        done += 1
+        progress(f"rig {finished} diagnosed, {done} of {len(proof.seals)}", done / len(proof.seals))
+    return [json.loads(proof.row_file(s.number).read_text(encoding="utf-8")) for s in proof.seals]
+
+
+def _each(one: Callable[[Sealed], int], todo: Sequence[Sealed], jobs: int) -> Iterator[int]:
+    if jobs == 1:
+        yield from map(one, todo)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        try:
+            for future in as_completed([pool.submit(one, sealed) for sealed in todo]):
+                yield future.result()
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def prove_rig(sealed: Sealed, proof: Proof, diagnose: Diagnose, keep: bool) -> int:
+    """Take one rig from its seal to its row; return its number. The truth is opened after the diagnosis."""
+    strengths: dict[str, float] = {}
+    if proof.source is None:
+        kind, names = assignment(len(proof.seals), proof.seed)[sealed.number - 1]
+        strengths = simulate_rig(sealed, draw(kind, names, (proof.seed, sealed.number)))
+    else:
+        beside = sealed.truth.with_suffix(".strength.json")
+        if beside.is_file():
+            strengths = json.loads(beside.read_text(encoding="utf-8"))
+    began = time.perf_counter()
+    diagnosis = diagnose(sealed.campaign, _diagnosis_seed(proof.seed, sealed.number))
+    seconds = time.perf_counter() - began
+    write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", diagnosis)
+    truth = unseal(sealed.truth, sealed.digest)
+    write_json(proof.row_file(sealed.number), row_of(truth, strengths, diagnosis, sealed.digest, seconds))
+    if proof.source is None and not keep:
+        shutil.rmtree(sealed.campaign.parent)
+    return sealed.number
+
+
+def _diagnosis_seed(seed: int, number: int) -> int:
+    """Return a seed for the diagnosis that the draws, which repeat with theirs, cannot be repeated from."""
+    return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])

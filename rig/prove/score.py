@@ -1,0 +1,95 @@
+"""The proof's figures from its rows: rates with intervals, confusion, power against strength."""
+
+from __future__ import annotations
+
+import statistics
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+from typing import Any
+
+from scipy.stats import beta
+
+Row = Mapping[str, Any]
+LEVEL = 0.95
+STRONG = 3.0
+"""From this strength on (rms change over noise in the channel that shows it best) an effect has to be named."""
+EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
+
+
+def rate(hits: int, of: int) -> dict[str, Any]:
+    """Return a share with its Clopper-Pearson interval at 95 %."""
+    tail = (1.0 - LEVEL) / 2.0
+    low = 0.0 if hits == 0 else float(beta.ppf(tail, hits, of - hits + 1))
+    high = 1.0 if hits == of else float(beta.ppf(1.0 - tail, hits + 1, of - hits))
+    return {"n": hits, "of": of, "share": hits / of if of else None, "low": low, "high": high}
+
+
+def count(rows: Sequence[Row], key: str) -> dict[str, Any]:
+    """Return how many rows have ``key`` true."""
+    return rate(sum(bool(row[key]) for row in rows), len(rows))
+
+
+def score(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return the body of ``rig prove --json``."""
+    by_kind: dict[str, list[Row]] = defaultdict(list)
+    for row in rows:
+        by_kind[row["kind"]].append(row)
+    one, two, nothing, outside = (by_kind[kind] for kind in ("one", "two", "nothing", "outside"))
+    strong = [row for row in one if row["strength"] >= STRONG]
+    fractions = [row["oracle_fraction"] for row in one + two if row["oracle_fraction"] is not None]
+    inside = [p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None]
+    placed = [{"right": row["verdict"] == "outside_catalogue"} for row in outside]
+    return {
+        "counts": {kind: len(by_kind[kind]) for kind in ("one", "two", "nothing", "outside")},
+        "top1": count(strong, "top1"),
+        "alias_group": count(strong, "alias"),
+        "top1_all": count(one, "top1"),
+        "alias_group_all": count(one, "alias"),
+        "both_named": count([row for row in two if row["strength"] >= STRONG], "top1"),
+        "both_named_all": count(two, "top1"),
+        "false_alarms": count(nothing, "alarm"),
+        "outside": {**count(placed, "right"), "named_confidently": sum(bool(row["confident"]) for row in outside)},
+        "confusion": confusion(one),
+        "power": power(one),
+        "oracle_fraction": {"median": statistics.median(fractions) if fractions else None, "of": len(fractions)},
+        "worse_than_baseline": worse(rows),
+        "intervals": rate(sum(inside), len(inside)),
+        "most_frequent_class": most_frequent(one),
+        "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
+    }
+
+
+def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
+    """Return true effect -> what it was called first, or the verdict where nothing was -> how often."""
+    table: dict[str, Counter[str]] = defaultdict(Counter)
+    for row in rows:
+        called = row["named"][0]["name"] if row["named"] else row["verdict"]
+        table[row["effects"][0]][called] += 1
+    return {name: dict(sorted(table[name].items())) for name in sorted(table)}
+
+
+def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Return detection and naming against strength, one entry per band that has rigs."""
+    bands = []
+    for low, high in pairwise(EDGES):
+        mine = [row for row in rows if low <= row["strength"] < high]
+        if mine:
+            detected, top1, alias = (count(mine, key) for key in ("alarm", "top1", "alias"))
+            band = {"from": low, "to": None if high == float("inf") else high}
+            bands.append({**band, "detected": detected, "top1": top1, "alias_group": alias})
+    return bands
+
+
+def worse(rows: Sequence[Row]) -> dict[str, Any]:
+    """Return on how many rigs the held-out error rose by more than the noise floor."""
+    known = [row for row in rows if row["validate_final_rms"] is not None and row["validate_baseline_rms"] is not None]
+    margins = [(row, row["noise_floor_rms"] or 0.0) for row in known]
+    return rate(sum(r["validate_final_rms"] > r["validate_baseline_rms"] + m for r, m in margins), len(known))
+
+
+def most_frequent(rows: Sequence[Row]) -> float | None:
+    """Return how often one would be right by always saying what is most frequent."""
+    if not rows:
+        return None
+    return Counter(row["effects"][0] for row in rows).most_common(1)[0][1] / len(rows)

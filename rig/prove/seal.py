@@ -1,0 +1,37 @@
+"""The truth of a rig, sealed: written down and its digest shown before anything is diagnosed."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from rig.errors import InputError
+from rig.places import write_text
+from rig.provenance import sha256
+
+
+def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
+    """Write the truth with a salt, which keeps it from being guessed from the digest; return the SHA-256."""
+    text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
+    write_text(path, text)
+    return sha256(text.encode())
+
+
+def unseal(path: Path, digest: str) -> dict[str, Any]:
+    """Read a truth back and hold it against the digest that was shown.
+
+    Raises:
+        InputError: It is missing, or no longer what was sealed.
+    """
+    if not path.is_file():
+        raise InputError(f"{path}: the sealed truth is missing; generate the rigs anew")
+    content = path.read_bytes()
+    found = sha256(content)
+    if found != digest:
+        raise InputError(
+            f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: discard this rig"
+        )
+    truth: dict[str, Any] = json.loads(content)
+    return truth

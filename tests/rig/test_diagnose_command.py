@@ -1,0 +1,241 @@
+"""``rig diagnose`` as a user runs it, on a hand-made diagnosis of each verdict."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from markupsafe import escape
+
+import rig.diagnose
+from identification.corrected.model import CorrectedModel
+from identification.diagnosis.result import Diagnosis
+from identification.estimate.result import Fit, Identification, Parameter
+from identification.recording import Dataset
+from rig.bench import load_bench
+from rig.cli import status
+from rig.diagnose import diagnose_to_dict
+
+from .diagnoses import AMBIGUOUS, EACH, NAMED
+
+PLAIN = dataclasses.replace(NAMED, maps=(), traces=())
+"""Without figures, for tests that look at none."""
+CAMPAIGN = """\
+campaign: 1
+bench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, lever_ratio: 10}
+defaults: {channels: {time: t, angle: q, current: i}}
+recordings:
+  - {file: free.csv, stage: unloaded}
+  - {file: heavy.csv, stage: loaded, weight_mass: 30.6}
+  - {file: later.csv, stage: unloaded, role: validate}
+"""
+
+
+@pytest.fixture
+def campaign(tmp_path: Path) -> Path:
+    time = np.arange(400) / 100.0
+    for name in ("free", "heavy", "later"):
+        rows = np.column_stack([time, 0.3 * np.sin(2.0 * time), 2.0 + np.cos(2.0 * time)])
+        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q,i", comments="", fmt="%.9g")
+    path = tmp_path / "bench.yaml"
+    path.write_text(CAMPAIGN)
+    return path
+
+
+@pytest.fixture
+def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], list[tuple[float | None, float]]]:
+    """Make the numerics return a given diagnosis; returns what they are called with."""
+
+    def arrange(diagnosis: Diagnosis) -> list[tuple[float | None, float]]:
+        calls: list[tuple[float | None, float]] = []
+
+        def numerics(
+            dataset: Dataset, *, bandwidth_Hz: float | None, rng: np.random.Generator, progress: object
+        ) -> Diagnosis:
+            assert [r.role for r in dataset.recordings] == ["fit", "fit", "validate"]
+            calls.append((bandwidth_Hz, float(rng.random())))
+            return diagnosis
+
+        monkeypatch.setattr(rig.diagnose, "diagnose", numerics)
+        return calls
+
+    return arrange
+
+
+Arrange = Callable[[Diagnosis], list[tuple[float | None, float]]]
+
+
+@pytest.mark.parametrize("verdict", list(EACH))
+def test_every_verdict_is_printed_written_and_drawn(
+    verdict: str, campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
+) -> None:
+    diagnosis = EACH[verdict]
+    found(diagnosis)
+    out, file = tmp_path / "out", tmp_path / "result.json"
+    assert status(["diagnose", str(campaign), "--out", str(out), "--json", str(file)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert diagnosis.statement in printed
+    record = json.loads(file.read_text())
+    assert record == json.loads((out / "diagnose.json").read_text())
+    assert record["verdict"] == verdict
+    page = (out / "report.html").read_text()
+    assert page.index(str(escape(diagnosis.statement))) < page.index("<h2>")
+    assert not re.search(r"https?://|<script|<link|url\(", page)
+    drawn = {path.stem for path in (out / "figures").iterdir()}
+    assert {"maps_transmission", "maps_torque", f"mismatch_{diagnosis.fit.equation}_later"} <= drawn
+    assert ("missing" in drawn) is (verdict == "outside_catalogue")
+    assert page.count("<img") == len(drawn)
+
+
+def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arrange) -> None:
+    found(PLAIN)
+    record = diagnose_to_dict(campaign, 3)
+    json.dumps(record, allow_nan=False)
+    assert record["schema"] == "loadrig.diagnose/1"
+    assert record["seed"] == 3
+    assert {Path(entry["file"]).name for entry in record["inputs"]} == {
+        "bench.yaml", "free.csv", "heavy.csv", "later.csv",
+    }  # fmt: skip
+    effect = record["effects"][0]
+    assert set(effect) == {
+        "name", "alias_group", "confidence", "statement", "assumption_broken", "where", "parameters", "rivals",
+        "separating_experiment",
+    }  # fmt: skip
+    assert effect["where"]["ranges"] == [[0.0, 0.0073]]
+    assert (
+        effect["parameters"]["gap_rad"]["low"]
+        < effect["parameters"]["gap_rad"]["value"]
+        == pytest.approx(0.00733, rel=1e-3)
+    )
+    assert effect["parameters"]["gap_rad"]["unit"] == "rad"
+    assert [r["name"] for r in effect["rivals"]] == ["compliance", "transport_delay"]
+    assert {
+        "unit", "bandwidth_Hz", "baseline_rms", "final_rms", "noise_floor_rms", "validate_baseline_rms",
+        "validate_final_rms",
+    } <= set(record["fit"])  # fmt: skip
+    assert record["parameter_shift"]["J"] == {"before": None, "after": 0.204, "unit": "kg m^2"}
+    assert record["p_value"] == 0.0005
+
+
+def test_what_is_printed_has_values_rivals_errors_and_shifts(
+    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found(PLAIN)
+    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out")]) == 0
+    printed = capsys.readouterr().out
+    assert "0.42 deg (0.39 to 0.45)" in printed
+    assert "0 to 0.418 deg" in printed
+    lines = [" ".join(line.split()) for line in printed.splitlines()]
+    assert "backlash compliance 0.03 the lag does not grow with the torque: p = 0.002" in lines
+    assert "torque never used 0.62 0.09 0.08 N m 20 Hz" in lines
+    assert "Mc 7.1 6.8 -4.23 % N m" in lines
+    assert "J - 0.204 - kg m^2" in lines
+    assert "warning: free: 3 % of the samples are <unused>" in lines
+
+
+def test_an_alias_group_comes_with_the_experiment_that_splits_it(
+    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found(dataclasses.replace(AMBIGUOUS, maps=(), traces=()))
+    out = tmp_path / "out"
+    assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "these recordings cannot reject it" in printed
+    assert "to split current_offset, asymmetric_coulomb: " in printed
+    assert AMBIGUOUS.effects[0].separating_experiment in printed
+    assert "These recordings cannot tell it from asymmetric_coulomb." in (out / "report.html").read_text()
+
+
+def test_the_sequence_that_splits_the_group_lies_beside_the_report(
+    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found(dataclasses.replace(AMBIGUOUS, maps=(), traces=()))
+    out = tmp_path / "out"
+    assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
+    assert "<code>split.yaml</code>: splits current_offset, asymmetric_coulomb" in (out / "report.html").read_text()
+    capsys.readouterr()
+    assert status(["run", str(out / "split.yaml"), "--dry-run"]) == 0
+    assert "held-from-below" in capsys.readouterr().out
+
+
+def test_the_corrected_model_lies_beside_the_report(
+    campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found(PLAIN)
+    out = tmp_path / "out"
+    assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
+    assert "gap_rad: 0.0073" in (out / "model.yaml").read_text()
+    assert "(backlash, {'gap_rad': 0.0073" in (out / "model.py").read_text()
+    # The campaign does not say what a simulated motor needs.
+    assert "note: a simulated bench needs resistance_ohm" in capsys.readouterr().out
+    assert not (out / "bench.yaml").exists()
+    text = campaign.read_text().replace(
+        "bench: {", "bench: {resistance: 1.56, inductance: 0.001, back_emf_constant: 0.026, "
+    )
+    campaign.write_text(text)
+    assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
+    hidden = load_bench(out / "bench.yaml").value.mock
+    assert hidden is not None
+    assert hidden.effects["quadratic_drag"] == {"coefficient_Nms2_rad2": 1.9}
+
+
+def test_text_is_escaped(campaign: Path, tmp_path: Path, found: Arrange) -> None:
+    found(PLAIN)
+    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out")]) == 0
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "&lt;unused&gt;" in page
+    assert "<unused>" not in page
+
+
+def test_seed_and_bandwidth_reach_the_numerics(campaign: Path, tmp_path: Path, found: Arrange) -> None:
+    calls = found(PLAIN)
+    for _ in range(2):
+        assert (
+            status(["diagnose", str(campaign), "--seed", "5", "--bandwidth", "12", "--out", str(tmp_path / "o")]) == 0
+        )
+    assert calls[0] == calls[1] == (12.0, np.random.default_rng(5).random())
+
+
+def test_no_such_source(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["diagnose", str(tmp_path / "nothing")]) == 2
+    assert "nothing" in capsys.readouterr().err
+
+
+def test_places_are_judged_before_the_work(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = tmp_path / "missing" / "r.json"
+    assert status(["diagnose", str(campaign), "--json", str(missing)]) == 2
+    assert f"{missing}: the folder {missing.parent} does not exist" in capsys.readouterr().err
+
+
+def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["diagnose", "--help"]) == 0
+    assert "rig diagnose runs/demo" in capsys.readouterr().out
+
+
+def test_refined_values_take_the_place_of_the_search_s(
+    campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found(PLAIN)
+    values = {"Mc": 6.7, "mu_c": 0.053, "J": 0.21, "mu_s": None}
+    parameters = {n: Parameter(n, "", v, identifiable=v is not None) for n, v in values.items()}
+    taken_out: list[tuple[str, ...]] = []
+
+    def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+        taken_out.append(tuple(model.effects))
+        return Identification("default", "rotary", 2.0, parameters, Fit("N m", bandwidth_Hz, 0.1, 0.01), (), ("hm",))
+
+    monkeypatch.setattr(rig.diagnose, "refit", refit)
+    file = tmp_path / "found.json"
+    arguments = ["diagnose", str(campaign), "--refine", "--out", str(tmp_path / "out"), "--json", str(file)]
+    assert status(arguments) == 0
+    record = json.loads(file.read_text())
+    assert taken_out == [("backlash", "quadratic_drag")]
+    assert (record["parameters"]["Mc"], record["parameters"]["J"]) == (6.7, 0.21)
+    assert record["parameters"]["mu_s"] == 0.053
+    assert record["parameter_shift"]["Mc"] == {"before": 7.1, "after": 6.7, "unit": "N m"}
+    assert record["warnings"][-1] == "refined: hm"

@@ -1,0 +1,46 @@
+"""``rig effects`` as a user runs it."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from identification.diagnosis.entries import ENTRIES
+from rig.catalogue import CATALOGUE, EFFECTS, GAS_GENERATOR
+from rig.cli import status
+
+
+def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["effects"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in lines[2:]] == list(ENTRIES)
+    assert max(map(len, lines)) <= 130
+
+
+def test_one_entry_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["effects", "backlash"]) == 0
+    words = " ".join(capsys.readouterr().out.split())
+    entry = ENTRIES["backlash"]
+    for part in (entry.equation, entry.assumption, entry.coordinate, entry.experiment, *entry.look_alikes):
+        assert part in words
+    assert "gap_rad: plausible from 0 to 0.1 rad" in words
+
+
+def test_the_record_holds_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "effects.json"
+    assert status(["effects", "--json", str(file)]) == 0
+    record = json.loads(file.read_text())
+    assert record["schema"] == "loadrig.effects/1"
+    assert [e["name"] for e in record["effects"]] == list(ENTRIES)
+    assert all(e["parameters"] and e["separating_experiment"] for e in record["effects"])
+    assert capsys.readouterr().out
+
+
+def test_a_misspelt_name_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["effects", "backlsh"]) == 2
+    assert "did you mean 'backlash'?" in capsys.readouterr().err
+
+
+def test_a_campaign_may_declare_every_effect_and_those_of_the_gas_generator() -> None:
+    assert (*ENTRIES, *GAS_GENERATOR) == EFFECTS
+    assert list(CATALOGUE) == ["motor", "transmission", "friction", "device", "sensing", "gas generator"]

@@ -1,0 +1,142 @@
+"""Close the loop: a simulated bench made from a result reproduces the recording that the result describes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from identification.recording import Bench as Constants
+from rig.bench import Bench, load_bench
+from rig.cli import status
+from rig.errors import InputError
+from rig.model_bench import base_bench, bench_text, model_bench
+from rig.model_file import model_of
+from rig.run import bench_constants, load_run
+
+SEQUENCE = """\
+sequence: 1
+name: short
+stages:
+  - {name: free, stage: unloaded, tones: [{amplitude_deg: 8, frequency_Hz: 0.5}], duration_s: 2.5}
+"""
+NOMINAL = {
+    "J": 0.21, "Mc": 5.9, "Ms": 10.1, "omega_sf": 0.061, "sigma_2": 4.4, "mu_c": 0.05, "mu_s": 0.08,
+    "omega_sL": 0.03, "mu_2": 0.03,
+}  # fmt: skip
+EFFECTS = {
+    "asymmetric_coulomb": {"torque_Nm": 0.9},
+    "cogging": {"torque_Nm": 0.7, "per_motor_turn": 7.0, "phase_rad": 0.4},
+}
+
+
+CURVE = {
+    "equation": "torque", "coordinate": "angle", "unit": "rad", "residual_unit": "N m", "grid": [0.0, 1.0],
+    "value": [0.0, 1.0],
+}  # fmt: skip
+
+
+def record(effects: dict[str, dict[str, float]], **more: Any) -> dict[str, Any]:
+    """A result of ``rig diagnose``, as far as it holds the model."""
+    where = {"recordings": ["b"]}
+    listed = [
+        {"name": name, "where": where, "parameters": {k: {"value": v} for k, v in given.items()}}
+        for name, given in effects.items()
+    ]
+    return {"parameters": NOMINAL, "alpha": 1.8, "effects": listed, **more}
+
+
+def run(tmp_path: Path, name: str, bench: dict[str, Any]) -> Path:
+    (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(bench))
+    (tmp_path / "short.yaml").write_text(SEQUENCE)
+    out = tmp_path / name
+    assert (
+        status(
+            ["run", str(tmp_path / "short.yaml"), "--bench", str(tmp_path / f"{name}.yaml"), "--yes", "--out", str(out)]
+        )
+        == 0
+    )
+    return out
+
+
+def test_the_loop_is_closed(tmp_path: Path) -> None:
+    hidden = base_bench(tmp_path)
+    hidden["mock"]["joint"] |= {
+        "inertia_kg_m2": 0.21, "Mc_N_m": 5.9, "Ms_N_m": 10.1, "omega_sf_rad_s": 0.061, "sigma_2_N_m_s_rad": 4.4,
+        "mu_c": 0.05, "mu_s": 0.08, "omega_sL_rad_s": 0.03, "mu_2_s_rad": 0.03, "alpha": 1.8,
+    }  # fmt: skip
+    hidden["mock"]["effects"] = EFFECTS
+    recorded = run(tmp_path, "hidden", hidden)
+    (original,) = load_run(recorded).recordings
+    bench, notes = model_bench(base_bench(recorded), model_of(record(EFFECTS), ["free"]), original.bench)
+    assert notes == []
+    (again,) = load_run(run(tmp_path, "corrected", bench)).recordings
+    for channel in ("angle", "motor_angle", "current"):
+        assert np.array_equal(again.channels[channel], original.channels[channel]), channel
+    plain, _ = model_bench(base_bench(recorded), model_of(record({}), ["free"]), original.bench)
+    (nominal,) = load_run(run(tmp_path, "nominal", plain)).recordings
+    assert np.max(np.abs(nominal.channels["current"] - original.channels["current"])) > 0.3
+
+
+def test_what_belongs_to_one_recording_names_its_place() -> None:
+    constants = bench_constants(load_bench("practical").value)
+    bench, _ = model_bench(
+        base_bench(Path()), model_of(record({"wrong_weight": {"mass_kg": 24.0}}), ["a", "b"]), constants
+    )
+    assert bench["mock"]["effects"] == {"wrong_weight": {"mass_kg": 24.0, "recording": 2.0}}
+
+
+def test_what_the_machine_cannot_be_is_told_and_left_out() -> None:
+    constants = bench_constants(load_bench("practical").value)
+    found = record({"time_skew": {"time_s": -0.002}, "backlash": {"gap_rad": 0.006}}, curve=CURVE)
+    bench, notes = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
+    assert bench["mock"]["effects"] == {"backlash": {"gap_rad": 0.006}}
+    assert notes[0].startswith("time_skew is left out of the simulated bench: time_skew.time_s: must be within 0 to")
+    assert "empirical curve" in notes[1]
+
+
+def test_the_file_is_a_bench_that_says_what_it_lacks(tmp_path: Path) -> None:
+    constants = bench_constants(load_bench("practical").value)
+    bench, _ = model_bench(base_bench(tmp_path), model_of(record(EFFECTS), ["a"]), constants)
+    file = tmp_path / "bench.yaml"
+    file.write_text(bench_text(bench, ["one note"]))
+    assert "# one note" in file.read_text()
+    read = load_bench(file).value
+    assert read.mock is not None
+    assert read.mock.joint.Mc_N_m == 5.9
+    assert read.mock.effects["cogging"]["torque_Nm"] == 0.7
+
+
+def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
+    constants = bench_constants(load_bench("practical").value)
+    found = record({}) | {"parameters": {n: v for n, v in NOMINAL.items() if not n.startswith("mu_")}}
+    bench, _ = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
+    assert bench["mock"]["joint"]["mu_c"] == bench["mock"]["joint"]["mu_s"] == 0.0
+    Bench.model_validate_json(json.dumps(bench), strict=True)
+
+
+def test_a_result_of_an_identification_will_do() -> None:
+    constants = bench_constants(load_bench("practical").value)
+    found = {"parameters": {name: {"value": value, "unit": ""} for name, value in NOMINAL.items()}, "alpha": 2.0}
+    bench, _ = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
+    assert bench["mock"]["joint"]["Ms_N_m"] == 10.1
+    assert bench["mock"]["effects"] == {}
+
+
+@pytest.mark.parametrize(
+    ("constants", "found", "why"),
+    [
+        (Constants(), record({}), "resistance_ohm"),
+        (None, record({}) | {"parameters": NOMINAL | {"J": None}}, "needs J"),
+        (Constants(motion="linear"), record({}), "which the result"),
+    ],
+)
+def test_what_a_machine_needs_is_asked_for(constants: Constants | None, found: dict[str, Any], why: str) -> None:
+    with pytest.raises(InputError, match=why):
+        model_bench(
+            base_bench(Path()), model_of(found, ["a"]), constants or bench_constants(load_bench("practical").value)
+        )

@@ -1,0 +1,206 @@
+"""The proof's machinery, with diagnoses that are made up: sealed before, opened after, scored right, gone on with."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.cli import status
+from rig.errors import InputError
+from rig.prove import run as proving
+from rig.prove.draw import assignment
+from rig.prove.row import row_of
+from rig.prove.score import confusion, power, rate, score, worse
+
+SEED = 3
+
+
+def effect(name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **parameters: Any) -> dict[str, Any]:
+    return {"name": name, "alias_group": list(group), "confidence": confidence, "parameters": parameters}
+
+
+def diagnosed(*effects: dict[str, Any], verdict: str = "named", after: float = 0.2) -> dict[str, Any]:
+    return {
+        "verdict": verdict,
+        "effects": list(effects),
+        "fit": {"validate_baseline_rms": 1.0, "validate_final_rms": after, "noise_floor_rms": 0.1},
+        "parameter_shift": {"Mc": {"before": 7.7, "after": 7.0, "unit": "N m"}},
+        "p_value": 0.001,
+    }
+
+
+def truth(kind: str, **effects: dict[str, float]) -> dict[str, Any]:
+    return {"rig": 1, "kind": kind, "effects": effects, "parameters": {"Mc": 7.0}}
+
+
+def scored(
+    kind: str, diagnosis: Mapping[str, Any], strength: float = 5.0, **effects: dict[str, float]
+) -> dict[str, Any]:
+    return row_of(truth(kind, **effects), {"current": strength, "angle": 0.1}, diagnosis, "digest", 1.0)
+
+
+GAP = {"gap_rad": 0.01}
+NOTHING = diagnosed(verdict="nothing_missing")
+
+
+def test_a_name_counts_only_where_it_stands_first() -> None:
+    right = scored("one", diagnosed(effect("backlash"), effect("compliance", 0.3)), backlash=GAP)
+    second = scored("one", diagnosed(effect("compliance"), effect("backlash")), backlash=GAP)
+    aliased = scored("one", diagnosed(effect("compliance", group=("compliance", "backlash"))), backlash=GAP)
+    missed = scored("one", NOTHING, backlash=GAP)
+    assert [(r["top1"], r["alias"], r["alarm"]) for r in (right, second, aliased, missed)] == [
+        (True, True, True),
+        (False, False, True),
+        (False, True, True),
+        (False, False, False),
+    ]
+    assert right["strength"] == 5.0
+
+
+def test_of_two_effects_both_must_be_named() -> None:
+    one, other = effect("backlash"), effect("cogging")
+    both = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
+    assert scored("two", diagnosed(other, one), **both)["top1"] is True
+    assert scored("two", diagnosed(one), **both)["top1"] is False
+
+
+def test_a_confident_name_outside_the_catalogue_is_kept_account_of() -> None:
+    rows = [
+        scored("outside", diagnosed(verdict="outside_catalogue"), x_bursts={"torque_Nm": 1.0}),
+        scored("outside", diagnosed(effect("cogging", 0.91)), x_bursts={"torque_Nm": 1.0}),
+        scored("outside", diagnosed(effect("cogging", 0.6)), x_bursts={"torque_Nm": 1.0}),
+    ]
+    assert score(rows)["outside"] == {**rate(1, 3), "named_confidently": 1}
+    assert rows[0]["top1"] is None
+
+
+def test_parameters_are_held_against_their_intervals() -> None:
+    estimate = {"value": 0.011, "low": 0.0105, "high": 0.012, "unit": "rad"}
+    row = scored("one", diagnosed(effect("backlash", gap_rad=estimate)), backlash=GAP)
+    assert row["parameters"]["backlash.gap_rad"]["inside"] is False
+    assert row["nominal"]["Mc"] == {"before": pytest.approx(0.1), "after": 0.0}
+    assert score([row])["intervals"]["n"] == 0
+
+
+def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
+    assert scored("one", diagnosed(effect("backlash"), after=0.19), backlash=GAP)["oracle_fraction"] == pytest.approx(
+        0.9
+    )
+    rows = [scored("one", diagnosed(after=after), backlash=GAP) for after in (1.05, 1.2)]
+    assert worse(rows)["n"] == 1
+
+
+def test_clopper_pearson() -> None:
+    """Values of the closed forms at the ends, and of a table in between."""
+    assert rate(0, 200)["high"] == pytest.approx(1.0 - 0.025 ** (1 / 200))
+    assert rate(200, 200)["low"] == pytest.approx(0.025 ** (1 / 200))
+    assert rate(3, 200)["low"] == pytest.approx(0.0031, abs=1e-4)
+    assert rate(3, 200)["high"] == pytest.approx(0.0432, abs=1e-4)
+    assert rate(0, 0)["share"] is None
+
+
+def test_power_and_confusion_split_the_rigs() -> None:
+    rows = [
+        scored("one", NOTHING, 0.5, backlash=GAP),
+        scored("one", diagnosed(effect("compliance")), 2.0, backlash=GAP),
+        scored("one", diagnosed(effect("backlash")), 50.0, backlash=GAP),
+    ]
+    assert [(b["from"], b["to"], b["detected"]["n"], b["top1"]["n"]) for b in power(rows)] == [
+        (0.3, 1.0, 0, 0),
+        (1.0, 3.0, 1, 0),
+        (30.0, None, 1, 1),
+    ]
+    assert confusion(rows) == {"backlash": {"backlash": 1, "compliance": 1, "nothing_missing": 1}}
+    assert score(rows)["top1"] == rate(1, 1)
+    assert score(rows)["top1_all"] == rate(1, 3)
+
+
+def clairvoyant(source: Path, seed: int) -> dict[str, Any]:
+    """Name what is hidden, as no diagnosis could: the draws repeat with their seed."""
+    assert source.is_file()
+    assert seed != SEED  # or the draws could be repeated
+    kind, names = assignment(3, SEED)[int(source.parent.name.removeprefix("rig-")) - 1]
+    verdict = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind, "named")
+    return diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have rigs of which nothing but a campaign file is simulated."""
+
+    def simulate(where: Any, rig: Any) -> dict[str, float]:
+        where.campaign.parent.mkdir(parents=True)
+        where.campaign.write_text("campaign: 1\n")
+        return {"current": 4.0} if rig.machine.effects else {}
+
+    monkeypatch.setattr(proving, "simulate_rig", simulate)
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_proof_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    opened: list[str] = []
+    diagnosing: list[str] = []
+
+    def diagnose(source: Path, seed: int) -> dict[str, Any]:
+        diagnosing.append(capsys.readouterr().out)
+        assert len(opened) == len(diagnosing) - 1
+        return clairvoyant(source, seed)
+
+    unseal = proving.unseal
+    monkeypatch.setattr(proving, "unseal", lambda path, digest: opened.append(path.name) or unseal(path, digest))
+    monkeypatch.setattr("rig.diagnose.diagnose_to_dict", diagnose)
+    out = tmp_path / "proof"
+    arguments = ["prove", "--rigs", "3", "--seed", str(SEED), "--out", str(out), "--json", str(tmp_path / "p.json")]
+    assert status(arguments) == 0
+    seals = json.loads((out / "proof.json").read_text())["seals"]
+    assert all(digest in diagnosing[0] for digest in seals.values())  # printed before the first diagnosis
+    result = json.loads((tmp_path / "p.json").read_text())
+    assert result["schema"] == "loadrig.prove/1"
+    assert sum(result["counts"].values()) == 3
+    assert result["top1"]["n"] == result["top1"]["of"] > 0
+    assert {row["sha256"] for row in result["rigs"]} == set(seals.values())
+    assert not list(out.glob("rig-*"))
+    assert "named first" in (out / "report.html").read_text()
+
+    (out / "rows" / "0002.json").unlink()
+    capsys.readouterr()
+    diagnosing.clear()
+    opened.clear()
+    assert status(arguments) == 0
+    assert len(diagnosing) == 1  # the others were kept
+    again = json.loads((tmp_path / "p.json").read_text())
+    assert [r["effects"] for r in again["rigs"]] == [r["effects"] for r in result["rigs"]]
+    assert status([*arguments[:2], "4", *arguments[3:]]) == 2
+    assert "holds a proof with other settings" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("quick")
+def test_campaigns_sealed_by_someone_else(tmp_path: Path) -> None:
+    theirs, ours = tmp_path / "theirs", tmp_path / "ours"
+    proof = proving.begin(theirs, 3, SEED, None)
+    for sealed in proof.seals:
+        sealed.campaign.parent.mkdir()
+        sealed.campaign.write_text("campaign: 1\n")
+    given = proving.begin(ours, 600, SEED, theirs)
+    assert [s.digest for s in given.seals] == [s.digest for s in proof.seals]
+    rows = proving.work(given, clairvoyant, 1, False, lambda what, share: None)
+    assert all(row["alarm"] is (row["kind"] != "nothing") for row in rows)
+    assert all(sealed.campaign.is_file() for sealed in given.seals)  # what is not ours stays
+    with pytest.raises(InputError, match="no rig-NNNN"):
+        proving.begin(tmp_path / "other", 3, SEED, tmp_path / "ours")
+
+
+@pytest.mark.usefixtures("quick")
+def test_a_truth_changed_between_seal_and_score_stops_the_proof(tmp_path: Path) -> None:
+    proof = proving.begin(tmp_path, 3, SEED, None)
+    path = proof.seals[0].truth
+    path.write_text(path.read_text().replace('"rig": 1', '"rig": 9'))
+    with pytest.raises(InputError, match="the truth was changed"):
+        proving.work(proof, clairvoyant, 1, False, lambda what, share: None)
+    assert not proof.row_file(1).exists()

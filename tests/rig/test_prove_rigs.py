@@ -1,0 +1,148 @@
+"""Blind rigs: what is drawn, what is written, and that nothing written tells what is hidden."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.mock.plant.effects.outside import OUTSIDE
+from drivers.mock.plant.effects.pack import effect_vector, problems
+from drivers.mock.plant.effects.table import CATALOGUE
+from rig.errors import InputError
+from rig.prove.draw import Kind, Rig, apportion, assignment, draw
+from rig.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
+from rig.prove.folder import write
+from rig.prove.seal import seal, unseal
+from rig.prove.simulate import campaign, strength
+from rig.prove.sizes import OUTSIDE_SIZES, SIZES
+from rig.sources import load_source
+from rig.truth import true_parameters
+
+HIDES = ("backlash", "asymmetric_coulomb")
+
+
+PROBES: dict[Kind, tuple[str, ...]] = {"nothing": (), "one": ("cogging",), "outside": ("x_bursts",)}
+
+
+def short(rig: Rig) -> tuple[Rig, list[Experiment]]:
+    """Return a rig with its first and last experiments only, two seconds of each."""
+    plan = [e._replace(command=e.command[:2000]) for e in (experiments()[0], experiments()[3], experiments()[-1])]
+    return rig._replace(pauses_s=rig.pauses_s[:3]), plan
+
+
+@pytest.mark.parametrize("name", [*SIZES, *OUTSIDE_SIZES])
+def test_every_draw_is_one_that_the_machine_takes(name: str) -> None:
+    for seed in range(20):
+        machine = draw("one", (name,), (seed, 1)).machine
+        assert list(problems(machine.effects)) == []
+        assert effect_vector(machine).size
+        assert machine.joint.Ms_N_m > machine.joint.Mc_N_m
+        assert machine.joint.mu_s > machine.joint.mu_c
+
+
+def test_every_effect_can_be_drawn() -> None:
+    assert CATALOGUE.keys() == SIZES.keys()
+    assert OUTSIDE_SIZES.keys() == OUTSIDE.keys()
+
+
+def test_draws_repeat_with_their_seed_and_differ_without() -> None:
+    assert draw("one", HIDES, (1, 2)) == draw("one", HIDES, (1, 2))
+    assert draw("one", HIDES, (1, 2)).machine.effects != draw("one", HIDES, (1, 3)).machine.effects
+
+
+def test_a_full_proof_goes_round_the_catalogue() -> None:
+    drawn = assignment(600, 4)
+    kinds = Counter(kind for kind, _ in drawn)
+    assert kinds == {"one": 300, "nothing": 200, "two": 60, "outside": 40}
+    singles = Counter(names for kind, names in drawn if kind == "one")
+    assert len(singles) == len(SIZES)
+    assert max(singles.values()) - min(singles.values()) <= 1
+    assert all(len(set(names)) == 2 for kind, names in drawn if kind == "two")
+
+
+@pytest.mark.parametrize("rigs", [1, 7, 12, 599])
+def test_any_number_of_rigs_is_shared_out(rigs: int) -> None:
+    assert sum(apportion(rigs).values()) == rigs == len(assignment(rigs, 0))
+
+
+def test_the_experiments_stay_within_the_bench() -> None:
+    plan = experiments()
+    assert Counter(e.role for e in plan) == {"fit": 8, "validate": 4}
+    assert len({e.weight_kg for e in plan}) == 4
+    for e in plan:
+        assert len(e.command) == round(30.0 / CYCLE_S)
+        assert np.max(np.abs(e.command)) <= WIDE
+        assert np.max(np.abs(np.diff(e.command))) / CYCLE_S < np.deg2rad(115.0)
+        assert np.max(np.abs(np.diff(e.command, 2))) / CYCLE_S**2 < 45.0
+        assert abs(e.command[0]) < 1e-9
+        assert abs(e.command[-1]) < 1e-4
+
+
+def test_the_folder_reads_as_a_campaign_and_tells_nothing(tmp_path: Path) -> None:
+    rig, plan = short(draw("two", HIDES, (3, 1)))
+    recorded = campaign(rig, plan)
+    path = write(tmp_path / "rig", rig.machine, recorded)
+    dataset = load_source(path)
+    assert [r.weight_mass for r in dataset.recordings] == [0.0, 10.0, 0.0]
+    starts = [float(r.channels["time"][0]) for r in dataset.recordings]
+    assert np.all(np.diff(starts) > 2.0 + 15.0)
+    assert dataset.recordings[0].averaged == {"current", "voltage"}
+    np.testing.assert_array_equal(dataset.recordings[1].channels["angle"], recorded[1].samples.angle)
+    text = path.read_text()
+    hidden = [str(v) for given in rig.machine.effects.values() for v in given.values()]
+    hidden += [str(v) for v in true_parameters(rig.machine).values()]
+    assert not [word for word in (*HIDES, *hidden, str(rig.seed)) if word in text]
+    assert {p.suffix for p in path.parent.iterdir()} == {".yaml", ".npz"}
+
+
+def test_the_kind_of_load_tells_nothing() -> None:
+    loads = {kind: [draw(kind, names, (5, k)).gravity for k in range(60)] for kind, names in PROBES.items()}
+    assert all(0 < sum(gravity) < 20 for gravity in loads.values())
+    assert draw("one", ("load_dependent_friction",), (5, 1)).gravity
+    assert not any(draw("one", ("load_swing",), (5, k)).gravity for k in range(60))
+
+
+def test_a_gravity_bench_says_what_turns_with_the_joint(tmp_path: Path) -> None:
+    rig, _ = short(draw("one", ("load_dependent_friction",), (3, 1)))
+    plan = [e._replace(command=e.command[:3000]) for e in (experiments(True)[0], experiments(True)[3])]
+    rig = rig._replace(pauses_s=rig.pauses_s[:2])
+    held = campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
+    dataset = load_source(write(tmp_path / "rig", rig.machine, held))
+    assert [(r.stage, r.weight_mass) for r in dataset.recordings] == [("unloaded", 0.0)] * 2
+    assert [r.pendulum.zero for r in dataset.recordings if r.pendulum] == [0.0, -0.8]
+    tilted = held[1].samples
+    moving = tilted.velocity > 0.2
+    friction = 3.0 * np.mean(tilted.current[moving])
+    weight = 10.0 * 9.80665 * 0.1 * np.mean(np.sin(tilted.angle[moving] + 0.8))
+    backward = 3.0 * np.mean(tilted.current[tilted.velocity < -0.2])
+    assert friction + backward == pytest.approx(2.0 * weight, rel=0.15)
+
+
+def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
+    rig, plan = short(draw("one", ("asymmetric_coulomb",), (3, 1)))
+
+    def current(torque_Nm: float) -> float:
+        hides = {"asymmetric_coulomb": {"torque_Nm": torque_Nm}}
+        hiding = rig._replace(machine=replace(rig.machine, effects=hides))
+        return strength(hiding, campaign(hiding, plan), plan)["current"]
+
+    assert current(0.0) == 0.0
+    assert current(2.0) > 3.0 * current(0.02)
+
+
+def test_a_truth_that_was_changed_is_found_out(tmp_path: Path) -> None:
+    path = tmp_path / "0001.json"
+    digest = seal(path, {"kind": "one", "effects": {"backlash": {"gap_rad": 0.01}}}, "salt")
+    assert unseal(path, digest)["effects"] == {"backlash": {"gap_rad": 0.01}}
+    assert seal(tmp_path / "other.json", {"kind": "nothing", "effects": {}}, "salt") != digest
+    changed = {**json.loads(path.read_text()), "effects": {}}
+    path.write_text(json.dumps(changed))
+    with pytest.raises(InputError, match="the truth was changed"):
+        unseal(path, digest)
+    with pytest.raises(InputError, match="missing"):
+        unseal(tmp_path / "0002.json", digest)
