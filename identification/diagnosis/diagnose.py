@@ -14,6 +14,7 @@ import numpy as np
 
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation, equations
+from identification.diagnosis.generic import LINEAR_UNITS
 from identification.diagnosis.joint import Joint, estimates, fit, pinned
 from identification.diagnosis.locate import curve, location, maps
 from identification.diagnosis.nominal import Nominal
@@ -37,7 +38,7 @@ from identification.diagnosis.wording import finding, title
 from identification.estimate.assemble import units_of
 from identification.estimate.default import free_names, solve_stages
 from identification.prepare import default_bandwidth, prepare, torque_unit
-from identification.recording import Dataset, Recording, RecordingError
+from identification.recording import Bench, Dataset, Recording, RecordingError
 
 GREATEST_BANDWIDTH_HZ = 25.0
 """Above this hardly any effect of the catalogue adds to what is below, and noise does."""
@@ -213,6 +214,11 @@ def _effects(found: Search, verdict: Verdict) -> tuple[Effect, ...]:
     )
 
 
+def own_bench(found: Search) -> Bench:
+    """Return the bench that was diagnosed."""
+    return found.baseline.equations[0].views[0].recording.bench
+
+
 def _effect(
     found: Search,
     k: int,
@@ -222,7 +228,8 @@ def _effect(
     excess: Mapping[str, _Excess],
 ) -> Effect:
     entry = ENTRIES[name]
-    units = {q.name: q.unit for q in entry.parameters}
+    linear = own_bench(found).motion == "linear"
+    units = {q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
     stack = found.baseline.stack
     own = max(

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from identification.diagnosis.equations import Equation
-from identification.diagnosis.generic import COORDINATES, Coordinate, edges
+from identification.diagnosis.generic import COORDINATES, LINEAR_UNITS, Coordinate, edges
 from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.stack import Stack
 from identification.diagnosis.view import View
@@ -102,13 +102,14 @@ def _map(
     spread[spread == 0.0] = 1e-300
     drawn = np.abs(rng.choice((-1.0, 1.0), size=(DRAWS, blocks)) @ sums) / spread
     wide = float(np.quantile(np.max(drawn, axis=1), CONFIDENCE)) * spread
+    linear = equation.views[0].recording.bench.motion == "linear"
     power = float(before @ before)
     chance = float(np.sum(count * spread**2))
     share = max(0.0, float(np.sum(count * mean**2)) - chance) / power if power > 0.0 else 0.0
     return Map(
         equation=equation.name,
         coordinate=coordinate.name,
-        unit=coordinate.unit,
+        unit=LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit,
         residual_unit=equation.unit,
         centre=centre,
         mean=mean,

@@ -34,7 +34,11 @@ FURTHER_SHARE = 0.4
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""
 LEAST_FURTHER = 0.01
-"""Gain of one more effect over what is explained already where it shows; less is the shape of what was named before."""
+"""Gain of one more effect over what is explained already where it shows; less is the shape of what came before..."""
+NEARLY_ALL = 0.8
+"""... unless it explains this share of what is left beyond the noise."""
+SAME = 0.01
+"""Square of the difference of two fits over the square of their mismatch, below which they are the same."""
 RIVAL_SHARE = 0.3
 """Score over the best one's, below which an effect is no finalist."""
 
@@ -128,7 +132,11 @@ def search(
             key=lambda k: (_numbers(fitted[k]), order.index(k)),
         )
         order.remove(winner)
-        rivals = tuple(Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k])) for k in order)
+        rivals = tuple(
+            Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]))
+            for k in order
+            if not _contains(fitted[k], fitted[winner])
+        )
         gain = joint.cost - fitted[winner].cost
         if gain <= 2.0 * finalists[winner].penalty:
             steps.append(Step("stop", finalists[winner].name, p_after, gain, "explains no more than chance would"))
@@ -136,7 +144,8 @@ def search(
         term = by_name[finalists[winner].name]
         share = gain / _beyond_noise(joint, term)
         before = _explained(baseline, joint, term)
-        if turn > 0 and (share < FURTHER_SHARE or gain < LEAST_FURTHER * before):
+        needed = FURTHER_SHARE if gain >= LEAST_FURTHER * before else NEARLY_ALL
+        if turn > 0 and share < needed:
             beside = 100.0 * gain / max(before, gain)
             note = (
                 f"explains {100.0 * share:.0f} % of what is left beyond the noise, and {beside:.2g} % of what is "
@@ -258,6 +267,12 @@ def _numbers(joint: Joint) -> int:
     """Return how many numbers of the last effect the data choose."""
     last = joint.effects[-1]
     return last.term.freedom + len(last.coefficients)
+
+
+def _contains(rival: Joint, chosen: Joint) -> bool:
+    """Whether a rival is the chosen effect over again, with more numbers: a special case is no alias."""
+    difference = rival.residual - chosen.residual
+    return _numbers(rival) > _numbers(chosen) and float(difference @ difference) < SAME * chosen.cost
 
 
 def _beyond_noise(joint: Joint, term: Term) -> float:

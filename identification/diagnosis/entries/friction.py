@@ -65,7 +65,7 @@ FRICTION: tuple[Entry, ...] = (
         assumption="the printed exponent alpha = 2 of the Stribeck curve (eq. 13)",
         shows_in="torque",
         coordinate="speed: between nothing and three Stribeck speeds, the same both ways",
-        parameters=(Quantity("alpha", "", 0.3, 4.0),),
+        parameters=(Quantity("alpha", "", 0.3, 6.0),),
         look_alikes=("friction_memory", "presliding", "quadratic_drag"),
         experiment=(
             "Steady slow speeds, five between a fifth of and three Stribeck speeds, both ways and approached from "
