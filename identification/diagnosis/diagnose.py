@@ -46,7 +46,7 @@ GIVING = ("backlash", "compliance", "coupling_hysteresis")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
-ADEQUATE = 0.5
+ADEQUATE = 0.7
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
 NEAR_FLOOR = 1.5
 """Mean square of the mismatch over that of the noise, below which it counts as explained."""

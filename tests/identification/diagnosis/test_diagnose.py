@@ -48,7 +48,7 @@ def test_what_is_hidden_is_named_and_sized(name: str, parameters: dict[str, floa
 
 
 def test_what_is_declared_is_not_found() -> None:
-    recordings = campaign({"backlash": {"gap_rad": 0.004}}, 2)
+    recordings = campaign({"backlash": {"gap_rad": 0.004}}, 2)[:3]
     found = diagnose(Dataset(recordings, Model(terms=("backlash",))), rng=np.random.default_rng(1))
     assert "backlash" not in {e.name for e in found.effects}
 
