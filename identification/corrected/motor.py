@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.corrected.states import advanced, lagged, winding_rise
+from identification.corrected.states import advanced, lagged, mean_step, winding_rise
 from identification.recording import Array
 
 
@@ -65,12 +65,12 @@ def current_drift(s: Any, m: Any, rate_A_s: float) -> Array:
 
 def inverter_dead_time_voltage(s: Any, m: Any, voltage_V: float) -> Array:
     """A sharp step with the sign of the current."""
-    return np.asarray(voltage_V * np.tanh(s["current"] / 0.05))
+    return np.asarray(voltage_V * mean_step(s["current"], 0.0))
 
 
 def brush_drop_voltage(s: Any, m: Any, voltage_V: float, current_A: float) -> Array:
     """A rounded step with the sign of the current."""
-    return np.asarray(voltage_V * np.tanh(s["current"] / current_A))
+    return np.asarray(voltage_V * mean_step(s["current"], current_A))
 
 
 def winding_heating_voltage(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:

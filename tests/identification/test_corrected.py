@@ -97,7 +97,7 @@ def test_an_effect_adds_what_the_search_fits(name: str, view: View) -> None:
         assert np.max(np.abs(expected)) > 0.0
         off = np.abs(predicted[equation] - expected)
         # The sample at which a rest ends counts as rest in the search alone.
-        assert np.mean(off > 1e-6 * np.max(np.abs(expected))) < 0.005, equation
+        assert np.mean(off > 1e-6 * np.max(np.abs(expected))) < 0.002, equation
 
 
 def test_the_nominal_torque_is_that_of_the_diagnosis(view: View) -> None:
