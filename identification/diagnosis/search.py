@@ -39,6 +39,8 @@ NEARLY_ALL = 0.8
 """... unless it explains this share of what is left beyond the noise."""
 SAME = 0.01
 """Square of the difference of two fits over the square of their mismatch, below which they are the same."""
+USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_ANGLE_RAD = 40.0, 0.5, 0.4
+"""Greatest torque, speed and travel from the middle on the practical bench, which the catalogue's ranges suit."""
 RIVAL_SHARE = 0.3
 """Score over the best one's, below which an effect is no finalist."""
 
@@ -256,11 +258,37 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
 
 
 def _plausible(joint: Joint) -> bool:
-    """Whether the last effect's parameters are within the ranges of the catalogue."""
+    """Whether the last effect's parameters are within the ranges of the catalogue, at the scale of this bench."""
     last = joint.effects[-1]
-    found = last.parameters(Context(joint.equations[0].views, joint.nominal))
-    ranges = {q.name: (q.low, q.high) for q in ENTRIES[last.term.name].parameters}
-    return all(ranges[name][0] <= value <= ranges[name][1] for name, value in found.items())
+    views = joint.equations[0].views
+    found = last.parameters(Context(views, joint.nominal))
+    scales = _scales(views)
+    return all(
+        min(1.0, scales.get(q.unit, 1.0)) * q.low <= found[q.name] <= max(1.0, scales.get(q.unit, 1.0)) * q.high
+        if q.low >= 0.0
+        else abs(found[q.name]) <= max(1.0, scales.get(q.unit, 1.0)) * q.high
+        for q in ENTRIES[last.term.name].parameters
+    )
+
+
+def _scales(views: Sequence[View]) -> dict[str, float]:
+    """Return by unit how much larger this bench is than the one that the catalogue's ranges were written for."""
+    torque, speed, angle = (
+        max(float(np.max(np.abs(signal(v)))) for v in views) / usual
+        for signal, usual in (
+            (lambda v: v.torque, USUAL_TORQUE_N_M),
+            (lambda v: v.velocity, USUAL_SPEED_RAD_S),
+            (lambda v: v.angle - np.mean(v.angle), USUAL_ANGLE_RAD),
+        )
+    )
+    return {
+        "N m": torque,
+        "N m/s": torque,
+        "N m/rad": torque / angle,
+        "N m s/rad": torque / speed,
+        "N m s^2/rad^2": torque / speed**2,
+        "kg m^2": torque * angle / speed**2,
+    }
 
 
 def _numbers(joint: Joint) -> int:
