@@ -30,7 +30,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.search import LEVEL, Progress, Round, Search, probability, search
+from identification.diagnosis.search import LEVEL, Contender, Progress, Round, Search, probability, search
 from identification.diagnosis.stack import stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
@@ -48,6 +48,8 @@ REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.7
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
+UNLIKELY = 0.05
+"""Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
 NEAR_FLOOR = 1.5
 """Mean square of the mismatch over that of the noise, below which it counts as explained."""
 
@@ -228,8 +230,10 @@ def _effect(
     excess: Mapping[str, _Excess],
 ) -> Effect:
     entry = ENTRIES[name]
-    linear = own_bench(found).motion == "linear"
+    linear, amperes = own_bench(found).motion == "linear", found.baseline.equations[0].unit == "A"
     units = {q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters}
+    if amperes:
+        units = {n: unit.replace("N m", "A") for n, unit in units.items()}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
     stack = found.baseline.stack
     own = max(
@@ -245,14 +249,16 @@ def _effect(
         index = round(found.final.effects[k].shape[place])
         where = replace(where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,))
     open_names = _open(taken)
-    sure = min([probability(r.preference) for r in taken.rivals], default=0.99)
+    sure = min(
+        [max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals], default=0.99
+    )
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
     confidence = min(0.99, sure) * (0.5 + 0.5 * quality)
     rivals = tuple(
         Rival(
             r.name,
-            min(1.0 - probability(r.preference), 0.5),
-            "" if r.preference < REJECTED else f"its error is larger by {r.preference:.1f} standard errors",
+            min(1.0 - probability(r.preference), UNLIKELY if r.beyond else 0.5),
+            _why_not(r),
         )
         for r in taken.rivals
     )
@@ -267,6 +273,13 @@ def _effect(
         rivals=rivals,
         separating_experiment=entry.experiment,
     )
+
+
+def _why_not(rival: Contender) -> str:
+    """Say why a rival was not taken; empty where it might as well have been."""
+    if rival.preference >= REJECTED:
+        return f"its error is larger by {rival.preference:.1f} standard errors"
+    return f"it fits as well, but only with {rival.beyond}" if rival.beyond else ""
 
 
 def _fits(baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float) -> tuple[Fit, ...]:

@@ -52,11 +52,13 @@ class Contender:
     """An effect fitted jointly, and how far the data prefer the chosen one to it.
 
     ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica 57 (1989) 307).
+    ``beyond`` says which parameter would have to be beyond its plausible range; empty where none.
     """
 
     name: str
     joint: Joint
     preference: float
+    beyond: str
 
 
 @dataclass(frozen=True)
@@ -123,20 +125,20 @@ def search(
             progress(f"fitting {candidate.name}", (turn + 0.5) / (MOST_EFFECTS + 1))
             added = Added(by_name[candidate.name], candidate.shape, tuple(float(c) for c in candidate.coefficients))
             fitted.append(fit(views, unit, joint.nominal, (*joint.effects, added), baseline))
-        plausible = [k for k, f in enumerate(fitted) if _plausible(f)]
-        if not plausible:
-            steps.append(Step("stop", best[0].name, p_after, best[0].gain, "fits only beyond what is plausible for it"))
+        beyond = [implausible(f) for f in fitted]
+        ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
+        order = [k for k in ranked if not beyond[k]]
+        if not order:
+            steps.append(Step("stop", best[0].name, p_after, best[0].gain, f"fits only with {beyond[ranked[0]]}"))
             break
-        finalists, fitted = [finalists[k] for k in plausible], [fitted[k] for k in plausible]
-        order = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
         winner = min(
             (k for k in order if preference(fitted[order[0]], fitted[k]) < SIMPLER_IF),
             key=lambda k: (_numbers(fitted[k]), order.index(k)),
         )
-        order.remove(winner)
+        ranked.remove(winner)
         rivals = tuple(
-            Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]))
-            for k in order
+            Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
+            for k in ranked
             if not _contains(fitted[k], fitted[winner])
         )
         gain = joint.cost - fitted[winner].cost
@@ -257,18 +259,19 @@ def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:
     return sorted((c for c in best.values() if c.score > 0.0 and c.share > LEAST_SHARE), key=lambda c: -c.score)
 
 
-def _plausible(joint: Joint) -> bool:
-    """Whether the last effect's parameters are within the ranges of the catalogue, at the scale of this bench."""
+def implausible(joint: Joint) -> str:
+    """Say which parameter of the last effect is beyond its range in the catalogue, at the scale of this bench."""
     last = joint.effects[-1]
     views = joint.equations[0].views
     found = last.parameters(Context(views, joint.nominal))
     scales = _scales(views)
-    return all(
-        min(1.0, scales.get(q.unit, 1.0)) * q.low <= found[q.name] <= max(1.0, scales.get(q.unit, 1.0)) * q.high
-        if q.low >= 0.0
-        else abs(found[q.name]) <= max(1.0, scales.get(q.unit, 1.0)) * q.high
-        for q in ENTRIES[last.term.name].parameters
-    )
+    for q in ENTRIES[last.term.name].parameters:
+        scale = scales.get(q.unit, 1.0)
+        low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
+        high = q.high * max(1.0, scale)
+        if not low <= found[q.name] <= high:
+            return f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
+    return ""
 
 
 def _scales(views: Sequence[View]) -> dict[str, float]:

@@ -29,6 +29,10 @@ RISE_SAMPLES = 5
 """Samples before a breakaway over which the torque's rise is taken."""
 STEADY_SHARE = 0.7
 """Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
+LEAST_STEADY = 0.2
+"""Share of the motion that must be steady, for the rest to be left out."""
+SAME_ENCODER = 1e-9
+"""Greatest difference of motor and joint angle, over the travel, at which one encoder was read under two names."""
 LEAST_REST_S = 0.02
 """Rests shorter than this are not told from a slow passage through zero."""
 
@@ -156,7 +160,9 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     torque = smooth(drive, rate, cutoff) + known
     sense = _sense(velocity, torque, still)
     turned = _turned(sense)
-    bad = widened(still | turned | _unsteady(velocity, round(0.5 * rate / cutoff)), round(1.5 * rate / cutoff))
+    moving = _steady(
+        low_pass, still | turned, _unsteady(velocity, round(0.5 * rate / cutoff)), round(1.5 * rate / cutoff)
+    )
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
     long_enough = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1]
@@ -188,7 +194,7 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         supply=_channel(recording, "supply_voltage", grid),
         temperature=_channel(recording, "temperature", grid),
         low_pass=low_pass,
-        moving=low_pass.untouched(bad),
+        moving=moving,
         breakaways=np.array(long_enough, dtype=np.int64),
     )
 
@@ -276,7 +282,10 @@ def _lag(recording: Recording, grid: Array) -> Array | None:
     channels = recording.channels
     if "motor_angle" not in channels or "angle" not in channels:
         return None
-    return resample(recording.time, channels["motor_angle"] / recording.bench.gear_ratio - channels["angle"], grid)
+    lag = channels["motor_angle"] / recording.bench.gear_ratio - channels["angle"]
+    if float(np.ptp(lag)) < SAME_ENCODER * float(np.ptp(channels["angle"])):
+        return None
+    return resample(recording.time, lag, grid)
 
 
 def _sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
@@ -293,6 +302,16 @@ def _unsteady(velocity: Array, reach: int) -> BoolArray:
     size = 2 * reach + 1
     swing = ndimage.maximum_filter1d(velocity, size) - ndimage.minimum_filter1d(velocity, size)
     return np.asarray(swing >= STEADY_SHARE * np.abs(velocity))
+
+
+def _steady(low_pass: Decimator, stopped: BoolArray, unsteady: BoolArray, margin: int) -> BoolArray:
+    """Return which outputs no sample at rest, reversing or unsteady has touched.
+
+    Where hardly any motion is steady, as at a crawl against cogging, that is how this machine moves, and it is kept.
+    """
+    steady = low_pass.untouched(widened(stopped | unsteady, margin))
+    moving = low_pass.untouched(widened(stopped, margin))
+    return steady if np.sum(steady) >= LEAST_STEADY * np.sum(moving) else moving
 
 
 def _turned(sense: Array) -> BoolArray:

@@ -14,6 +14,8 @@ from string import Formatter
 from identification.diagnosis.catalogue import Entry
 from identification.diagnosis.result import Estimate
 
+COUNT = "1/turn"
+"""Unit that a sentence says in words."""
 _DEG = math.degrees(1.0)
 _FACTORS: Mapping[tuple[str, str], float] = {
     ("rad", "deg"): _DEG,
@@ -77,7 +79,7 @@ def readable(estimate: Estimate, unit: str = "") -> str:
     factor = _FACTORS.get((estimate.unit, unit))
     shown = unit if factor else estimate.unit
     value, low, high = (x * (factor or 1.0) for x in (estimate.value, estimate.low, estimate.high))
-    behind = f" {shown}" if shown else ""
+    behind = f" {shown}" if shown and shown != COUNT else ""
     if not (math.isfinite(low) and math.isfinite(high)) or high <= low:
         return f"{value:.3g}{behind}"
     places = _places(high - low)
