@@ -15,7 +15,7 @@ from identification.prepare import ampere_torque
 from identification.recording import Array, Recording
 
 Signals = Mapping[str, object]
-PARAMETERS = ("J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2", "offset")
+PARAMETERS = ("J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2", "mu_gc", "mu_gs", "offset")
 COORDINATES = {"angle": "angle", "speed": "velocity", "time": "time"}
 """Coordinates over which a curve can be carried, and the signal each is."""
 

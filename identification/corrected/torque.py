@@ -23,9 +23,16 @@ def load_level(speed: Array, m: Any, alpha: float) -> Array:
     return np.asarray(m["mu_c"] + (m["mu_s"] - m["mu_c"]) * fall + np.zeros_like(speed))
 
 
+def gear_level(speed: Array, m: Any, alpha: float) -> Array:
+    """Return what multiplies a declared weight's torque where load-dependent friction is declared."""
+    fall = np.exp(-(np.abs(speed / m["omega_sf"]) ** alpha)) if m["omega_sf"] > 0.0 else 0.0
+    return np.asarray(m["mu_gc"] + (m["mu_gs"] - m["mu_gc"]) * fall + np.zeros_like(speed))
+
+
 def dry_level(s: Any, m: Any, alpha: float) -> Array:
     """Return all friction but the viscous, without its sign, N m."""
-    return np.asarray(friction_level(s["velocity"], m, alpha) + s["moment"] * load_level(s["velocity"], m, alpha))
+    system = friction_level(s["velocity"], m, alpha) + np.abs(s["known"]) * gear_level(s["velocity"], m, alpha)
+    return np.asarray(system + s["moment"] * load_level(s["velocity"], m, alpha))
 
 
 def load_torque(s: Any, m: Any) -> Array:
@@ -36,7 +43,8 @@ def load_torque(s: Any, m: Any) -> Array:
 
 def nominal_torque(s: Any, m: Any) -> Array:
     """Return J domega/dt + M_f + M_L, N m at the joint (eq. 15)."""
-    system = s["sense"] * friction_level(s["velocity"], m, m["alpha"]) + m["sigma_2"] * s["velocity"]
+    level = friction_level(s["velocity"], m, m["alpha"]) + np.abs(s["known"]) * gear_level(s["velocity"], m, m["alpha"])
+    system = s["sense"] * level + m["sigma_2"] * s["velocity"]
     return np.asarray(m["J"] * s["acceleration"] + system + load_torque(s, m) + m["offset"])
 
 

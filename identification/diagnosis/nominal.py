@@ -16,7 +16,8 @@ from identification.recording import Array
 
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
-_RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"))
+_RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
+"""Coulomb level, static level and Stribeck speed: of the system, of the load, of the gear under a declared weight."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,13 @@ class Nominal:
         return float(self.values.get(name, 0.0))
 
     def level(self, view: View, speed: Array | None = None) -> Array:
-        """Return the system friction's magnitude at a speed (the view's own unless given), eq. 9, N m."""
-        return self._level(np.abs(view.velocity if speed is None else speed), _RISES[0], "sigma_2")
+        """Return the system friction's magnitude at a speed (the view's own unless given), eq. 9, N m.
+
+        Where load-dependent friction is declared, with what the gear adds under a weight that turns with the joint.
+        """
+        speed = np.abs(view.velocity if speed is None else speed)
+        total = self._level(speed, _RISES[0], "sigma_2")
+        return total + np.abs(view.known) * self._level(speed, _RISES[2], "") if "mu_gc" in self.values else total
 
     def coefficient(self, view: View, speed: Array | None = None) -> Array:
         """Return the magnitude of m_L, eq. 12."""
@@ -73,7 +79,7 @@ class Nominal:
         for name, change in zip(self.free, (float(s) for s in step), strict=True):
             if name in ("omega_sf", "omega_sL"):
                 values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
-            elif name in ("Ms", "mu_s"):
+            elif name in ("Ms", "mu_s", "mu_gs"):
                 continue
             elif name == "offset":
                 values[name] += change
@@ -104,12 +110,19 @@ class Nominal:
             return view.velocity
         if name == "mu_2":
             return np.asarray(view.moment * view.velocity)
-        scale, names = (view.sense, _RISES[0]) if name in _RISES[0] else (load, _RISES[1])
+        total = np.zeros(len(view.time))
+        for scale, names in zip((view.sense, load, view.sense * np.abs(view.known)), _RISES, strict=True):
+            if name in names and names[0] in self.values:
+                total += scale * self._slope(view, name, names)
+        return total
+
+    def _slope(self, view: View, name: str, names: tuple[str, str, str]) -> Array:
+        """Return the derivative of one level by its Coulomb part, its rise or the logarithm of its Stribeck speed."""
         coulomb, static, omega = (self.get(n) for n in names)
+        if name == names[0]:
+            return np.ones(len(view.time))
+        if omega <= 0.0:
+            return np.zeros(len(view.time))
         ratio = np.abs(view.velocity) / omega
         fall = np.exp(-(ratio**self.alpha))
-        if name == names[0]:
-            return scale
-        if name == names[1]:
-            return np.asarray(scale * fall)
-        return np.asarray(scale * (static - coulomb) * fall * self.alpha * ratio**self.alpha)
+        return np.asarray(fall if name == names[1] else (static - coulomb) * fall * self.alpha * ratio**self.alpha)

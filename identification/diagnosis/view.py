@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -29,8 +29,8 @@ RISE_SAMPLES = 5
 """Samples before a breakaway over which the torque's rise is taken."""
 STEADY_SHARE = 0.7
 """Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
-LEAST_STEADY = 0.2
-"""Share of the motion that must be steady, for the rest to be left out."""
+LEAST_STEADY = 0.1
+"""Share of the motion of all recordings that must be steady, for the rest to be left out."""
 SAME_ENCODER = 1e-9
 """Greatest difference of motor and joint angle, over the travel, at which one encoder was read under two names."""
 LEAST_REST_S = 0.02
@@ -67,7 +67,9 @@ class View:
         supply: V; None without it.
         temperature: deg C; None without it.
         low_pass: To the stated bandwidth.
-        moving: Which of its outputs no sample at rest or reversing has touched, shape (n,).
+        moving: Which of its outputs no sample at rest, reversing or in unsteady motion has touched, shape (n,).
+        unsteady: The same, unsteady motion allowed: where hardly any motion is steady, as at a crawl against cogging,
+            that is how this machine moves, and it is kept.
         breakaways: Samples at which a rest ends, shape (e,).
     """
 
@@ -97,6 +99,7 @@ class View:
     temperature: Array | None
     low_pass: Decimator
     moving: BoolArray
+    unsteady: BoolArray
     breakaways: np.ndarray
 
     @property
@@ -129,7 +132,10 @@ def views(recordings: Sequence[Recording], bandwidth_Hz: float, valve_side: bool
         RecordingError: A recording that cannot be brought to this bandwidth.
     """
     starts = run_starts(recordings)
-    return tuple(_view(r, k, starts[k], bandwidth_Hz, valve_side) for k, r in enumerate(recordings))
+    found = tuple(_view(r, k, starts[k], bandwidth_Hz, valve_side) for k, r in enumerate(recordings))
+    if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
+        return found
+    return tuple(replace(v, moving=v.unsteady) for v in found)
 
 
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
@@ -160,9 +166,8 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     torque = smooth(drive, rate, cutoff) + known
     sense = _sense(velocity, torque, still)
     turned = _turned(sense)
-    moving = _steady(
-        low_pass, still | turned, _unsteady(velocity, round(0.5 * rate / cutoff)), round(1.5 * rate / cutoff)
-    )
+    stopped, margin = still | turned, round(1.5 * rate / cutoff)
+    unsteady = _unsteady(velocity, round(0.5 * rate / cutoff))
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
     long_enough = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1]
@@ -194,7 +199,8 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         supply=_channel(recording, "supply_voltage", grid),
         temperature=_channel(recording, "temperature", grid),
         low_pass=low_pass,
-        moving=moving,
+        moving=low_pass.untouched(widened(stopped | unsteady, margin)),
+        unsteady=low_pass.untouched(widened(stopped, margin)),
         breakaways=np.array(long_enough, dtype=np.int64),
     )
 
@@ -302,16 +308,6 @@ def _unsteady(velocity: Array, reach: int) -> BoolArray:
     size = 2 * reach + 1
     swing = ndimage.maximum_filter1d(velocity, size) - ndimage.minimum_filter1d(velocity, size)
     return np.asarray(swing >= STEADY_SHARE * np.abs(velocity))
-
-
-def _steady(low_pass: Decimator, stopped: BoolArray, unsteady: BoolArray, margin: int) -> BoolArray:
-    """Return which outputs no sample at rest, reversing or unsteady has touched.
-
-    Where hardly any motion is steady, as at a crawl against cogging, that is how this machine moves, and it is kept.
-    """
-    steady = low_pass.untouched(widened(stopped | unsteady, margin))
-    moving = low_pass.untouched(widened(stopped, margin))
-    return steady if np.sum(steady) >= LEAST_STEADY * np.sum(moving) else moving
 
 
 def _turned(sense: Array) -> BoolArray:

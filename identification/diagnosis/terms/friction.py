@@ -145,7 +145,10 @@ TERMS = (
     Term(
         "viscous_thermal_drift",
         in_motion(_thermal),
-        lambda c, shape, context: {"fraction": -float(c[0]) / context.nominal.get("sigma_2"), "time_s": shape[0]},
+        lambda c, shape, context: {
+            "fraction": -float(c[0]) / max(context.nominal.get("sigma_2"), 1e-300),
+            "time_s": shape[0],
+        },
         lambda context: WARM_UPS_S if context.nominal.get("sigma_2") > 0.0 else (),
         refine={0: 0.0},
     ),
