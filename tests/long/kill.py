@@ -44,7 +44,7 @@ WATCH_S = 0.2
 LOG_GAP_S = 0.2
 LATEST_S = 3.8
 """The whole run takes a little less."""
-RESUME_EVERY, ATTEMPTS = 10, 8
+RESUME_EVERY, ATTEMPTS = 3, 8
 TOO_LATE = ("sample age", "lateness", "heartbeat", "no SDO response", "following error", "joint speed")
 """What stops a run where the machine lets it wait; the last two as the target then jumps."""
 SEQUENCE = """\
