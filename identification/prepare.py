@@ -32,6 +32,10 @@ SLOW_BANDWIDTH_HZ = 20.0
 """Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of their rate."""
 RATE_TOLERANCE = 1e-6
 """Share of the rate that rounded time stamps may cost."""
+IRREGULAR, STANDS_OUT = 0.25, 8.0
+"""A sample interval is irregular that differs from the period by this share, and by so many times what is usual."""
+LEAST_CLEAN = 0.1
+"""Share of the samples in motion that must be left where those about late or missing samples are taken out."""
 REST_SAMPLES = 8
 """Samples over which the angle changes by no more than one step of its encoder that count as rest."""
 
@@ -49,7 +53,7 @@ class Prepared:
         torque: Drive torque less the known loads (a declared pendulum), N m; A where no torque constant is known.
         drive_torque: Drive torque alone, N m.
         moment: F_P L1, what multiplies m_L in eq. 13, N m; zero when unloaded.
-        used: Samples in motion that no resting sample has touched.
+        used: Samples in motion that no resting sample, and none about a late or missing one, has touched.
         bandwidth_Hz: Of all of the above.
         filter: The filter, for regressors that are not linear in the velocity.
         raw_velocity: Velocity before that filter, shape (m,), for those regressors.
@@ -159,6 +163,31 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
     return np.asarray(np.cumsum(marks)[:-1] > 0.5)
 
 
+def irregular(time: Array, grid: Array) -> BoolArray:
+    """Mark grid samples at which the recording's own samples came too early, too late, or not at all.
+
+    In a run in real time nearly all cycles are on time and a few are not; about those the motion jerks faster than the
+    samples tell. Where sampling is uneven throughout, nothing stands out, and nothing is marked.
+    """
+    steps = np.diff(time)
+    median = float(np.median(steps))
+    apart = np.abs(steps - median)
+    off = apart > max(IRREGULAR * median, STANDS_OUT * float(np.median(apart)))
+    first = np.searchsorted(grid, time[:-1][off] - median)
+    last = np.searchsorted(grid, time[1:][off] + median)
+    marks = np.zeros(len(grid) + 1)
+    np.add.at(marks, first, 1.0)
+    np.add.at(marks, last, -1.0)
+    return np.asarray(np.cumsum(marks)[:-1] > 0.5)
+
+
+def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolArray:
+    """Return which outputs neither ``bad`` nor ``rare`` samples have touched; ``rare`` ones do where little is left."""
+    every = low_pass.untouched(bad)
+    clean = low_pass.untouched(bad | rare)
+    return clean if np.sum(clean) >= LEAST_CLEAN * np.sum(every) else every
+
+
 def widened(marks: BoolArray, samples: int) -> BoolArray:
     """Return the marks with ``samples`` more on either side: what a filter on position has smeared into motion."""
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
@@ -231,7 +260,9 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         pendulum = recording.pendulum
         hanging = pendulum.torque(angle, recording.bench.gravity)
         known = hanging - pendulum.inertia * acceleration
-    bad = _unresolved(velocity, rate) | still if exact else widened(still, round(1.5 * rate / cutoff))
+    margin = 0 if exact else round(1.5 * rate / cutoff)
+    bad = _unresolved(velocity, rate) | still if exact else widened(still, margin)
+    used = without_rare(low_pass, bad, widened(irregular(recording.time, grid), margin))
     lead = slice(low_pass.half, len(grid) - low_pass.half, low_pass.factor)
     return Prepared(
         recording=recording,
@@ -242,7 +273,7 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         torque=low_pass(drive + known),
         drive_torque=low_pass(drive),
         moment=low_pass(_moment(recording, grid)),
-        used=low_pass.untouched(bad),
+        used=used,
         bandwidth_Hz=min(bandwidth_Hz, 0.5 * rate),
         filter=low_pass,
         raw_velocity=velocity,

@@ -24,6 +24,8 @@ from identification.recording import Array, Model
 _TEMPERING = (20.0, 4.0, 1.0)
 _START_SPEEDS = 6
 _START_STATICS = 7
+_STARTS = 3
+"""Starts of the loaded stage that are followed to their end: the likeliest of the grid is not always in the basin."""
 _SEED_CLIP = 10.0
 
 
@@ -58,19 +60,22 @@ class Refined:
     breakaways: int
 
 
-def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> None:
-    """Search a grid of static limits and Stribeck speeds, those that are free, for the start and its breakaway times.
+def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> list[tuple[Array, list[Array]]]:
+    """Search a grid of static limits and Stribeck speeds, those that are free.
 
     The static limit lies at or below the peak torque before visible motion, since breakaway takes time to show.
+
+    Returns:
+        Kernel's vector and breakaway times for every Stribeck speed with its likeliest static limit, likeliest first;
+        at most :data:`_STARTS`.
     """
     loaded = rise == kernel.DMU
-    best: tuple[float, Array, list[Array]] | None = None
     fastest = max(float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in problem.motions)
-    guess = problem.start[speed]
-    speeds = np.array([guess])
+    speeds = np.array([problem.start[speed]])
     if speed in problem.free:
         speeds = np.concatenate([speeds, np.geomspace(0.01, 0.35, _START_SPEEDS) * fastest])
     peaks = [m.peak_torque() for m in problem.motions]
+    best: dict[float, tuple[float, Array, list[Array]]] = {}
     for share in np.linspace(0.75, 1.0, _START_STATICS) if rise in problem.free else (1.0,):
         p = problem.start.copy()
         if rise in problem.free:
@@ -87,10 +92,21 @@ def seed_breakaway(problem: Problem, coulomb: int, rise: int, speed: int) -> Non
             p[speed] = omega_s
             errors, deviations = problem.run(p, times, problem.noise, problem.angle_noise)
             cost = deviance(errors, deviations, _SEED_CLIP)
-            if best is None or cost < best[0]:
-                best = (cost, p, times)
-    if best is not None:
-        problem.start, problem.begins = best[1], best[2]
+            if omega_s not in best or cost < best[omega_s][0]:
+                best[omega_s] = (cost, p, times)
+    ranked = sorted(best.values(), key=lambda start: start[0])
+    return [(p, times) for _, p, times in ranked[:_STARTS]]
+
+
+def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> None:
+    """Refine from each start in turn; leave the problem at the likeliest end."""
+    ends = []
+    for vector, times in starts or [(problem.start, problem.begins)]:
+        problem.start, problem.begins = vector, times
+        refine(problem)
+        errors, deviations = problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise)
+        ends.append((deviance(errors, deviations), problem.start, problem.begins))
+    _, problem.start, problem.begins = min(ends, key=lambda end: end[0])
 
 
 def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
@@ -147,8 +163,7 @@ def refine_stages(
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
         second.angle_noise = first.angle_noise
-        seed_breakaway(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL)
-        refine(second)
+        refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
         evaluations += second.evaluations
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
         vector = second.start

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.default import identify, refusal, solve_stages
+from identification.estimate.default import free_names, identify, refine_recordings, refusal, solve_stages
 from identification.estimate.paper import identify_paper
 from identification.estimate.prediction_error import refine_stages
 from identification.estimate.result import Identification
@@ -78,6 +78,19 @@ def test_fixed_values_are_held_through_the_refinement(
     for name, found in result.values().items():
         limit = 1e-12 if name in names else 0.008
         assert found == pytest.approx(TRUTH[name], rel=limit), name
+
+
+def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breakaways(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    """As over a serial line at 500 cycles/s, where the equation error at 20 Hz ends with mu_s at mu_c."""
+    prepared = [prepare(r, 40.0) for r in practical_pair]
+    values, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
+    flat = {**values, "mu_s": values["mu_c"], "omega_sL": 1.0}
+    refined = refine_recordings(practical_pair, flat, free_names(flat, Model()), Model(), 40.0)
+    assert not isinstance(refined, str)
+    assert refined.values["mu_s"] == pytest.approx(TRUTH["mu_s"], rel=0.004)
+    assert refined.values["omega_sL"] == pytest.approx(TRUTH["omega_sL"], rel=0.03)
 
 
 def test_everything_fixed_is_only_scored(practical_pair: tuple[Recording, Recording]) -> None:

@@ -11,6 +11,7 @@ from identification.prepare import (
     Prepared,
     default_bandwidth,
     drive_torque,
+    irregular,
     joint_angle,
     prepare,
     resting,
@@ -265,3 +266,28 @@ def test_a_bandwidth_the_rate_cannot_carry(bandwidth: float) -> None:
 def test_a_filter_longer_than_memory_is_refused_before_it_is_built() -> None:
     with pytest.raises(RecordingError, match="samples are fewer than the 32000"):
         prepare(sine(), 1e-9)
+
+
+def test_only_the_exception_among_sample_intervals_is_irregular() -> None:
+    rng = np.random.default_rng(0)
+    even = np.arange(500) * 1e-3
+    lost = np.delete(even, [200, 201])
+    uneven = np.cumsum(rng.uniform(0.7e-3, 1.3e-3, 500))
+    assert not np.any(irregular(even, even))
+    assert not np.any(irregular(uneven, uneven))
+    marks = irregular(lost, even)
+    assert np.flatnonzero(marks).tolist() == [198, 199, 200, 201, 202]
+
+
+def test_samples_about_a_jerk_between_late_samples_are_left_out() -> None:
+    """As in a run in real time: a cycle is late, the target jumps, and nobody saw how the joint followed."""
+    recording = sine(ROLLING, drift=0.6, frequency=0.7, duration=8.0)
+    seen = np.ones(len(recording.time), dtype=bool)
+    torque = recording.channels["torque"].copy()
+    for at in range(400, 7600, 800):
+        seen[at : at + 4] = False
+        torque[at - 1 : at + 6] += 10.0
+    channels = {name: values[seen] for name, values in {**recording.channels, "torque": torque}.items()}
+    kept = prepare(replace(recording, channels=channels), 20.0)
+    assert linear_fit(kept) == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=2e-3)
+    assert 0.2 < float(np.mean(kept.used)) < 0.95

@@ -44,7 +44,7 @@ WATCH_S = 0.2
 LOG_GAP_S = 0.2
 LATEST_S = 3.8
 """The whole run takes a little less."""
-RESUME_EVERY, ATTEMPTS = 10, 8
+RESUME_EVERY, ATTEMPTS = 3, 8
 TOO_LATE = ("sample age", "lateness", "heartbeat", "no SDO response", "following error", "joint speed")
 """What stops a run where the machine lets it wait; the last two as the target then jumps."""
 SEQUENCE = """\
@@ -56,7 +56,7 @@ stages:
   - {name: second, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 0.8,
      center_deg: 5, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
 """
-_CONTROLLER = "import sys; from rig.cli import status; sys.exit(status(sys.argv[1:]))"
+CONTROLLER = "import sys; from rig.cli import status; sys.exit(status(sys.argv[1:]))"
 _SYNC = 0x080
 
 
@@ -69,6 +69,9 @@ class Twin:
         self._closed = False
         self._keep = False
         self._open()
+        # The first step loads the compiled machine, which takes longer than a controller waits for an answer.
+        self._bench.clock.sleep_until_ns(NS // 100)
+        self._bench.drive.refresh()
 
     def _open(self) -> None:
         self._began_ns = time.monotonic_ns()
@@ -87,7 +90,8 @@ class Twin:
     def serve(self) -> None:
         """Answer until the standard input ends; a line there is answered with what the drive has done.
 
-        The line ``keep`` has no answer: the next controller meets the bench as the last one left it, not a new one.
+        Two lines have no answer: ``keep``, as the next controller meets the bench as the last one left it, not a new
+        one; and ``hang`` with a mass in kg.
         """
         while True:
             readable, _, _ = select.select([self._terminal, sys.stdin], [], [], 0.0005)
@@ -102,6 +106,9 @@ class Twin:
                     return
                 if line == "keep\n":
                     self._keep = True
+                    continue
+                if line.startswith("hang "):
+                    self._bench.machine.hang(float(line.split()[1]))
                     continue
                 # Without a SYNC nobody has integrated the machine since the last change of state.
                 self._bench.drive.refresh()
@@ -254,7 +261,7 @@ def one(twin_process: Any, bench: Path, run: Path, moment_s: float) -> Result:
 def start(arguments: list[str], folder: Path) -> subprocess.Popen[str]:
     """Start a controller."""
     return subprocess.Popen(
-        [sys.executable, "-c", _CONTROLLER, *arguments],
+        [sys.executable, "-c", CONTROLLER, *arguments],
         env=os.environ | {"CAN_CONFIG": json.dumps({"sleep_after_open": 0.0})},
         cwd=folder,
         stdout=subprocess.DEVNULL,

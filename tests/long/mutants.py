@@ -231,7 +231,7 @@ def main() -> int:
     options = parser.parse_args()
     os.chdir(ROOT)
     # Imported before the first fork, so that a child starts warm; the module under test itself is not.
-    for warm in ("pytest", "numpy", "psutil", "drivers.errors", "drivers.interfaces", "rig.sample"):
+    for warm in ("pytest", "numpy", "psutil", "yaml", "pydantic", "drivers.errors", "drivers.interfaces", "rig.sample"):
         importlib.import_module(warm)
     unargued = 0
     for name in options.modules or TARGETS:

@@ -87,6 +87,72 @@ def test_every_limit_is_named_at_once() -> None:
     assert "tighten the bench file" in words
 
 
+EVERY_LIMIT = (
+    ("joint angle, lower end (607Dh:01h)", "-57.3 deg", "-28.65 deg"),
+    ("joint angle, upper end (607Dh:02h)", "57.3 deg", "34.38 deg"),
+    ("joint speed (607Fh)", "171.9 deg/s", "114.6 deg/s"),
+    ("joint torque (6072h)", "80 N m", "60 N m"),
+    ("motor current (6073h)", "30 A", "25 A"),
+    ("following error (6065h)", "2.292 deg", "1.719 deg"),
+)
+BRAKING = (
+    ("quick stop option (605Ah)", "6", "2"),
+    ("quick stop deceleration (6085h)", "573 deg/s^2", "2005 deg/s^2"),
+)
+
+
+def test_what_the_operator_reads_when_nothing_holds() -> None:
+    loose = ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, 0.04, 6, 10.0)
+    with pytest.raises(ConfigurationError) as caught:
+        require_held(loose, WANTED)
+    rows = "; ".join(f"{name}: drive {first}, wanted {second}" for name, first, second in (*EVERY_LIMIT, *BRAKING))
+    assert str(caught.value) == (
+        f"the drive does not hold the limits written into it: {rows}; it is not enabled; check "
+        "in its manual the range of these objects and whether they are locked"
+    )
+    with pytest.raises(ConfigurationError) as caught:
+        require_within_own(loose, WANTED)
+    rows = "; ".join(
+        f"{name}: bench file {first}, drive {second}" for name, first, second in (*EVERY_LIMIT, BRAKING[0])
+    )
+    assert str(caught.value) == (
+        f"the bench file is looser than the drive's own limits: {rows}; tighten the bench file, or change the drive "
+        "with its maker's tool; limits left by a run that died go when the drive's supply is switched off and on"
+    )
+
+
+@pytest.mark.parametrize("option", range(10))
+def test_the_bench_file_may_not_keep_the_power_on_after_a_quick_stop(option: int) -> None:
+    rows = [row.field for row in loosened(changed(quick_stop_option=option), changed(quick_stop_option=2))]
+    assert rows == (["quick_stop_option"] if 5 <= option <= 8 else [])
+
+
+def test_the_rounding_reaches_a_thousandth_and_no_further() -> None:
+    for at, beyond, field in (
+        (999.0, 998.999, "quick_stop_deceleration_rad_s2"),
+        (1001.0, 1001.001, "torque_N_m"),
+    ):
+        wanted = changed(**{field: 1000.0})
+        require_held(changed(**{field: at}), wanted)
+        with pytest.raises(ConfigurationError):
+            require_held(changed(**{field: beyond}), wanted)
+
+
+@pytest.mark.parametrize("option", [0, 1, 3])
+def test_a_drive_that_brakes_otherwise_than_asked_is_not_enabled(option: int) -> None:
+    with pytest.raises(ConfigurationError, match="quick stop option"):
+        require_held(changed(quick_stop_option=option), WANTED)
+
+
+def test_a_row_of_the_comparison_is_a_plain_value() -> None:
+    rows = compare(changed(following_error_rad=0.1), changed(following_error_rad=None))
+    row = next(row for row in rows if row.field == "following_error_rad")
+    assert row.looser is False
+    assert row.unit == "rad"
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        row.looser = True  # type: ignore[misc]
+
+
 def test_limits_are_shown_as_the_bench_file_states_them() -> None:
     assert show("following_error_rad", None) == "off"
     assert show("angle_max_rad", math.radians(30)) == "30 deg"

@@ -1,0 +1,139 @@
+"""The real-time path: Figure 10 over `slcan` on a pseudo-terminal with the machine's own clock, then identified.
+
+python tests/long/realtime.py [--cycle HZ] [--out DIR]
+
+The simulated bench lives in a process of its own, as behind a real adapter; nothing is held to simulated time, and a
+run takes as long as on a bench; the operator's answers are typed into its console as the weights are hung. The limits
+on lateness and sample age are those of a desktop computer. Each 90 % interval must have a value in common with that of
+the same run in simulated time; what late cycles leave unidentifiable is shown as such. The machine should have nothing
+else to do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import io
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from kill import CONTROLLER, bench_file, wait_for_open
+
+from rig.bench import load_bench
+from rig.cli import status
+from rig.packaged import resolve
+from rig.run_file import read_record
+from rig.tables import number, table
+from rig.timing import summary
+from rig.truth import true_parameters
+
+PROMPT = "Mass on the lever now, kg: "
+
+
+def quietly(*words: str) -> None:
+    """Run a command; what it says is only shown where it fails."""
+    said = io.StringIO()
+    with contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
+        code = status(list(words))
+    if code:
+        raise SystemExit(f"rig {' '.join(words)} ended with status {code}: {said.getvalue()}")
+
+
+def identified(run: Path) -> dict[str, dict[str, Any]]:
+    """Identify a run."""
+    result = run / "result.json"
+    quietly("identify", str(run), "--out", str(run / "identified"), "--json", str(result))
+    parameters: dict[str, dict[str, Any]] = json.loads(result.read_text())["parameters"]
+    return parameters
+
+
+def in_real_time(folder: Path, cycle_Hz: int) -> Path:
+    """Run Figure 10 over the adapter, hanging the weights it asks for; return the run's folder."""
+    twin = Path(__file__).with_name("kill.py")
+    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen([sys.executable, str(twin), "--twin"], **pipes) as bench_process:
+        try:
+            bench = bench_file(folder, bench_process.stdout.readline().strip())  # type: ignore[union-attr]
+            bench.write_text(bench.read_text().replace("cycle_Hz: 250", f"cycle_Hz: {cycle_Hz}"))
+            run = folder / "realtime"
+            command = ["run", "figure10", "--bench", str(bench), "--no-first-pass", "--out", str(run)]
+            pipes["env"] = os.environ | {"CAN_CONFIG": json.dumps({"sleep_after_open": 0.0})}
+            pipes["stderr"] = subprocess.PIPE
+            controller = subprocess.Popen([sys.executable, "-c", CONTROLLER, *command], **pipes)
+            wait_for_open(bench_process, controller)
+            began = time.monotonic()
+            words = operate(controller, bench_process)
+            print(f"status {controller.wait()} after {time.monotonic() - began:.1f} s of real time")
+            if controller.returncode:
+                raise SystemExit(words)
+        finally:
+            bench_process.stdin.close()  # type: ignore[union-attr]
+            bench_process.wait(10)
+    return run
+
+
+def operate(controller: Any, bench_process: Any) -> str:
+    """Be the operator: hang the mass that is asked for, then type it; return all that was said."""
+    words = ""
+    while letter := controller.stderr.read(1):
+        words += letter
+        if words.endswith(PROMPT):
+            asked = re.findall(r"Hang ([0-9.]+) kg|Take every weight off", words)[-1] or "0"
+            bench_process.stdin.write(f"hang {asked}\n")
+            bench_process.stdin.flush()
+            controller.stdin.write(f"{asked}\n")
+            controller.stdin.flush()
+    controller.communicate()
+    return words
+
+
+def main() -> int:
+    """Run both ways, print the nine side by side; 1 where an interval misses the other's."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--cycle", type=int, default=250, help="cycles per second (default 250)")
+    parser.add_argument("--out", type=Path, help="keep the runs here")
+    options = parser.parse_args()
+    machine = load_bench("practical").value.mock
+    assert machine is not None
+    truth = true_parameters(machine)
+    with tempfile.TemporaryDirectory() as name:
+        folder = options.out or Path(name)
+        folder.mkdir(parents=True, exist_ok=True)
+        real = in_real_time(folder, options.cycle)
+        print(summary(read_record(real).parts[-1].timing))
+        simulated = folder / "simulated"
+        quietly(
+            "run", "figure10", "--bench", str(on_simulated_bus(folder, options.cycle)), "--yes", "--out", str(simulated)
+        )
+        a, b = identified(real), identified(simulated)
+    rows, missed = [], 0
+    for parameter, true in truth.items():
+        here, there = a[parameter], b[parameter]
+        both = here["value"] is not None and there["value"] is not None
+        apart = both and (here["low"] > there["high"] or there["low"] > here["high"])
+        missed += apart
+        rows.append([parameter, number(true), _interval(here), _interval(there), "apart" if apart else ""])
+    print(table(["parameter", "true", "real time, slcan", "simulated time", ""], rows))
+    return 1 if missed else 0
+
+
+def _interval(found: dict[str, Any]) -> str:
+    return "-" if found["value"] is None else f"{found['value']:.5g} [{found['low']:.5g}, {found['high']:.5g}]"
+
+
+def on_simulated_bus(folder: Path, cycle_Hz: int) -> Path:
+    """Write the same bench with the bus in simulated time."""
+    path = folder / "simulated.yaml"
+    path.write_text(resolve("practical", "benches").read_text().replace("cycle_Hz: 1000", f"cycle_Hz: {cycle_Hz}"))
+    return path
+
+
+if __name__ == "__main__":
+    sys.exit(main())
