@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -48,7 +49,19 @@ class CorrectedModel:
             "i": bench.gear_ratio,
             "ampere_torque": ampere_torque(recording),
         }
-        return {**known, "alpha": self.alpha, **{name: float(value or 0.0) for name, value in constants.items()}}
+        given = {name: float(value or 0.0) for name, value in constants.items()}
+        return {**known, **self._load(), "alpha": self.alpha, **given}
+
+    def _load(self) -> dict[str, float]:
+        """Return the torque that turns with the joint and was found: coefficients of sin, cos, the angle and 1."""
+        torque, zero = (self.effects.get("gravity_imbalance", {}).get(n, 0.0) for n in ("torque_Nm", "zero_rad"))
+        slope, rest = (self.effects.get("return_spring", {}).get(n, 0.0) for n in ("stiffness_Nm_rad", "rest_rad"))
+        return {
+            "load_sine": torque * math.cos(zero),
+            "load_cosine": -torque * math.sin(zero),
+            "load_slope": slope,
+            "load_constant": -slope * rest,
+        }
 
     def torque(self, s: Signals, m: Mapping[str, float]) -> Array:
         """Return what the motion asks of the drive, N m at the joint, shape (n,)."""

@@ -29,9 +29,15 @@ def gear_level(speed: Array, m: Any, alpha: float) -> Array:
     return np.asarray(m["mu_gc"] + (m["mu_gs"] - m["mu_gc"]) * fall + np.zeros_like(speed))
 
 
+def borne(s: Any, m: Any) -> Array:
+    """Return the magnitude of the torque that turns with the joint, declared and found, N m: the gear bears it."""
+    found = m["load_sine"] * np.sin(s["angle"]) + m["load_cosine"] * np.cos(s["angle"])
+    return np.asarray(np.abs(s["known"] - found - m["load_slope"] * s["angle"] - m["load_constant"]))
+
+
 def dry_level(s: Any, m: Any, alpha: float) -> Array:
     """Return all friction but the viscous, without its sign, N m."""
-    system = friction_level(s["velocity"], m, alpha) + np.abs(s["known"]) * gear_level(s["velocity"], m, alpha)
+    system = friction_level(s["velocity"], m, alpha) + borne(s, m) * gear_level(s["velocity"], m, alpha)
     return np.asarray(system + s["moment"] * load_level(s["velocity"], m, alpha))
 
 
@@ -43,7 +49,7 @@ def load_torque(s: Any, m: Any) -> Array:
 
 def nominal_torque(s: Any, m: Any) -> Array:
     """Return J domega/dt + M_f + M_L, N m at the joint (eq. 15)."""
-    level = friction_level(s["velocity"], m, m["alpha"]) + np.abs(s["known"]) * gear_level(s["velocity"], m, m["alpha"])
+    level = friction_level(s["velocity"], m, m["alpha"]) + borne(s, m) * gear_level(s["velocity"], m, m["alpha"])
     system = s["sense"] * level + m["sigma_2"] * s["velocity"]
     return np.asarray(m["J"] * s["acceleration"] + system + load_torque(s, m) + m["offset"])
 
@@ -153,7 +159,7 @@ def lever_pivot_friction(s: Any, m: Any, torque_Nm: float) -> Array:
 
 def load_dependent_friction(s: Any, m: Any, coefficient: float) -> Array:
     """Friction in proportion to the torque of a weight that turns with the joint."""
-    return np.asarray(s["sense"] * coefficient * np.abs(s["known"]))
+    return np.asarray(s["sense"] * coefficient * borne(s, m))
 
 
 TORQUE: Mapping[str, Callable[..., Array]] = {

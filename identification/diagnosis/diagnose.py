@@ -83,15 +83,15 @@ def diagnose(
     unit = torque_unit(fitted[0])
     start = _nominal(dataset, fitted, bandwidth)
     terms = [t for t in TERMS if t.name not in dataset.model.terms]
-    here = views(fitted, bandwidth)
+    here = views(fitted, bandwidth, campaign=dataset.recordings)
     found = search(here, unit, fit(here, unit, start), terms, chance, tell)
     gives = any(e.term.name in GIVING for e in found.final.effects)
     if gives:
         tell("the same on the valve's side", 0.0)
-        here = views(fitted, bandwidth, valve_side=True)
+        here = views(fitted, bandwidth, True, dataset.recordings)
         found = search(here, unit, fit(here, unit, start), terms, chance, tell)
     baseline = found.baseline
-    aside = views((*fitted, *held), bandwidth, gives)[len(fitted) :]
+    aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)
     verdict, where, drawn = _judged(found, chance)
     effects = _effects(found, verdict) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
@@ -243,7 +243,7 @@ def _effect(
     rows = stack.part(own.name)
     before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
     drawn = maps(stack, own, before, after, np.random.default_rng(0))
-    where = location(own, drawn[0], before)
+    where = location(own, drawn[0] if drawn else None, before)
     place = found.final.effects[k].term.place
     if place is not None:
         index = round(found.final.effects[k].shape[place])

@@ -43,8 +43,19 @@ def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.
     return tuple(sorted(found, key=lambda m: -m.share))
 
 
-def location(equation: Equation, found: Map, before: Array) -> Location:
-    """Return where the mismatch lies along the coordinate of a map, and in which recordings."""
+def location(equation: Equation, found: Map | None, before: Array) -> Location:
+    """Return where the mismatch lies along the coordinate of a map, and in which recordings.
+
+    Where there are too few rows for any map, only the recordings are known.
+    """
+    power = {v.index: before[equation.owner == v.index] for v in equation.views}
+    names = tuple(
+        v.recording.name
+        for v in equation.views
+        if len(power[v.index]) and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
+    )
+    if found is None:
+        return Location("recording", "1", (), 0.0, names)
     outside = (found.low > 0.0) | (found.high < 0.0)
     half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
     ranges: list[tuple[float, float]] = []
@@ -54,12 +65,6 @@ def location(equation: Equation, found: Map, before: Array) -> Location:
             ranges[-1] = (ranges[-1][0], high)
         else:
             ranges.append((low, high))
-    power = {v.index: before[equation.owner == v.index] for v in equation.views}
-    names = tuple(
-        v.recording.name
-        for v in equation.views
-        if len(power[v.index]) and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
-    )
     return Location(found.coordinate, found.unit, tuple(ranges), found.share, names)
 
 

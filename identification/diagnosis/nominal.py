@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,11 +28,14 @@ class Nominal:
         values: Name to value, at the joint.
         free: Names that the recordings are asked for.
         alpha: Stribeck exponent.
+        hidden: Torque that turns with the joint and was not declared, as effects named so far say: coefficients of
+            sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
     """
 
     values: Mapping[str, float]
     free: tuple[str, ...]
     alpha: float
+    hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def get(self, name: str) -> float:
         """Return a value; 0 where the bench has no such parameter."""
@@ -45,11 +48,17 @@ class Nominal:
         """
         speed = np.abs(view.velocity if speed is None else speed)
         total = self._level(speed, _RISES[0], "sigma_2")
-        return total + np.abs(view.known) * self._level(speed, _RISES[2], "") if "mu_gc" in self.values else total
+        return total + self.borne(view) * self._level(speed, _RISES[2], "") if "mu_gc" in self.values else total
 
     def coefficient(self, view: View, speed: Array | None = None) -> Array:
         """Return the magnitude of m_L, eq. 12."""
         return self._level(np.abs(view.velocity if speed is None else speed), _RISES[1], "mu_2")
+
+    def borne(self, view: View) -> Array:
+        """Return the magnitude of the torque that turns with the joint and that the gear bears, N m."""
+        sine, cosine, slope, constant = self.hidden
+        unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
+        return np.asarray(np.abs(view.known - unknown))
 
     def falling(self, view: View) -> Array:
         """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""
@@ -91,7 +100,7 @@ class Nominal:
                 if static in self.free:
                     rise += float(step[self.free.index(static)])
                 values[static] = values[coulomb] + max(rise, 1e-6 * values[coulomb])
-        return Nominal(values, self.free, self.alpha)
+        return replace(self, values=values)
 
     def _level(self, speed: Array, names: tuple[str, str, str], viscous: str) -> Array:
         coulomb, static, omega = (self.get(n) for n in names)
@@ -111,7 +120,7 @@ class Nominal:
         if name == "mu_2":
             return np.asarray(view.moment * view.velocity)
         total = np.zeros(len(view.time))
-        for scale, names in zip((view.sense, load, view.sense * np.abs(view.known)), _RISES, strict=True):
+        for scale, names in zip((view.sense, load, view.sense * self.borne(view)), _RISES, strict=True):
             if name in names and names[0] in self.values:
                 total += scale * self._slope(view, name, names)
         return total

@@ -39,8 +39,8 @@ NEARLY_ALL = 0.8
 """... unless it explains this share of what is left beyond the noise."""
 SAME = 0.01
 """Square of the difference of two fits over the square of their mismatch, below which they are the same."""
-USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_ANGLE_RAD = 40.0, 0.5, 0.4
-"""Greatest torque, speed and travel from the middle on the practical bench, which the catalogue's ranges suit."""
+USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
+"""Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges suit."""
 RIVAL_SHARE = 0.3
 """Score over the best one's, below which an effect is no finalist."""
 
@@ -139,7 +139,7 @@ def search(
         rivals = tuple(
             Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
             for k in ranked
-            if not _contains(fitted[k], fitted[winner])
+            if not _again(fitted[k], fitted[winner], fitted[winner].effects[-1])
         )
         gain = joint.cost - fitted[winner].cost
         if gain <= 2.0 * finalists[winner].penalty:
@@ -161,6 +161,9 @@ def search(
         joint = fitted[winner]
         rounds.append(Round(finalists[winner].name, rivals))
     joint, rounds = _pruned(views, unit, baseline, joint, rounds, steps)
+    if len(rounds) > 1:
+        progress("rivals, beside the other effects", 0.9)
+        joint, rounds = _revisited(views, unit, baseline, joint, rounds, steps)
     return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
 
 
@@ -276,14 +279,9 @@ def implausible(joint: Joint) -> str:
 
 def _scales(views: Sequence[View]) -> dict[str, float]:
     """Return by unit how much larger this bench is than the one that the catalogue's ranges were written for."""
-    torque, speed, angle = (
-        max(float(np.max(np.abs(signal(v)))) for v in views) / usual
-        for signal, usual in (
-            (lambda v: v.torque, USUAL_TORQUE_N_M),
-            (lambda v: v.velocity, USUAL_SPEED_RAD_S),
-            (lambda v: v.angle - np.mean(v.angle), USUAL_ANGLE_RAD),
-        )
-    )
+    torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
+    speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
+    angle = max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
     return {
         "N m": torque,
         "N m/s": torque,
@@ -298,12 +296,6 @@ def _numbers(joint: Joint) -> int:
     """Return how many numbers of the last effect the data choose."""
     last = joint.effects[-1]
     return last.term.freedom + len(last.coefficients)
-
-
-def _contains(rival: Joint, chosen: Joint) -> bool:
-    """Whether a rival is the chosen effect over again, with more numbers: a special case is no alias."""
-    difference = rival.residual - chosen.residual
-    return _numbers(rival) > _numbers(chosen) and float(difference @ difference) < SAME * chosen.cost
 
 
 def _beyond_noise(joint: Joint, term: Term) -> float:
@@ -352,3 +344,46 @@ def _pruned(
             joint = without
             rounds = [r for r in rounds if r.name != name]
     return joint, rounds
+
+
+def _revisited(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Hold every effect against its rivals again, now that the others are in the model: what was missing misled."""
+    for place, taken in enumerate(rounds):
+        others = tuple(e for e in joint.effects if e.term.name != taken.name)
+        kept = next(e for e in joint.effects if e.term.name == taken.name)
+        contenders = []
+        for rival in taken.rivals:
+            if any(e.term.name == rival.name for e in others):
+                continue
+            there = fit(views, unit, joint.nominal, (*others, rival.joint.effects[-1]), baseline)
+            contenders.append(Contender(rival.name, there, preference(joint, there), implausible(there)))
+        better = [c for c in contenders if not c.beyond and c.preference <= -SIMPLER_IF]
+        if better:
+            best = min(better, key=lambda c: c.joint.cost)
+            note = f"preferred to {taken.name} by {-best.preference:.1f} standard errors, beside the others"
+            steps.append(Step("swap", best.name, None, joint.cost - best.joint.cost, note))
+            before, joint = joint, best.joint
+            contenders = [
+                Contender(c.name, c.joint, preference(joint, c.joint), c.beyond) for c in contenders if c is not best
+            ]
+            contenders.append(Contender(kept.term.name, before, preference(joint, before), ""))
+            taken = Round(best.name, ())
+        own = next(e for e in joint.effects if e.term.name == taken.name)
+        rivals = tuple(c for c in contenders if not _again(c.joint, joint, own))
+        rounds = [*rounds[:place], Round(taken.name, rivals), *rounds[place + 1 :]]
+    return joint, rounds
+
+
+def _again(rival: Joint, chosen: Joint, own: Added) -> bool:
+    """Whether a rival, the last effect of its fit, is the chosen one over again, with more numbers."""
+    last = rival.effects[-1]
+    more = last.term.freedom + len(last.coefficients) > own.term.freedom + len(own.coefficients)
+    difference = rival.residual - chosen.residual
+    return more and float(difference @ difference) < SAME * chosen.cost

@@ -17,10 +17,12 @@ from identification.prepare import (
     POSITION_BANDWIDTH,
     ampere_torque,
     drive_torque,
+    irregular,
     joint_angle,
     resting,
     uniform_grid,
     widened,
+    without_rare,
 )
 from identification.recording import Array, Recording, RecordingError
 from identification.signals import BoolArray, Decimator, central_difference, decimator, resample, smooth
@@ -119,7 +121,12 @@ class View:
         return self.time[half : len(self.time) - half : self.low_pass.factor]
 
 
-def views(recordings: Sequence[Recording], bandwidth_Hz: float, valve_side: bool = False) -> tuple[View, ...]:
+def views(
+    recordings: Sequence[Recording],
+    bandwidth_Hz: float,
+    valve_side: bool = False,
+    campaign: Sequence[Recording] = (),
+) -> tuple[View, ...]:
     """Return a view of each recording.
 
     Args:
@@ -127,25 +134,31 @@ def views(recordings: Sequence[Recording], bandwidth_Hz: float, valve_side: bool
         bandwidth_Hz: Of the filter.
         valve_side: Take angle and speed from the joint encoder even if the motor's is finer: where the transmission
             gives, friction acts on the valve's motion.
+        campaign: All recordings made, in their order: what warms goes on warming during those that are not looked at.
 
     Raises:
         RecordingError: A recording that cannot be brought to this bandwidth.
     """
-    starts = run_starts(recordings)
-    found = tuple(_view(r, k, starts[k], bandwidth_Hz, valve_side) for k, r in enumerate(recordings))
+    every = campaign or recordings
+    starts = dict(zip(map(id, every), run_starts(every), strict=True))
+    found = tuple(_view(r, k, starts[id(r)], bandwidth_Hz, valve_side) for k, r in enumerate(recordings))
     if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
         return found
     return tuple(replace(v, moving=v.unsteady) for v in found)
 
 
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
-    """Return when each recording began, s since the first one.
+    """Return when each recording began, s of running time.
 
-    Where their time stamps follow one another on one clock these say it, else the recordings are laid end to end.
+    Where their time stamps follow one another on one clock these say it: from that clock's zero, where it is no further
+    back than the recordings are long, as the machine was cold then; else from the first stamp. Recordings without a
+    common clock are laid end to end.
     """
     spans = sorted((float(r.time[0]), float(r.time[-1])) for r in recordings)
     if len(spans) > 1 and all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans)):
-        return [float(r.time[0]) - spans[0][0] for r in recordings]
+        first, last = spans[0][0], spans[-1][1]
+        zero = 0.0 if 0.0 <= first < last - first else first
+        return [float(r.time[0]) - zero for r in recordings]
     lengths = [float(r.time[-1] - r.time[0]) for r in recordings]
     return [float(x) for x in np.concatenate(([0.0], np.cumsum(lengths)[:-1]))]
 
@@ -166,8 +179,10 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     torque = smooth(drive, rate, cutoff) + known
     sense = _sense(velocity, torque, still)
     turned = _turned(sense)
-    stopped, margin = still | turned, round(1.5 * rate / cutoff)
+    margin = round(1.5 * rate / cutoff)
+    stopped = still | turned
     unsteady = _unsteady(velocity, round(0.5 * rate / cutoff))
+    late = widened(irregular(recording.time, grid), margin)
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
     long_enough = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1]
@@ -199,8 +214,8 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         supply=_channel(recording, "supply_voltage", grid),
         temperature=_channel(recording, "temperature", grid),
         low_pass=low_pass,
-        moving=low_pass.untouched(widened(stopped | unsteady, margin)),
-        unsteady=low_pass.untouched(widened(stopped, margin)),
+        moving=without_rare(low_pass, widened(stopped | unsteady, margin), late),
+        unsteady=without_rare(low_pass, widened(stopped, margin), late),
         breakaways=np.array(long_enough, dtype=np.int64),
     )
 

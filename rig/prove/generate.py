@@ -8,7 +8,7 @@ leaves ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json
 from __future__ import annotations
 
 import secrets
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -20,7 +20,7 @@ from rig.prove.draw import Kind, Rig, assignment, draw
 from rig.prove.excitation import experiments
 from rig.prove.folder import CAMPAIGN_FILE, write
 from rig.prove.seal import seal
-from rig.prove.simulate import campaign, strength
+from rig.prove.simulate import SETTLE_S, campaign, strength
 from rig.truth import true_parameters
 
 
@@ -58,7 +58,7 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
     truth = {
         "rig": number,
         "kind": rig.kind,
-        "effects": rig.machine.effects,
+        "effects": as_recorded(rig.machine.effects),
         "parameters": true_parameters(rig.machine),
         "machine": asdict(rig.machine),
         "pauses_s": rig.pauses_s,
@@ -78,6 +78,14 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     recorded = campaign(rig, plan)
     write(where.campaign.parent, rig.machine, recorded)
     return strength(rig, recorded, plan) if rig.machine.effects else {}
+
+
+def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Return what is hidden with times as a recording shows them: it begins after the machine has settled."""
+    out = {name: dict(parameters) for name, parameters in effects.items()}
+    if "encoder_slip" in out:
+        out["encoder_slip"]["at_s"] -= SETTLE_S
+    return out
 
 
 @click.command()

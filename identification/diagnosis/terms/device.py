@@ -5,7 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, one, polar, rows, shaped
+from identification.diagnosis.terms.memory import delayed
+from identification.diagnosis.terms.term import (
+    NO_SHAPE,
+    Context,
+    Shape,
+    Term,
+    everywhere,
+    in_motion,
+    one,
+    polar,
+    rows,
+    shaped,
+)
 from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import central_difference
@@ -16,6 +28,7 @@ REFERENCE_MASS_KG = 30.6
 EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
 STOPS = 10
 """Trial stops on either side, over the outer half of the travel."""
+SKEWS_S: tuple[Shape, ...] = tuple((side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0))
 SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
 
 
@@ -93,17 +106,20 @@ def _read_spring(c: Array, _shape: Shape, _context: Context) -> dict[str, float]
     return {"stiffness_Nm_rad": float(c[0]), "rest_rad": float(c[1] / c[0]) if c[0] else 0.0}
 
 
-def _skew(view: View, nominal: Nominal, _shape: Shape) -> Array:
+def _has_weight(view: View) -> bool:
+    return view.recording.pendulum is not None
+
+
+def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
     torque = nominal.torque(view) - view.known
-    return rows(-central_difference(torque, view.step))
+    return rows(delayed(torque, view.step, shape[0]) - torque)
 
 
-def _skew_voltage(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     bench = view.recording.bench
     assert view.current is not None
-    rate = central_difference(view.current, view.step)
-    inductive = (bench.inductance or 0.0) * central_difference(rate, view.step)
-    return rows((bench.resistance or 0.0) * rate + inductive)
+    change = delayed(view.current, view.step, -shape[0]) - view.current
+    return rows((bench.resistance or 0.0) * change + (bench.inductance or 0.0) * central_difference(change, view.step))
 
 
 TERMS = (
@@ -166,10 +182,20 @@ TERMS = (
     ),
     Term(
         "load_dependent_friction",
-        in_motion(lambda v, _n, _s: rows(v.sense * np.abs(v.known))),
+        in_motion(lambda v, n, _s: rows(v.sense * n.borne(v))),
         one("coefficient"),
-        lambda context: everywhere(context, lambda v: v.recording.pendulum is not None, ((),)),
+        lambda context: NO_SHAPE if any(context.nominal.hidden) else everywhere(context, _has_weight, NO_SHAPE),
         positive=(0,),
+        follows=True,
     ),
-    Term("time_skew", {"torque": _skew, "voltage": _skew_voltage}, one("time_s"), follows=True),
+    Term(
+        "time_skew",
+        {"torque": _skew, "voltage": _skew_voltage},
+        shaped("time_s"),
+        lambda _context: SKEWS_S,
+        refine={0: 2e-3},
+        positive=(0,),
+        size=1.0,
+        follows=True,
+    ),
 )

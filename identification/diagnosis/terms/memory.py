@@ -66,3 +66,9 @@ def heated(loss: Array, run_time: Array, start: float, time_constant: float) -> 
         state += (1.0 - np.exp(-step / time_constant)) * (loss[k] - state)
         out[k] = state
     return out
+
+
+def delayed(series: Array, step: float, time_s: float) -> Array:
+    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held."""
+    places = np.arange(len(series))
+    return np.asarray(np.interp(places - time_s / step, places, series))
