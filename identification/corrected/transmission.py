@@ -27,8 +27,9 @@ def gear_mesh_ripple(s: Any, m: Any, amplitude_rad: float, per_turn: float, phas
 
 
 def coupling_hysteresis(s: Any, m: Any, torque_Nm: float, deflection_rad: float) -> Array:
-    """A loop of the deflection over torque: one Maxwell-slip element."""
-    return np.asarray(deflection_rad / torque_Nm * play(s["drive"], 2.0 * torque_Nm))
+    """A loop of the deflection, which lags behind the torque and so loses work."""
+    behind = s["drive"] - play(s["drive"], 2.0 * torque_Nm)
+    return np.asarray(deflection_rad * np.clip(behind / torque_Nm, -1.0, 1.0))
 
 
 def transport_delay(s: Any, m: Any, time_s: float) -> Array:

@@ -46,7 +46,7 @@ TRANSMISSION: tuple[Entry, ...] = (
         coordinate="angle: periodic in the joint's angle, the same both ways and at any speed and load",
         parameters=(
             Quantity("amplitude_rad", "rad", 0.0, 0.05),
-            Quantity("per_turn", "1/turn", 1.0, 2000.0),
+            Quantity("per_turn", "1/turn", 5.0, 2000.0),
             Quantity("phase_rad", "rad", -pi, pi),
         ),
         look_alikes=("encoder_eccentricity", "cogging", "torque_ripple"),
@@ -77,7 +77,7 @@ TRANSMISSION: tuple[Entry, ...] = (
     Entry(
         name="coupling_hysteresis",
         group="transmission",
-        equation="phi / i - theta = x z, dz/dM by Maxwell slip, |z| <= 1, saturating over the torque M_h",
+        equation="phi / i - theta = x sat(P / M_h), P the play of half width M_h that the torque M drags along",
         assumption="assumption A4: no deformation; and what deforms springs back without loss",
         shows_in="transmission",
         coordinate="travel since reversal: loops of the deflection over torque, alike at any speed",

@@ -10,7 +10,7 @@ from identification.diagnosis.terms.term import Context, Shape, Term, everywhere
 from identification.diagnosis.view import View
 from identification.recording import Array
 
-TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(2, 201))
+TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
@@ -31,7 +31,9 @@ def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    return rows(play(transmitted(view), 2.0 * shape[0]) / shape[0])
+    torque = transmitted(view)
+    behind = torque - play(torque, 2.0 * shape[0])
+    return rows(np.clip(behind / shape[0], -1.0, 1.0))
 
 
 def _loops(context: Context) -> list[Shape]:
