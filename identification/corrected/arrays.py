@@ -46,7 +46,7 @@ def signals(
         velocity: rad/s; zero at rest.
         acceleration: rad/s^2.
         contact_force: F_P, N.
-        weight_mass: On the lever, kg.
+        weight_mass: On the lever, or of the weight that turns with the joint, kg.
         current: Logged, A.
         voltage: Logged, V.
         supply: V.

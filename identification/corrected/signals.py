@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from identification.diagnosis.terms.device import label_kg
 from identification.diagnosis.view import View
 
 
@@ -24,7 +25,7 @@ def signals_of(view: View) -> dict[str, Any]:
         "sense": view.sense,
         "rest_time": view.rest_time,
         "moment": view.moment,
-        "mass": view.recording.weight_mass,
+        "mass": label_kg(view),
         "known": view.known,
         "drive": view.torque - view.known,
         "current": nothing if view.current is None else view.current,

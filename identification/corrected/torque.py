@@ -138,7 +138,8 @@ def wrong_weight(s: Any, m: Any, mass_kg: float, recording: float) -> Array:
     """Another mass than the label's on one recording, counted from 1."""
     if s["number"] != round(recording) or s["mass"] <= 0.0:
         return np.zeros_like(s["time"])
-    return np.asarray(load_torque(s, m) * (mass_kg / s["mass"] - 1.0))
+    turning = s["sense"] * np.abs(s["known"]) * gear_level(s["velocity"], m, m["alpha"]) - s["known"]
+    return np.asarray((load_torque(s, m) + turning) * (mass_kg / s["mass"] - 1.0))
 
 
 def load_swing(s: Any, m: Any, fraction: float, frequency_Hz: float, decay_s: float) -> Array:

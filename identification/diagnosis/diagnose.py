@@ -44,6 +44,8 @@ GREATEST_BANDWIDTH_HZ = 25.0
 """Above this hardly any effect of the catalogue adds to what is below, and noise does."""
 GIVING = ("backlash", "compliance", "coupling_hysteresis")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
+TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
+"""Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.7
@@ -82,7 +84,8 @@ def diagnose(
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
     start = _nominal(dataset, fitted, bandwidth)
-    terms = [t for t in TERMS if t.name not in dataset.model.terms]
+    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
+    terms = [t for t in TERMS if t.name not in left_out]
     here = views(fitted, bandwidth, campaign=dataset.recordings)
     found = search(here, unit, fit(here, unit, start), terms, chance, tell)
     gives = any(e.term.name in GIVING for e in found.final.effects)
@@ -124,6 +127,11 @@ def diagnose(
         seconds=perf_counter() - started,
         alpha=dataset.model.alpha,
     )
+
+
+def _slides(bench: Bench) -> bool:
+    """Whether a linear bench is described without the motor that turns behind it."""
+    return bench.motion == "linear" and bench.gear_ratio == 1.0
 
 
 def _nominal(dataset: Dataset, recordings: Sequence[Recording], bandwidth: float) -> Nominal:

@@ -46,9 +46,12 @@ class Nominal:
 
         Where load-dependent friction is declared, with what the gear adds under a weight that turns with the joint.
         """
-        speed = np.abs(view.velocity if speed is None else speed)
-        total = self._level(speed, _RISES[0], "sigma_2")
-        return total + self.borne(view) * self._level(speed, _RISES[2], "") if "mu_gc" in self.values else total
+        magnitude = np.abs(view.velocity if speed is None else speed)
+        return self._level(magnitude, _RISES[0], "sigma_2") + self.borne(view) * self.gear(magnitude)
+
+    def gear(self, speed: Array) -> Array:
+        """Return the coefficient of declared load-dependent friction at a speed, 0 where none is declared."""
+        return self._level(np.abs(speed), _RISES[2], "")
 
     def coefficient(self, view: View, speed: Array | None = None) -> Array:
         """Return the magnitude of m_L, eq. 12."""

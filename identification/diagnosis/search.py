@@ -131,15 +131,12 @@ def search(
         if not order:
             steps.append(Step("stop", best[0].name, p_after, best[0].gain, f"fits only with {beyond[ranked[0]]}"))
             break
-        winner = min(
-            (k for k in order if preference(fitted[order[0]], fitted[k]) < SIMPLER_IF),
-            key=lambda k: (_numbers(fitted[k]), order.index(k)),
-        )
+        winner = order[_simplest([fitted[k] for k in order], [_numbers(fitted[k].effects[-1]) for k in order])]
         ranked.remove(winner)
         rivals = tuple(
             Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
             for k in ranked
-            if not _again(fitted[k], fitted[winner], fitted[winner].effects[-1])
+            if not _again(fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner])
         )
         gain = joint.cost - fitted[winner].cost
         if gain <= 2.0 * finalists[winner].penalty:
@@ -292,10 +289,15 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
     }
 
 
-def _numbers(joint: Joint) -> int:
-    """Return how many numbers of the last effect the data choose."""
-    last = joint.effects[-1]
-    return last.term.freedom + len(last.coefficients)
+def _simplest(joints: Sequence[Joint], numbers: Sequence[int]) -> int:
+    """Return which of these fits, best first, has the fewest numbers among those hardly worse than the best."""
+    near = [k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < SIMPLER_IF]
+    return min(near, key=lambda k: (numbers[k], k))
+
+
+def _numbers(effect: Added) -> int:
+    """Return how many numbers of an effect the data choose."""
+    return effect.term.freedom + len(effect.coefficients)
 
 
 def _beyond_noise(joint: Joint, term: Term) -> float:
@@ -357,33 +359,29 @@ def _revisited(
     """Hold every effect against its rivals again, now that the others are in the model: what was missing misled."""
     for place, taken in enumerate(rounds):
         others = tuple(e for e in joint.effects if e.term.name != taken.name)
-        kept = next(e for e in joint.effects if e.term.name == taken.name)
-        contenders = []
-        for rival in taken.rivals:
-            if any(e.term.name == rival.name for e in others):
-                continue
-            there = fit(views, unit, joint.nominal, (*others, rival.joint.effects[-1]), baseline)
-            contenders.append(Contender(rival.name, there, preference(joint, there), implausible(there)))
-        better = [c for c in contenders if not c.beyond and c.preference <= -SIMPLER_IF]
-        if better:
-            best = min(better, key=lambda c: c.joint.cost)
-            note = f"preferred to {taken.name} by {-best.preference:.1f} standard errors, beside the others"
-            steps.append(Step("swap", best.name, None, joint.cost - best.joint.cost, note))
-            before, joint = joint, best.joint
-            contenders = [
-                Contender(c.name, c.joint, preference(joint, c.joint), c.beyond) for c in contenders if c is not best
-            ]
-            contenders.append(Contender(kept.term.name, before, preference(joint, before), ""))
-            taken = Round(best.name, ())
         own = next(e for e in joint.effects if e.term.name == taken.name)
-        rivals = tuple(c for c in contenders if not _again(c.joint, joint, own))
-        rounds = [*rounds[:place], Round(taken.name, rivals), *rounds[place + 1 :]]
+        trials = [(own, joint)]
+        for rival in taken.rivals:
+            if all(e.term.name != rival.name for e in others):
+                added = rival.joint.effects[-1]
+                trials.append((added, fit(views, unit, joint.nominal, (*others, added), baseline)))
+        ranked = sorted(trials, key=lambda trial: trial[1].cost)
+        sound = [trial for trial in ranked if trial[0] is own or not implausible(trial[1])]
+        chosen, best = sound[_simplest([j for _, j in sound], [_numbers(e) for e, _ in sound])]
+        if chosen is not own:
+            note = f"beside the others, preferred to {taken.name} by {preference(best, joint):.1f} standard errors"
+            steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))
+        rivals = tuple(
+            Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))
+            for e, j in ranked
+            if e is not chosen and not _again(e, j, chosen, best)
+        )
+        joint = best
+        rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]
     return joint, rounds
 
 
-def _again(rival: Joint, chosen: Joint, own: Added) -> bool:
-    """Whether a rival, the last effect of its fit, is the chosen one over again, with more numbers."""
-    last = rival.effects[-1]
-    more = last.term.freedom + len(last.coefficients) > own.term.freedom + len(own.coefficients)
-    difference = rival.residual - chosen.residual
-    return more and float(difference @ difference) < SAME * chosen.cost
+def _again(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
+    """Whether a rival is the chosen effect over again, with more numbers: a special case is no alias."""
+    difference = its.residual - best.residual
+    return _numbers(rival) > _numbers(chosen) and float(difference @ difference) < SAME * best.cost

@@ -52,17 +52,30 @@ def _exponent(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def _mislabelled(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return rows(_load(view, nominal) * float(view.index == round(shape[0])))
+    return rows(_of_the_label(view, nominal) * float(view.index == round(shape[0])))
+
+
+def _of_the_label(view: View, nominal: Nominal) -> Array:
+    """Return the torque asked of the drive that is proportional to the mass on the label, N m."""
+    if view.loaded:
+        return _load(view, nominal)
+    return np.asarray(-view.known + view.sense * np.abs(view.known) * nominal.gear(view.velocity))
 
 
 def _labels(context: Context) -> list[Shape]:
-    loaded = [v for v in context.views if v.loaded]
-    return [(float(v.index),) for v in loaded] if len(loaded) > 1 else []
+    labelled = [v for v in context.views if v.loaded or _has_weight(v)]
+    return [(float(v.index),) for v in labelled] if len(labelled) > 1 else []
 
 
 def _read_mass(c: Array, shape: Shape, context: Context) -> dict[str, float]:
-    label = next(v.recording.weight_mass for v in context.views if v.index == round(shape[0]))
-    return {"mass_kg": (1.0 + float(c[0])) * label}
+    view = next(v for v in context.views if v.index == round(shape[0]))
+    return {"mass_kg": (1.0 + float(c[0])) * label_kg(view)}
+
+
+def label_kg(view: View) -> float:
+    """Return the mass on a recording's label, on the lever or turning with the joint, kg."""
+    pendulum = view.recording.pendulum
+    return view.recording.weight_mass if view.loaded or pendulum is None else pendulum.mass
 
 
 def _swing(view: View, nominal: Nominal, shape: Shape) -> Array:
