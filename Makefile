@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench loop prove paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench loop prove paper weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -24,6 +24,7 @@ help:
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
+	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make fuzz      a million frames or bytes for every decoder"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
 	@echo "make plan-study  what proposed experiments gain on random benches"
@@ -101,6 +102,9 @@ kill: $(VENV)/.dev
 	$(BIN)/python tests/long/kill.py
 	$(BIN)/python tests/long/kill_identify.py
 	$(BIN)/python -m tests.long.guardian
+
+realtime: $(VENV)/.dev
+	$(BIN)/python tests/long/realtime.py
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py

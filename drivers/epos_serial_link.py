@@ -20,7 +20,6 @@ from drivers.serial_port import BytePort, raw_frames
 
 _FRAMES_KEPT: Final = 1 << 16
 _LINE: Final = 0
-_SILENCE_NS: Final = 200_000_000
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
 _ACCEPTED: Final = ERROR.pack(0)
@@ -42,6 +41,7 @@ class EposSerialLink(Link):
         name: What to call the line in messages.
         answer_s: How long a drive may take to answer outside the cycle.
         guard: Stands by while a drive may be under power; None for nobody.
+        silence_s: How long a drive may be without a whole answer in the cycle.
 
     Attributes:
         cycle: Number of exchanges so far.
@@ -57,6 +57,7 @@ class EposSerialLink(Link):
         name: str = "serial line",
         answer_s: float = 0.2,
         guard: Guard | None = None,
+        silence_s: float = 0.2,
     ) -> None:
         self.clock = clock
         self.guard = guard
@@ -65,6 +66,7 @@ class EposSerialLink(Link):
         self._name = name
         self._connect = connect
         self._answer_wait_ns = round(answer_s * NS)
+        self._silence_ns = round(silence_s * NS)
         self._port: BytePort | None = None
         self._decoder = FrameDecoder()
         self._in_step = False
@@ -131,7 +133,7 @@ class EposSerialLink(Link):
         A lost answer ends the cycle: what is left of it is not asked for, and the values stay.
 
         Raises:
-            LinkError: The line is gone, or a drive has not answered for 0.2 s.
+            LinkError: The line is gone, or a drive has been silent for too long.
         """
         self.cycle += 1
         now = self.clock.now_ns()
@@ -145,10 +147,10 @@ class EposSerialLink(Link):
         now = self.clock.now_ns()
         if node.fresh or not node.heard_ns:
             node.heard_ns = now
-        elif now - node.heard_ns > _SILENCE_NS:
+        elif now - node.heard_ns > self._silence_ns:
             raise LinkError(
                 f"{node.label} gave no whole answer for {(now - node.heard_ns) / NS:.3f} s "
-                f"(limit {_SILENCE_NS / NS:g} s); check its supply and the serial cable"
+                f"(limit {self._silence_ns / NS:g} s); check its supply and the serial cable"
             )
 
     def take_frames(self) -> list[RawFrame]:

@@ -22,6 +22,8 @@ from identification.recording import Dataset, Model, Recording, RecordingError
 Progress = Callable[[str, float], None]
 WHITE = 0.15
 """Greatest correlation of neighbouring innovations at which the refined values are taken."""
+UNSOLVED = 10.0
+"""Greatest defect of the first stage's estimating equations at which the refined values are taken."""
 NOISE_EXCESS = 2.0
 """Greatest torque noise, over the torque's own scatter, at which the refined values are taken."""
 NO_WORSE = 1.1
@@ -76,7 +78,7 @@ def identify(
             warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         else:
             values = dict(refined.values)
-            spread = with_freedom(refined)
+            spread = spread_of(refined)
             floors = floors_of(refined)
     tell("joint", 1.0)
     every = list(prepared.values())
@@ -213,14 +215,16 @@ def refusal(refined: Refined, before: float, after: float) -> str:
             f"{refined.torque_scatter:.3g} from sample to sample, so physics is missing that the refinement would hide "
             "in the parameters"
         )
+    if refined.unsolved > UNSOLVED:
+        return f"no start solves the estimating equations of the unloaded stage (defect {refined.unsolved:.3g})"
     if after > NO_WORSE * before:
         return f"the refined values raise the equation error from {before:.3g} to {after:.3g}"
     return ""
 
 
-def with_freedom(refined: Refined) -> Spread:
-    """Return the spread of refined values; the breakaways are what varies independently."""
-    return Spread(refined.names, refined.covariance, float(max(refined.breakaways - len(refined.names), 3)))
+def spread_of(refined: Refined) -> Spread:
+    """Return the spread of refined values."""
+    return Spread(refined.names, refined.covariance, math.inf)
 
 
 def floors_of(refined: Refined) -> dict[str, float]:

@@ -8,16 +8,20 @@ that hold nothing of a stretch's own noise the errors need only have mean zero.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from identification.estimate import innovations as kernel
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
 from identification.estimate.noise_level import CLIP, likeliest_noise
 from identification.estimate.prediction_problem import LOGARITHMIC, Problem
 from identification.recording import Array
 
+SOLVED = 3.0
+"""Defect below which the estimating equations count as solved."""
 ROUNDS = 6
 """Times that instruments, weights and derivatives are renewed at most."""
 _LEVEL_ROUNDS = (0, 2)
@@ -92,11 +96,46 @@ def _round(problem: Problem) -> Array:
     return np.asarray(deviation)
 
 
+def defect(problem: Problem) -> float:
+    """Return how far the estimating equations are from solved at the problem's start: chi-squared of their sums."""
+    problem.weigh()
+    x = problem.origin()
+    residual = problem.residuals(x)
+    z = instruments(problem, problem.jacobian(x, residual))
+    score = z.T @ (residual * _weight(residual))
+    return float(score @ np.linalg.pinv(z.T @ z, hermitian=True) @ score)
+
+
+def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]], Array]) -> Array:
+    """Solve for the inertia by instruments and for all else by least squares beside it; return the residuals.
+
+    Only the inertia is badly biased by least squares. For the others they are more precise than instruments that are
+    means over a few stretches, and begun where the problem starts they stay in its basin.
+
+    Raises:
+        numpy.linalg.LinAlgError: The instruments do not pin the parameters.
+    """
+    free, start, begins = problem.free, problem.start, problem.begins
+    residual = solve(problem)
+    others = tuple(k for k in free if k != kernel.INERTIA)
+    if others != free and others:
+        start = start.copy()
+        if defect(problem) < SOLVED:
+            start[kernel.INERTIA] = problem.start[kernel.INERTIA]
+        problem.start, problem.begins, problem.free = start, begins, others
+        refine(problem, (1.0,))
+        problem.free = free
+        problem.weigh()
+        residual = problem.residuals(problem.origin())
+    return residual
+
+
 def covariances(problem: Problem) -> Covariances:
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
-    The larger, parameter by parameter, of what the noise model says and of the sandwich clustered by stretch (Liang and
-    Zeger, Biometrika 73 (1986) 13), so that what the noise model misses from stretch to stretch widens the interval.
+    The inertia has the variance of the estimating equations. The others have what least squares reach with the inertia
+    known, at the floor, and what its error does to them; where the scatter of the scores from stretch to stretch (Liang
+    and Zeger, Biometrika 73 (1986) 13) says more than the noise model, that much more.
     """
     x = problem.origin()
     problem.weigh()
@@ -104,14 +143,40 @@ def covariances(problem: Problem) -> Covariances:
     jacobian = problem.jacobian(x, residual)
     z = instruments(problem, jacobian)
     count = len(problem.free)
-    bread = np.linalg.inv(z.T @ jacobian)
-    plain = (bread @ (z.T @ z) @ bread.T * max(float(np.mean(residual**2)), 1.0))[:count, :count]
-    scores = np.zeros((problem.breakaways, len(x)))
-    np.add.at(scores, problem.owners.astype(np.int64), z * (residual * _weight(residual))[:, None])
-    share = problem.breakaways / max(problem.breakaways - count, 1)
-    sandwich = (bread @ (scores.T @ scores) @ bread.T * share)[:count, :count]
-    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
+    floor = bound(jacobian, z, problem.siblings)[:count, :count]
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
-    floor = bound(jacobian, z, problem.siblings)[:count, :count]
-    return Covariances(plain * np.outer(widen, widen) * scale, floor * scale)
+    achieved = _beside_inertia(problem, floor, _instrumental(z, jacobian, residual)[:count, :count])
+    widen = _excess_scatter(problem, jacobian, residual)[:count]
+    return Covariances(achieved * np.outer(widen, widen) * scale, floor * scale)
+
+
+def _instrumental(z: Array, jacobian: Array, residual: Array) -> Array:
+    """Return the covariance of the solution of the estimating equations, shape (p, p)."""
+    bread = np.linalg.inv(z.T @ jacobian)
+    return np.asarray(bread @ (z.T @ z) @ bread.T * max(float(np.mean(residual**2)), 1.0))
+
+
+def _beside_inertia(problem: Problem, floor: Array, instrumental: Array) -> Array:
+    """Return the covariance of least squares beside an inertia that the instruments found."""
+    if kernel.INERTIA not in problem.free:
+        return floor
+    j = problem.free.index(kernel.INERTIA)
+    others = [k for k in range(len(problem.free)) if k != j]
+    known = np.ix_(others, others)
+    follow = floor[others, j] / floor[j, j]
+    out = np.empty_like(floor)
+    out[known] = floor[known] + np.outer(follow, follow) * (instrumental[j, j] - floor[j, j])
+    out[others, j] = out[j, others] = follow * instrumental[j, j]
+    out[j, j] = instrumental[j, j]
+    return out
+
+
+def _excess_scatter(problem: Problem, jacobian: Array, residual: Array) -> Array:
+    """Return by how much scores scatter more from stretch to stretch than their noise model says, at least 1."""
+    weight = _weight(residual)
+    plain = np.linalg.inv(jacobian.T @ (jacobian * weight[:, None]))
+    scores = np.zeros((problem.breakaways, jacobian.shape[1]))
+    np.add.at(scores, problem.owners.astype(np.int64), jacobian * (residual * weight)[:, None])
+    sandwich = plain @ (scores.T @ scores) @ plain
+    return np.asarray(np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0)))

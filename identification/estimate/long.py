@@ -14,7 +14,7 @@ import numpy as np
 
 from identification.estimate import default
 from identification.estimate.assemble import fit_of, parameter_table, trace_of
-from identification.estimate.default import Progress, floors_of, free_names, refusal, solve_stages, with_freedom
+from identification.estimate.default import Progress, floors_of, free_names, refusal, solve_stages, spread_of
 from identification.estimate.long_refinement import refine_pieces
 from identification.estimate.result import Identification
 from identification.estimate.uncertainty import block_sandwich
@@ -94,7 +94,7 @@ def identify_long(
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
     else:
-        values, spread, floors = dict(refined.values), with_freedom(refined), floors_of(refined)
+        values, spread, floors = dict(refined.values), spread_of(refined), floors_of(refined)
     tell("joint", 1.0)
     return Identification(
         method="default",

@@ -3,7 +3,8 @@
 Unknown beside the parameters is when each stretch breaks away. Each such time is tied to the static limit by the torque
 measured then. Least squares leads into the right basin, with the inertia held: the torque noise is first assumed large
 and then lowered to its own value, as a filter that trusts the encoder more has a smoother cost. Instrumental variables
-then give the values (:mod:`identification.estimate.instrumental`).
+then give the inertia, which least squares put far off, and least squares the rest beside it
+(:mod:`identification.estimate.instrumental`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import numpy as np
 
 from identification.estimate import innovations as kernel
 from identification.estimate import levenberg
-from identification.estimate.instrumental import covariances, solve
+from identification.estimate.instrumental import SOLVED, beside_inertia, covariances, defect, solve
 from identification.estimate.noise_level import CLIP, deviance, likeliest_noise, torque_noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.stretches import Motion
@@ -27,6 +28,8 @@ _START_STATICS = 7
 _STARTS = 3
 """Starts of the loaded stage that are followed to their end: the likeliest of the grid is not always in the basin."""
 _SEED_CLIP = 10.0
+_INERTIAS = (1.0, 0.8, 0.6, 1.25)
+"""Inertias tried, over the equation error's; it errs upward under noise."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class Refined:
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Breakaways that entered.
+        unsolved: Defect of the first stage's estimating equations: of any size where no start solved them.
     """
 
     values: Mapping[str, float]
@@ -58,6 +62,7 @@ class Refined:
     evaluations: int
     iterations: int
     breakaways: int
+    unsolved: float
 
 
 def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> list[tuple[Array, list[Array]]]:
@@ -131,6 +136,39 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
     return problem.residuals(solution)
 
 
+def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence[int]) -> float:
+    """Solve the unloaded stage from one start after the other, until the estimating equations are solved.
+
+    Least squares with the inertia held lead into the basin of the inertia they are given; the equation error's may be
+    off by half. Leaves the problem at the best end; returns its defect.
+    """
+    vector, begins, noise = problem.start, problem.begins, (problem.noise, problem.angle_noise)
+    every = (*system, *inertia)
+    problem.free = tuple(system)
+    searched = breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF) if system else []
+    starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
+    starts += [(p, times, share) for p, times in searched for share in _INERTIAS[: len(inertia) * 3]]
+    best = None
+    for start, times, share in starts:
+        problem.start, problem.begins = start.copy(), list(times)
+        problem.noise, problem.angle_noise = noise
+        problem.start[kernel.INERTIA] *= share
+        problem.free = tuple(system)
+        if system:
+            refine(problem, (1.0,))
+        problem.free = every
+        if every:
+            solve(problem)
+        unsolved = defect(problem) if every else 0.0
+        if best is None or unsolved < best[0]:
+            best = (unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise)
+        if unsolved < SOLVED:
+            break
+    assert best is not None
+    unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise = best
+    return unsolved
+
+
 def refine_stages(
     unloaded: Sequence[Motion], loaded: Sequence[Motion], start: Mapping[str, float], model: Model
 ) -> Refined:
@@ -152,11 +190,8 @@ def refine_stages(
     # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
     first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
     first.noise, first.angle_noise = likeliest_noise(first, first.noise)
-    refine(first, (1.0,))
     inertia = [] if kernel.INERTIA in fixed else [kernel.INERTIA]
-    first.free = (*system, *inertia)
-    if first.free:
-        solve(first)
+    unsolved = solve_first_stage(first, system, inertia)
     evaluations += first.evaluations
     motions, begins, noise, free = tuple(unloaded), list(first.begins), first.noise, system
     vector = first.start
@@ -170,7 +205,7 @@ def refine_stages(
     free = [*free, *inertia]
     joint = Problem(motions, vector, free, model, noise)
     joint.begins, joint.angle_noise = begins, first.angle_noise
-    residual = solve(joint)
+    residual = beside_inertia(joint, refine)
     found = covariances(joint)
     names = tuple(n for n, k in INDEX.items() if k in free)
     order = [free.index(INDEX[n]) for n in names]
@@ -190,6 +225,7 @@ def refine_stages(
         evaluations=evaluations + joint.evaluations,
         iterations=joint.iterations,
         breakaways=joint.breakaways,
+        unsolved=unsolved,
     )
 
 

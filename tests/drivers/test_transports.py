@@ -57,7 +57,7 @@ def test_the_twin_lives_in_real_time_behind_pyserial() -> None:
     twin = RealTimeBench(bench.clock)
     path = twin.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
     clock = RealClock()
-    link = EposSerialLink(clock, lambda: PySerialPort(path, BAUD), "pty", answer_s=5.0)
+    link = EposSerialLink(clock, lambda: PySerialPort(path, BAUD), "pty", answer_s=5.0, silence_s=5.0)
     servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES, state_timeout_s=5.0)
     began = clock.now_ns()
     with twin:

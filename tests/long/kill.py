@@ -338,7 +338,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--twin", action="store_true", help=argparse.SUPPRESS)
     parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--workers", type=int, default=2, help="controllers killed at the same time")
+    parser.add_argument("--workers", type=int, default=1, help="controllers killed at the same time")
     options = parser.parse_args()
     if options.twin:
         twin()

@@ -149,6 +149,7 @@ def test_a_row_of_the_comparison_is_a_plain_value() -> None:
     row = next(row for row in rows if row.field == "following_error_rad")
     assert row.looser is False
     assert row.unit == "rad"
+    assert [row.unit for row in rows if row.field == "quick_stop_option"] == [""]
     with pytest.raises(dataclasses.FrozenInstanceError):
         row.looser = True  # type: ignore[misc]
 
