@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.drive import RATED_CURRENT_MA, encoder_resolution
-from drivers.mock.plant.constants import Sensing
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
 SLOW_EVERY = 10
 """Cycles between two frames that carry supply voltage and temperature, as the host asks of the drive."""
@@ -78,15 +78,8 @@ def record(
         _int16(latches.voltage_V * 1e2) * 0.01,
         np.rint(latches.supply_V * 1e3)[held] * 1e-3,
         np.rint(machine.temperature(latches.run_s) * 1e1)[held] * 0.1,
-        transmitted(machine.constants.sensing, latches.pressure_Pa, pressure_rng),
+        transmitted(machine.constants.sensing, latches.pressure_Pa, pressure_rng)[0] * PRESSURE_UNIT_PA,
     )
-
-
-def transmitted(sensing: Sensing, pressure_Pa: Channel, rng: np.random.Generator | None) -> Channel:
-    """Return what a pressure transmitter makes of exact pressures: with its noise, in whole units, Pa."""
-    noise = 0.0 if rng is None else sensing.pressure_noise_Pa * rng.standard_normal(len(pressure_Pa))
-    unit = sensing.pressure_unit_Pa
-    return np.asarray(np.rint((pressure_Pa + noise) / unit) * unit)
 
 
 def _int16(units: Channel) -> Channel:

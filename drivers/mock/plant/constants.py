@@ -74,7 +74,8 @@ class Sensing:
 
     Zero counts or zero quantum mean an exact sensor. ``current_noise_A`` is the rms noise of the logged mean over one
     cycle of ``cycle_s``; each sample of the current loop carries it times the square root of the samples per cycle.
-    ``pressure_noise_Pa`` is the rms noise of one sample of the pressure transmitter, ``pressure_unit_Pa`` its unit.
+    ``pressure_noise_Pa`` is the rms noise of one sample of the pressure transmitter, which measures up to
+    ``pressure_range_Pa``.
     """
 
     motor_counts_per_turn: int = 4096
@@ -82,7 +83,7 @@ class Sensing:
     current_noise_A: float = 0.020
     cycle_s: float = 0.001
     pressure_noise_Pa: float = 1500.0
-    pressure_unit_Pa: float = 100.0
+    pressure_range_Pa: float = 10e6
 
 
 @dataclass(frozen=True)
