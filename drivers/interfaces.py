@@ -93,6 +93,13 @@ class EncoderSample(NamedTuple):
     fresh: bool
 
 
+class PressureSample(NamedTuple):
+    """What the pressure transmitter said about one cycle."""
+
+    pressure_Pa: float
+    fresh: bool
+
+
 class RawFrame(NamedTuple):
     """One frame as it was on the wire, for the log. ``sent`` is True for the host's own."""
 
@@ -235,4 +242,20 @@ class Encoder(ABC):
 
     @abstractmethod
     def sample(self) -> EncoderSample:
+        """Return the sample of the last exchange."""
+
+
+class PressureTransmitter(ABC):
+    """A transmitter on the gas generator's chamber."""
+
+    @abstractmethod
+    def identity(self) -> Identity:
+        """Read who it is."""
+
+    @abstractmethod
+    def prepare(self, cycle_s: float) -> None:
+        """Check unit and state against the device and map process data."""
+
+    @abstractmethod
+    def sample(self) -> PressureSample:
         """Return the sample of the last exchange."""
