@@ -12,6 +12,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.clock import Clock
+from drivers.errors import ConfigurationError
 
 
 class ServoState(Enum):
@@ -209,6 +210,19 @@ class Servo(ABC):
     @abstractmethod
     def set_target(self, angle_rad: float) -> None:
         """Stage the joint angle that the next exchange sends."""
+
+    def set_torque_offset(self, torque_N_m: float) -> None:
+        """Stage a joint torque that the drive adds to its own, from the next exchange until another is staged.
+
+        Only where the drive was prepared for it; zero again as soon as anything takes it away from power.
+
+        Raises:
+            ConfigurationError: The drive was not prepared for it, or has no such input.
+        """
+        raise ConfigurationError(
+            f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run without feed-forward, "
+            "or use a CANopen drive with object 60B2h"
+        )
 
     @abstractmethod
     def sample(self) -> ServoSample:

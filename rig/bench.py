@@ -293,7 +293,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     if isinstance(bench.bus, SerialBus):
         document.require((("bus", "baud"), text) for text in overload(bench.bus, bench.cycle_s))
     elif bench.bus is not None:
-        document.require((("bus", "bitrate"), text) for text in _overload(frames, bench.bus.bitrate, bench.cycle_s))
+        document.require((("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus.bitrate, bench.cycle_s))
     return document if bench.watched else dataclasses.replace(document, value=_cut(bench))
 
 
@@ -316,8 +316,8 @@ def _cut(bench: Bench) -> Bench:
     return bench.model_copy(update={"limits": bench.limits.model_copy(update=cut)})
 
 
-def _overload(servo: Sequence[tuple[int, int]], bitrate: int, cycle_s: float) -> Iterator[str]:
-    """Yield what is wrong where a control cycle does not fit the bus."""
+def bus_overload(servo: Sequence[tuple[int, int]], bitrate: int, cycle_s: float) -> Iterator[str]:
+    """Yield what is wrong where a control cycle does not fit the bus, with these frames of the drive."""
     bits = cycle_bits((*servo, *cia406.FRAMES))
     share = bits / (bitrate * cycle_s)
     if share > ANSWER_SHARE:

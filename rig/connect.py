@@ -45,7 +45,9 @@ Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 
 
 @contextmanager
-def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach | None = None) -> Iterator[Devices]:
+def connect(
+    document: Document[Bench], seed: int, realtime: bool, attach: Attach | None = None, torque_offset: bool = False
+) -> Iterator[Devices]:
     """Open a bench's bus with its devices on it, and close it at the end. Nothing moves.
 
     Args:
@@ -53,6 +55,8 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
         seed: Of the mock bench's noise.
         realtime: Hold the mock bench to real time.
         attach: Tampers with a simulated bench.
+        torque_offset: Map the torque offset of a CANopen drive (60B2h); see
+            :func:`rig.feedforward.require_torque_offset`.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -76,7 +80,8 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
         link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
         drive = link.add_node(bench.servo.node, _eds(document, "servo", DRIVE_EDS))
-        servo = Cia402Servo(drive, link, servo_scales(bench.servo, bench.machine.gear_ratio))
+        scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+        servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)

@@ -166,7 +166,12 @@ class Cycle:
             self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
 
     def follow(
-        self, targets: Sequence[float], segment: int, stage: str, keep: Callable[[Sample], object] | None = None
+        self,
+        targets: Sequence[float],
+        segment: int,
+        stage: str,
+        keep: Callable[[Sample], object] | None = None,
+        compensate: Callable[[Sample | None], float] | None = None,
     ) -> None:
         """Command one joint angle in rad a cycle; each sample is judged before the next command goes out.
 
@@ -175,6 +180,8 @@ class Cycle:
             segment: Number of the excitation, 0 for none.
             stage: Name for the progress display.
             keep: Called with every sample that passed.
+            compensate: Called before every command with the sample before it (None before the first); returns the
+                torque in N m that the drive is to add until the next. It adds none after the last.
 
         Raises:
             TripError: A sample broke a limit.
@@ -185,6 +192,7 @@ class Cycle:
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
         deadline_ns = self._deadline_ns
+        sample: Sample | None = None
         since = 0
         for target in targets:
             if stop.pressed:
@@ -192,6 +200,8 @@ class Cycle:
             if deadline_ns is not None and self._next_ns > deadline_ns:
                 self._check_time(deadline_ns)
             set_target(target)
+            if compensate is not None:
+                self._servo.set_torque_offset(compensate(sample))
             sample = self._exchange(target, segment)
             trip = judge(sample, self._age_s, self._late_s, limits)
             if trip is not None:
@@ -202,6 +212,8 @@ class Cycle:
             if since == PROGRESS_CYCLES:
                 self._progress(stage, since, sample)
                 since = 0
+        if compensate is not None:
+            self._servo.set_torque_offset(0.0)
 
     def watch(self) -> None:
         """Run one cycle that commands nothing and is not judged, for the time in which the drive brakes by itself.

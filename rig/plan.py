@@ -14,6 +14,7 @@ from drivers.interfaces import ServoLimits
 from rig.bench import Bench
 from rig.configuration import Document
 from rig.errors import InputError
+from rig.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.first_pass import PlannedPass, plan_passes
 from rig.safety import Limits
 from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
@@ -47,7 +48,8 @@ TIME_LIMIT_SHARE = 1.5
 class PlannedStage:
     """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
 
-    ``first_passes`` go before it, in order, until one has moved the joint.
+    ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques that the drive adds
+    during the excitation, None where it adds none.
     """
 
     name: str
@@ -62,6 +64,7 @@ class PlannedStage:
     peak_angle_rad: float
     time_limit_s: float
     first_passes: tuple[PlannedPass, ...] = ()
+    offsets: Offsets | None = None
 
 
 @dataclass(frozen=True)
@@ -100,23 +103,35 @@ def _under_power_s(stage: PlannedStage, passes: int = 1) -> float:
     return before + stage.repeats * (stage.duration_s + stage.settle_s) + HOLD_S
 
 
-def make_plan(sequence: Document[Sequence], bench: Document[Bench], first_pass: bool | None = None) -> Plan:
+def make_plan(
+    sequence: Document[Sequence],
+    bench: Document[Bench],
+    first_pass: bool | None = None,
+    feedforward: Feedforward | None = None,
+) -> Plan:
     """Compute all targets and check them against the bench.
 
     Args:
         sequence: What to do.
         bench: On which bench.
         first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
+        feedforward: What is known of the bench, for torque that the drive adds during the excitations; None for none.
 
     Raises:
-        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all.
+        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all. Or
+            the drive cannot add torque, or too little is known of the bench for it.
     """
+    if feedforward is not None:
+        require_torque_offset(bench)
     values, problems = _tighten(sequence, bench.value)
     limits = _limits(values, bench.value)
     stages = []
     low = _first_pass(sequence.value, bench.value, first_pass)
     for index, section in enumerate(sequence.value.stages):
         stage = _plan_stage(section, bench.value, limits, low)
+        if feedforward is not None and len(stage.targets):
+            offsets = stage_offsets(feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque)
+            stage = dataclasses.replace(stage, offsets=offsets)
         stages.append(stage)
         problems.extend(
             sequence.problem(("stages", index, *key), text, value)
@@ -192,21 +207,29 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
             f"{bench.limits.contact_force_N:g} N; use less weight",
             section.weight_kg,
         )
+    way, pace, slower = ("tones",), ("tones",), "reduce amplitude or frequency, or lengthen the ramps"
+    if section.ramp is not None:
+        way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
     for extreme in (float(stage.targets.min()), float(stage.targets.max())):
         if not limits.angle_min <= extreme <= limits.angle_max:
             yield (
-                ("tones",),
+                way,
                 f"the joint would go to {math.degrees(extreme):.4g} deg, outside {math.degrees(limits.angle_min):.4g} "
-                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitudes or move center_deg",
+                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or move center_deg",
                 math.degrees(extreme),
             )
     if stage.peak_speed_rad_s > limits.speed:
         yield (
-            ("tones",),
+            pace,
             f"peak speed {math.degrees(stage.peak_speed_rad_s):.4g} deg/s is above the limit "
-            f"{math.degrees(limits.speed):.4g} deg/s; reduce amplitude or frequency, or lengthen the ramps",
+            f"{math.degrees(limits.speed):.4g} deg/s; {slower}",
             math.degrees(stage.peak_speed_rad_s),
         )
+    if stage.offsets is not None and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque:
+        text = (
+            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m {limits.torque:g} N m; use less weight"
+        )
+        yield ("weight_kg",), text, section.weight_kg
     fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
     for index, tone in enumerate(section.tones):
         if tone.frequency_Hz > fastest:

@@ -11,6 +11,7 @@ from drivers.errors import DeviceError, DriveFault, StateError
 from drivers.interfaces import ServoLimits, ServoState
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
+from rig.feedforward import Compensator
 from rig.operator import Operator, OperatorStopError, StopButton, Verb
 from rig.phases import Event, Phase, next_phase
 from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
@@ -335,7 +336,7 @@ class Sequencer:
         start = {"stage": self._stage.name, "index": self._stage_index, "repeat": self._repeat + 1}
         self._recorder.event(self._cycle.now_ns, "segment", number=self._segment, **start)
         self._journal.segment_started(self._stage_index, self._repeat + 1, self._segment, self._cycle.next_s)
-        self._follow(self._stage.targets.tolist(), self._segment)
+        self._follow(self._stage.targets.tolist(), self._segment, compensate=self._compensator())
         self._journal.segment_finished(self._segment, self._cycle.next_s)
         return Event.DONE
 
@@ -373,7 +374,17 @@ class Sequencer:
     def _rest(self, duration_s: float) -> None:
         self._follow([self._target] * round(duration_s / self._plan.cycle_s))
 
-    def _follow(self, targets: list[float], segment: int = 0, keep: Callable[[Sample], object] | None = None) -> None:
-        self._cycle.follow(targets, segment, self._stage.name, keep)
+    def _compensator(self) -> Compensator | None:
+        offsets, plan = self._stage.offsets, self._plan
+        return None if offsets is None else Compensator(offsets, plan.limits.gear_ratio, plan.cycle_s)
+
+    def _follow(
+        self,
+        targets: list[float],
+        segment: int = 0,
+        keep: Callable[[Sample], object] | None = None,
+        compensate: Compensator | None = None,
+    ) -> None:
+        self._cycle.follow(targets, segment, self._stage.name, keep, compensate)
         if targets:
             self._target = targets[-1]
