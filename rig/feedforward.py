@@ -127,7 +127,7 @@ def require_torque_offset(bench: Document[Bench]) -> None:
     if not isinstance(value.bus, Bus):
         text = "feed-forward needs the torque offset in the instant of the target; a serial line brings it later"
         raise InputError(bench.problem(("bus", "interface"), f"{text}: use a CANopen drive, or run without it"))
-    bench.require((("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus.bitrate, value.cycle_s))
+    bench.require((("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value))
 
 
 def stage_offsets(model: Feedforward, targets: Array, weight_kg: float, cycle_s: float, limit: float) -> Offsets:

@@ -16,6 +16,7 @@ from rig.configuration import Document
 from rig.errors import InputError
 from rig.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.first_pass import PlannedPass, plan_passes
+from rig.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
 from rig.safety import Limits
 from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
 
@@ -49,11 +50,12 @@ class PlannedStage:
     """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
 
     ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques that the drive adds
-    during the excitation, None where it adds none.
+    during the excitation, None where it adds none. With a ``flow`` a controller moves the valve, and ``targets`` are
+    where it should come to be. ``contact_force_N`` is the greatest.
     """
 
     name: str
-    stage: Literal["unloaded", "loaded"]
+    stage: Literal["unloaded", "loaded", "hot_fire"]
     weight_kg: float
     contact_force_N: float
     targets: Array
@@ -65,6 +67,7 @@ class PlannedStage:
     time_limit_s: float
     first_passes: tuple[PlannedPass, ...] = ()
     offsets: Offsets | None = None
+    flow: FlowPlan | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +132,7 @@ def make_plan(
     low = _first_pass(sequence.value, bench.value, first_pass)
     for index, section in enumerate(sequence.value.stages):
         stage = _plan_stage(section, bench.value, limits, low)
-        if feedforward is not None and len(stage.targets):
+        if feedforward is not None and len(stage.targets) and stage.flow is None:
             offsets = stage_offsets(feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque)
             stage = dataclasses.replace(stage, offsets=offsets)
         stages.append(stage)
@@ -163,13 +166,14 @@ def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPa
 
 
 def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstPass | None) -> PlannedStage:
-    targets = excitation(section, bench.cycle_s)
+    flow = plan_flow(section, bench, limits.speed)
+    targets = excitation(section, bench.cycle_s) if flow is None else flow.angles
     steps = np.diff(targets)
     stage = PlannedStage(
         name=section.name,
         stage=section.stage,
         weight_kg=section.weight_kg,
-        contact_force_N=bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2,
+        contact_force_N=_contact_force(section, targets, bench),
         targets=targets,
         repeats=section.repeats,
         settle_s=section.settle_s,
@@ -177,13 +181,24 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
-        first_passes=() if low is None else plan_passes(section, low, limits, bench.cycle_s),
+        # What a hot firing presses with is measured, and its friction says nothing of a mass.
+        first_passes=()
+        if low is None or section.stage == "hot_fire"
+        else plan_passes(section, low, limits, bench.cycle_s),
+        flow=flow,
     )
     across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
     passes = len(stage.first_passes)
     moves_s = across_s * (stage.repeats + passes)
     longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
     return dataclasses.replace(stage, time_limit_s=longest_s)
+
+
+def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float:
+    """Return the greatest contact force of a stage, N."""
+    if section.stage == "hot_fire":
+        return expected_force(targets, bench)
+    return bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2
 
 
 _Objection = tuple[tuple[str | int, ...], str, object]
@@ -194,22 +209,27 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
     if len(stage.targets) < 2:
         yield ("duration_s",), f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms", section.duration_s
         return
+    yield from hot_objections(section, stage.targets, bench)
     if section.time_limit_s is not None and section.time_limit_s < _under_power_s(stage):
         text = f"below the {_under_power_s(stage):.4g} s that this stage takes by itself; raise it"
         yield ("time_limit_s",), text, section.time_limit_s
     if section.weight_kg > bench.limits.weight_kg:
         text = f"above the bench limit weight_kg {bench.limits.weight_kg:g} kg; use less weight"
         yield ("weight_kg",), text, section.weight_kg
-    if stage.contact_force_N > bench.limits.contact_force_N:
+    if section.stage != "hot_fire" and stage.contact_force_N > bench.limits.contact_force_N:
         yield (
             ("weight_kg",),
             f"contact force {stage.contact_force_N:.0f} N is above the bench limit contact_force_N "
             f"{bench.limits.contact_force_N:g} N; use less weight",
             section.weight_kg,
         )
+    way: tuple[str, ...]
+    pace: tuple[str, ...]
     way, pace, slower = ("tones",), ("tones",), "reduce amplitude or frequency, or lengthen the ramps"
     if section.ramp is not None:
         way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
+    elif section.flow is not None:
+        way, pace, slower = ("flow", "steps"), ("flow", "ramp_s"), "lengthen ramp_s"
     for extreme in (float(stage.targets.min()), float(stage.targets.max())):
         if not limits.angle_min <= extreme <= limits.angle_max:
             yield (
@@ -273,6 +293,7 @@ def _limits(values: dict[str, float], bench: Bench) -> Limits:
         lateness=values["lateness_ms"] * 1e-3,
         torque_per_ampere=bench.machine.torque_constant_N_m_A * bench.machine.gear_ratio,
         gear_ratio=bench.machine.gear_ratio,
+        gas=gas_limits(bench),
     )
 
 

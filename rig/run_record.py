@@ -19,7 +19,7 @@ DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 """How a record is read back; it is built without being checked."""
-Load = Literal["unloaded", "loaded"]
+Load = Literal["unloaded", "loaded", "hot_fire"]
 
 
 @dataclass

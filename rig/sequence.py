@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from rig.bench import NonNegative, Positive
 from rig.configuration import Document, Schema, load_located
+from rig.flow import FlowSection
 from rig.packaged import resolve
 
 Array = NDArray[np.float64]
@@ -42,7 +43,10 @@ class Ramp(Schema):
 
 
 class StageSection(Schema):
-    """One stage: a weight on the lever and an excitation of the joint, by ``tones`` or by one ``ramp``.
+    """One stage: what loads the valve, and an excitation of the joint, by ``tones`` or by one ``ramp``.
+
+    In a ``hot_fire`` stage a gas generator loads the valve, and ``flow`` may take the place of an excitation: the valve
+    then goes where a controller wants it.
 
     The ramps in and out of the tones lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before
     each repeat.
@@ -50,10 +54,11 @@ class StageSection(Schema):
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
-    stage: Literal["unloaded", "loaded"]
+    stage: Literal["unloaded", "loaded", "hot_fire"]
     weight_kg: NonNegative = 0.0
     tones: tuple[Tone, ...] = ()
     ramp: Ramp | None = None
+    flow: FlowSection | None = None
     duration_s: Annotated[float, Field(gt=0, le=3600)]
     ramp_in_s: NonNegative = 1.0
     ramp_out_s: NonNegative = 1.0
@@ -64,8 +69,10 @@ class StageSection(Schema):
 
     @model_validator(mode="after")
     def _one_excitation(self) -> Self:
-        if bool(self.tones) is (self.ramp is not None):
-            raise ValueError("a stage needs tones or a ramp, and only one of them")
+        if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
+            raise ValueError("a stage needs tones, a ramp or a flow, and only one of them")
+        if self.flow is not None and self.stage != "hot_fire":
+            raise ValueError(f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire")
         if self.ramp is None:
             return self
         if given := self.model_fields_set & {"ramp_in_s", "ramp_out_s"}:
@@ -87,6 +94,10 @@ class StageSection(Schema):
             raise ValueError(f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use stage: loaded")
         if self.stage == "loaded" and self.weight_kg == 0:
             raise ValueError("a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever")
+        if self.stage == "hot_fire" and self.weight_kg != 0:
+            raise ValueError(
+                f"the gas generator loads a hot firing, no weight, but weight_kg is {self.weight_kg:g}; remove it"
+            )
         return self
 
 

@@ -198,11 +198,14 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
     Raises:
         DeviceError: A device does not answer.
     """
-    return {
+    told = {
         "servo": dataclasses.asdict(devices.servo.identity()),
         "encoder": dataclasses.asdict(devices.encoder.identity()),
         "limits": dataclasses.asdict(devices.servo.read_limits()),
     }
+    if devices.pressure is not None:
+        told["pressure"] = dataclasses.asdict(devices.pressure.identity())
+    return told
 
 
 def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]) -> None:
@@ -212,8 +215,9 @@ def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dic
     recorder.metadata("run", {**run, "part": str(len(record.parts))})
     recorder.metadata("versions", part.versions)
     recorder.metadata("sha256", {name: entry["sha256"] for name, entry in record.inputs.items()})
-    for role in ("servo", "encoder"):
-        recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
+    for role in ("servo", "encoder", "pressure"):
+        if role in identities:
+            recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
     if record.calibrations:
         recorder.metadata("calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations})
     for name, content in inputs.files().items():
