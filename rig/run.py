@@ -24,7 +24,7 @@ _CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage"
 
 
 class RunFolder:
-    """A run folder being written; a :class:`rig.sequencer.Journal`.
+    """A run folder being written; a :class:`rig.journal.Journal`.
 
     Args:
         path: The folder.
