@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench loop prove paper weight-check transports fault-matrix kill fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench loop prove paper feedforward weight-check transports fault-matrix kill fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -18,6 +18,7 @@ help:
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
+	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
@@ -81,6 +82,9 @@ real: $(VENV)/.runtime
 
 loop: $(VENV)/.runtime
 	$(BIN)/python tests/long/close_loop.py
+
+feedforward: $(VENV)/.runtime
+	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 100
 
 prove: $(VENV)/.runtime
 	$(BIN)/rig prove --rigs $(or $(RIGS),48) --jobs 2 --out out/proof
