@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.model.gas_generator import GasGenerator
+
 Array = NDArray[np.float64]
 
 CHANNELS: Mapping[str, str] = {
@@ -52,6 +54,7 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
+        gas_generator: What loads the valve where no weight does, and the valve's dimensions; None where there is none.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -63,6 +66,7 @@ class Bench:
     moment_arm: float | None = None
     lever_ratio: float = 10.0
     gravity: float = 9.80665
+    gas_generator: GasGenerator | None = None
 
     def contact_force(self, weight_mass: float) -> float:
         """Contact force F'_P = (L3/L4) m_w g of the lever-weight device, N (eq. 17)."""

@@ -34,7 +34,7 @@ class _Constants(BenchConstants):
 
 
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
-_BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
+_BENCH = {field.name for field in dataclasses.fields(BenchConstants)} - {"gas_generator"}
 _MUST_HOLD = {
     "inputs": {"file", "sha256"},
     "calibrations": {"device", "id", "due", "overdue"},

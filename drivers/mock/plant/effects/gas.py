@@ -69,7 +69,7 @@ GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 @inlined
 def layer(burn_time: float, g: Vector, at: int) -> float:
     """Return what has grown on the rims of the throat, m; worn where negative."""
-    return (g[at + LAYER_RATE] - g[at + WEAR_RATE]) * burn_time
+    return float((g[at + LAYER_RATE] - g[at + WEAR_RATE]) * burn_time)
 
 
 @inlined
@@ -80,13 +80,13 @@ def open_share(burn_time: float, g: Vector, at: int) -> float:
     slot = math.floor(burn_time / g[at + PUFF_PERIOD])
     begin = scatter(slot) * max(g[at + PUFF_PERIOD] - g[at + PUFF_LENGTH], 0.0)
     shut = 0.0 <= burn_time - slot * g[at + PUFF_PERIOD] - begin < g[at + PUFF_LENGTH]
-    return 1.0 - g[at + PUFF_SHARE] if shut else 1.0
+    return float(1.0 - g[at + PUFF_SHARE] if shut else 1.0)
 
 
 @inlined
 def burning_share(web: float, g: Vector, at: int) -> float:
     """Return the burning area of a grain whose diameter changes along its axis, over that at ignition."""
-    return (1.0 + g[at + TAPER] * web) ** 2
+    return float((1.0 + g[at + TAPER] * web) ** 2)
 
 
 @inlined
@@ -97,19 +97,19 @@ def rate_share(burn_time: float, web: float, gas_speed: float, g: Vector, at: in
         share *= 1.0 + g[at + BAND_SHARE] * math.sin(2.0 * math.pi * web / g[at + BAND_LENGTH])
     if g[at + WAVE_SHARE] != 0.0:
         share *= 1.0 + g[at + WAVE_SHARE] * math.sin(2.0 * math.pi * g[at + WAVE_FREQUENCY] * burn_time)
-    return share
+    return float(share)
 
 
 @inlined
 def chill(cooled: float, warmed: float, g: Vector, at: int) -> float:
     """Return the heat that the gas gives to the walls, W: in proportion to the difference of their temperatures."""
-    return g[at + HEAT_FLOW] * (1.0 - cooled - warmed)
+    return float(g[at + HEAT_FLOW] * (1.0 - cooled - warmed))
 
 
 @inlined
 def settled_chill(burnt: float, enthalpy: float, g: Vector, at: int) -> float:
     """Return the share of the temperature that is lost where ``burnt`` kg/s mix at once and the walls are cold."""
-    return g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy)
+    return float(g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy))
 
 
 @inlined
