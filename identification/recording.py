@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.model.gas_generator import GasGenerator
+from identification.model.valve import ValveGeometry
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,9 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
-        gas_generator: What loads the valve where no weight does, and the valve's dimensions; None where there is none.
+        valve: Of the flow regulator (Fig. 3); only hot firings need it.
+        back_pressure: p_c0 behind that valve, Pa (eq. 10); likewise.
+        gas_generator: What is believed of what burns before the valve (eq. 2 to 8); only its diagnosis needs it.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -66,6 +69,8 @@ class Bench:
     moment_arm: float | None = None
     lever_ratio: float = 10.0
     gravity: float = 9.80665
+    valve: ValveGeometry | None = None
+    back_pressure: float | None = None
     gas_generator: GasGenerator | None = None
 
     def contact_force(self, weight_mass: float) -> float:
@@ -141,7 +146,7 @@ class Recording:
             NaN marks samples that were not measured (``voltage`` while the power stage is off).
         bench: The machine.
         stage: ``unloaded`` or ``loaded``.
-        weight_mass: m_w on the lever, kg.
+        weight_mass: m_w on the lever, kg; none in a hot firing, which is loaded by its `pressure`.
         pendulum: A weight that turns with the joint, or None.
         controller: The loop it was made in, where that is known; only simulations need it.
         role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
@@ -197,8 +202,13 @@ class Recording:
         return float(np.median(np.diff(self.time)))
 
     @property
+    def hot_fire(self) -> bool:
+        """Whether a gas generator, and not a weight, loads the valve."""
+        return self.stage == "loaded" and self.weight_mass == 0.0 and "pressure" in self.channels
+
+    @property
     def contact_force(self) -> float:
-        """F'_P pressing on the valve, N (eq. 17)."""
+        """F'_P of the weight pressing on the valve, N (eq. 17)."""
         return self.bench.contact_force(self.weight_mass)
 
 

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field, PositiveFloat, field_validator, mode
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.gas_generator import GasGenerator
 from identification.model.ladder import LADDER, NOMINAL, bears_load, rises
-from identification.model.valve import ValveGeometry
+from identification.model.valve import PAPER, ValveGeometry
 from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
 from rig.catalogue import EFFECTS
 from rig.configuration import Document, Loc, Schema, load_located, nearest
@@ -68,21 +68,20 @@ Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
 
 
 class ValveSection(Schema):
-    """Dimensions of Fig. 3, m; the paper's where not given. The hole swings on ``arm``, L1."""
+    """Dimensions of Fig. 3, m; the paper's where not given. The hole swings on the bench's moment arm, L1."""
 
     hole_diameter: Constant = 0.025
     opening_diameter: Constant = 0.040
     plate_width: Constant = 0.054
-    arm: Constant = 0.095
 
     @model_validator(mode="after")
     def _fits(self) -> ValveSection:
-        self.geometry()
+        self.geometry(PAPER.L1)
         return self
 
-    def geometry(self) -> ValveGeometry:
+    def geometry(self, arm: float) -> ValveGeometry:
         """Return the record the numerics use."""
-        return ValveGeometry(self.hole_diameter, self.opening_diameter, self.plate_width, self.arm)
+        return ValveGeometry(self.hole_diameter, self.opening_diameter, self.plate_width, arm)
 
 
 class GasGeneratorSection(Schema):
@@ -110,7 +109,7 @@ class GasGeneratorSection(Schema):
     back_pressure: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.5e6
     valve: ValveSection = ValveSection()
 
-    def gas_generator(self) -> GasGenerator:
+    def generator(self, arm: float) -> GasGenerator:
         """Return the record the numerics use."""
         return GasGenerator(
             rho_b=self.propellant_density,
@@ -121,7 +120,7 @@ class GasGeneratorSection(Schema):
             gamma=self.heat_ratio,
             V_0=self.free_volume,
             p_c0=self.back_pressure,
-            valve=self.valve.geometry(),
+            valve=self.valve.geometry(arm),
         )
 
 
@@ -141,8 +140,11 @@ class BenchSection(Schema):
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        burns = None if self.gas_generator is None else self.gas_generator.gas_generator()
-        return Bench(**self.model_dump(exclude={"gas_generator"}), gas_generator=burns)
+        constants = self.model_dump(exclude={"gas_generator"})
+        if self.gas_generator is None:
+            return Bench(**constants)
+        burns = self.gas_generator.generator(self.moment_arm or PAPER.L1)
+        return Bench(**constants, valve=burns.valve, back_pressure=burns.p_c0, gas_generator=burns)
 
 
 class ModelSection(Schema):

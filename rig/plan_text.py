@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from rig.plan import Plan, PlannedStage
+from rig.safety import GasLimits
 from rig.tables import table
 
 
@@ -39,6 +40,7 @@ def describe(plan: Plan) -> str:
             ["encoder against drive", f"{math.degrees(limits.encoder_disagreement):g}", "deg"],
             ["motor temperature", f"{limits.temperature:g}", "deg C"],
             ["DC link", f"{limits.supply_min:g} to {limits.supply_max:g}", "V"],
+            *(_gas_rows(limits.gas) if limits.gas else []),
             ["sample age", f"{limits.sample_age * 1e3:g}", "ms"],
             ["lateness of a cycle", f"{limits.lateness * 1e3:g}", "ms"],
         ],
@@ -48,8 +50,17 @@ def describe(plan: Plan) -> str:
     return f"{head}\n\n{stages}\n\n{passes}\n\n{held}"
 
 
+def _gas_rows(limits: GasLimits) -> list[list[str]]:
+    return [
+        ["chamber pressure", f"{limits.pressure * 1e-6:g}", "MPa"],
+        ["contact force", f"{limits.contact_force:g}", "N"],
+    ]
+
+
 def _first_pass(stage: PlannedStage) -> str:
     bound = f"at most {stage.time_limit_s:.1f} s under power"
+    if stage.stage == "hot_fire":
+        return f"{stage.name}: {bound}; the gas generator loads the valve, no weight is hung"
     if not stage.first_passes:
         return f"{stage.name}: {bound}; no first pass at low amplitude, so the weight is not checked before the stage"
     low, *larger = stage.first_passes

@@ -13,11 +13,13 @@ RUN_FILE = "run.json"
 RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
+FEEDFORWARD_INPUT = "feedforward.json"
+"""The identification that the drive's torque offsets were computed from, under the inputs and as attachment."""
 DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 """How a record is read back; it is built without being checked."""
-Load = Literal["unloaded", "loaded"]
+Load = Literal["unloaded", "loaded", "hot_fire"]
 
 
 @dataclass

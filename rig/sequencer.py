@@ -11,6 +11,9 @@ from drivers.errors import DeviceError, DriveFault, StateError
 from drivers.interfaces import ServoLimits, ServoState
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
+from rig.feedforward import Compensator
+from rig.flow_control import Regulator
+from rig.hot_fire import hot_fire_words
 from rig.operator import Operator, OperatorStopError, StopButton, Verb
 from rig.phases import Event, Phase, next_phase
 from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
@@ -232,6 +235,9 @@ class Sequencer:
         self._recorder.event(
             self._cycle.now_ns, "prompt", stage=stage.name, index=self._stage_index, weight_kg=stage.weight_kg
         )
+        hot = stage.stage == "hot_fire"
+        if hot:
+            self._operator.tell(hot_fire_words(stage.name, devices.ignite is not None))
         with self._stop.interruptible():
             confirmed = self._operator.confirm_weight(stage.name, stage.weight_kg)
         if isinstance(confirmed, Verb):
@@ -246,6 +252,9 @@ class Sequencer:
             self._operator.tell("the drive was in fault; the fault is cleared, and the drive is still off")
         if devices.hang is not None:
             devices.hang(self._operator.hangs(stage.name, stage.weight_kg))
+        if hot and devices.ignite is not None:
+            devices.ignite()
+            self._recorder.event(self._cycle.now_ns, "ignition", stage=stage.name)
         return Event.DONE
 
     def _go_back(self) -> Event:
@@ -260,6 +269,8 @@ class Sequencer:
         devices, plan = self._devices, self._plan
         devices.servo.prepare(plan.cycle_s)
         devices.encoder.prepare(plan.cycle_s)
+        if devices.pressure is not None:
+            devices.pressure.prepare(plan.cycle_s)
         if self._own_limits is None:
             own = devices.servo.read_limits()
             require_within_own(plan.servo_limits, own)
@@ -335,7 +346,13 @@ class Sequencer:
         start = {"stage": self._stage.name, "index": self._stage_index, "repeat": self._repeat + 1}
         self._recorder.event(self._cycle.now_ns, "segment", number=self._segment, **start)
         self._journal.segment_started(self._stage_index, self._repeat + 1, self._segment, self._cycle.next_s)
-        self._follow(self._stage.targets.tolist(), self._segment)
+        if self._stage.flow is None:
+            self._follow(self._stage.targets.tolist(), self._segment, compensate=self._compensator())
+        else:
+            flow = self._stage.flow
+            regulator = Regulator(flow.law, flow.pressures.tolist(), self._target)
+            self._cycle.follow(regulator.targets(), self._segment, self._stage.name, regulator.see)
+            self._target = self._cycle.target
         self._journal.segment_finished(self._segment, self._cycle.next_s)
         return Event.DONE
 
@@ -347,6 +364,8 @@ class Sequencer:
     def _release(self) -> Event:
         self._devices.servo.disable()
         self._cycle.end()
+        if self._stage.stage == "hot_fire" and self._devices.hang is not None:
+            self._devices.hang(0.0)
         self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
         self._recorder.event(self._cycle.now_ns, "stage end", stage=self._stage.name)
         self._journal.stage_finished(self._stage_index)
@@ -373,7 +392,17 @@ class Sequencer:
     def _rest(self, duration_s: float) -> None:
         self._follow([self._target] * round(duration_s / self._plan.cycle_s))
 
-    def _follow(self, targets: list[float], segment: int = 0, keep: Callable[[Sample], object] | None = None) -> None:
-        self._cycle.follow(targets, segment, self._stage.name, keep)
+    def _compensator(self) -> Compensator | None:
+        offsets, plan = self._stage.offsets, self._plan
+        return None if offsets is None else Compensator(offsets, plan.limits.gear_ratio, plan.cycle_s)
+
+    def _follow(
+        self,
+        targets: list[float],
+        segment: int = 0,
+        keep: Callable[[Sample], object] | None = None,
+        compensate: Compensator | None = None,
+    ) -> None:
+        self._cycle.follow(targets, segment, self._stage.name, keep, compensate)
         if targets:
             self._target = targets[-1]

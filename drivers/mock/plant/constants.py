@@ -74,12 +74,16 @@ class Sensing:
 
     Zero counts or zero quantum mean an exact sensor. ``current_noise_A`` is the rms noise of the logged mean over one
     cycle of ``cycle_s``; each sample of the current loop carries it times the square root of the samples per cycle.
+    ``pressure_noise_Pa`` is the rms noise of one sample of the pressure transmitter, which measures up to
+    ``pressure_range_Pa``.
     """
 
     motor_counts_per_turn: int = 4096
     joint_counts_per_turn: int = 262144
     current_noise_A: float = 0.020
     cycle_s: float = 0.001
+    pressure_noise_Pa: float = 1500.0
+    pressure_range_Pa: float = 10e6
 
 
 @dataclass(frozen=True)

@@ -210,6 +210,7 @@ class SimulatedMachine:
             self._load()
         elif not on:
             s[loops.MODE] = loops.OFF
+            s[loops.OFFSET] = 0.0
 
     def rest(self, seconds: float) -> None:
         """Let time pass with the power off and the joint at rest: what is warm cools, the campaign goes on."""
@@ -228,6 +229,11 @@ class SimulatedMachine:
         s[loops.TARGET_LEFT] = left
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
+    def feed(self, current_A: float) -> None:
+        """Add this current to what the loops ask for, from now on and while the machine tracks."""
+        if self._s[loops.MODE] == loops.TRACK:
+            self._s[loops.OFFSET] = current_A
+
     def brake(self, deceleration_rad_s2: float) -> None:
         """Ramp the commanded joint speed to zero at this deceleration and hold there (quick stop)."""
         s = self._s
@@ -236,6 +242,7 @@ class SimulatedMachine:
         if s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
             s[loops.TARGET_STEP] = 0.0
         s[loops.MODE] = loops.BRAKE
+        s[loops.OFFSET] = 0.0
         s[loops.BRAKE_STEP] = deceleration_rad_s2 * self._d[loops.LOOP_S]
 
     def advance(self, duration_ns: int) -> None:
