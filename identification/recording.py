@@ -9,6 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
 
 Array = NDArray[np.float64]
@@ -56,6 +57,7 @@ class Bench:
         gravity: Local acceleration of free fall, m/s^2.
         valve: Of the flow regulator (Fig. 3); only hot firings need it.
         back_pressure: p_c0 behind that valve, Pa (eq. 10); likewise.
+        gas_generator: What is believed of what burns before the valve (eq. 2 to 8); only its diagnosis needs it.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -69,6 +71,7 @@ class Bench:
     gravity: float = 9.80665
     valve: ValveGeometry | None = None
     back_pressure: float | None = None
+    gas_generator: GasGenerator | None = None
 
     def contact_force(self, weight_mass: float) -> float:
         """Contact force F'_P = (L3/L4) m_w g of the lever-weight device, N (eq. 17)."""
