@@ -143,8 +143,7 @@ class BenchSection(Schema):
         constants = self.model_dump(exclude={"gas_generator"})
         if self.gas_generator is None:
             return Bench(**constants)
-        burns = self.gas_generator.generator(self.moment_arm or PAPER.L1)
-        return Bench(**constants, valve=burns.valve, back_pressure=burns.p_c0, gas_generator=burns)
+        return Bench(**constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1))
 
 
 class ModelSection(Schema):
@@ -403,8 +402,18 @@ def _check_burn(channels: Mapping[str, ChannelSection], bench: BenchSection) -> 
 
 def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     loaded = recording.stage == "loaded"
-    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels:
-        yield ("stage",), "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them"
+    if loaded and recording.weight_mass == 0 and not recording.channels.keys() & {"load_force", "pressure"}:
+        yield (
+            ("stage",),
+            "loaded, but weight_mass is 0 kg and there is no `load_force` channel, nor the `pressure` of a hot firing;"
+            " give one of them",
+        )
+    elif loaded and recording.weight_mass == 0 and "load_force" not in recording.channels and not bench.gas_generator:
+        yield (
+            ("channels", "pressure"),
+            "contact force from `pressure` takes the valve and the pressure behind it; add bench.gas_generator"
+            " ({} takes the paper's)",
+        )
     if loaded and bench.moment_arm is None:
         yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"
     if not loaded and recording.weight_mass > 0:

@@ -114,8 +114,6 @@ def bench_constants(bench: Bench) -> BenchConstants:
         moment_arm=m.moment_arm_m,
         lever_ratio=m.lever_ratio,
         gravity=m.gravity_m_s2,
-        valve=None if generator is None else generator.valve(m.moment_arm_m),
-        back_pressure=None if generator is None else generator.back_pressure_MPa * 1e6,
         gas_generator=None if generator is None else generator.generator(m.moment_arm_m),
     )
 

@@ -76,8 +76,9 @@ def test_the_chamber_pressure_is_logged_and_loads_the_valve(fired: Path) -> None
         assert recording.stage == "loaded"
         angle = recording.channels["angle"]
         force = contact_force(recording, recording.time, angle)
-        throat = throat_area(angle, recording.bench.valve or GasGenerator().valve)
-        steady = equilibrium_pressure(throat, GasGenerator())
+        generator = recording.bench.gas_generator
+        assert generator == GasGenerator()
+        steady = equilibrium_pressure(throat_area(angle, generator.valve), generator)
         # Between the steady pressures of the least and the greatest throat it came by.
         assert 0.98 * steady.min() < recording.channels["pressure"].min()
         assert recording.channels["pressure"].max() < 1.02 * steady.max()
@@ -206,8 +207,7 @@ def test_hot_firings_are_not_planned_as_experiments(capsys: pytest.CaptureFixtur
 
 def test_a_run_from_before_hot_firings_is_read(fired: Path, tmp_path: Path) -> None:
     old: dict[str, Any] = json.loads((fired / "run.json").read_text())
-    for name in ("valve", "back_pressure"):
-        del old["bench"][name]
+    del old["bench"]["gas_generator"]
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "run.json").write_text(json.dumps(old))
-    assert read_record(tmp_path / "old").bench["valve"] is None
+    assert read_record(tmp_path / "old").bench["gas_generator"] is None
