@@ -9,7 +9,9 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.gas_generator import GasGenerator
 from identification.model.ladder import LADDER, NOMINAL, bears_load, rises
+from identification.model.valve import PAPER, ValveGeometry
 from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
 from rig.catalogue import EFFECTS
 from rig.configuration import Document, Loc, Schema, load_located, nearest
@@ -65,6 +67,63 @@ Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
 """A constant of a machine, SI."""
 
 
+class ValveSection(Schema):
+    """Dimensions of Fig. 3, m; the paper's where not given. The hole swings on the bench's moment arm, L1."""
+
+    hole_diameter: Constant = 0.025
+    opening_diameter: Constant = 0.040
+    plate_width: Constant = 0.054
+
+    @model_validator(mode="after")
+    def _fits(self) -> ValveSection:
+        self.geometry(PAPER.L1)
+        return self
+
+    def geometry(self, arm: float) -> ValveGeometry:
+        """Return the record the numerics use."""
+        return ValveGeometry(self.hole_diameter, self.opening_diameter, self.plate_width, arm)
+
+
+class GasGeneratorSection(Schema):
+    """Constants of eq. 2 to 8, SI; those of the paper, or chosen, where not given.
+
+    Attributes:
+        propellant_density: rho_b, kg/m^3.
+        grain_diameter: D_P, m, of the end-burning grain.
+        burning_coefficient: a, m/s at 1 MPa.
+        pressure_exponent: n.
+        characteristic_velocity: C_r, m/s.
+        heat_ratio: Specific-heat ratio; it ties R_g T_g to C_r.
+        free_volume: At ignition, m^3.
+        back_pressure: p_c0 behind the valve, Pa.
+        valve: Dimensions of the gate.
+    """
+
+    propellant_density: Constant = 1630.0
+    grain_diameter: Constant = 0.350
+    burning_coefficient: Constant = 6.3e-3
+    pressure_exponent: Annotated[float, Field(gt=0.0, lt=1.0)] = 0.53
+    characteristic_velocity: Constant = 1000.0
+    heat_ratio: Annotated[float, Field(gt=1.0, lt=2.0)] = 1.25
+    free_volume: Constant = 0.010
+    back_pressure: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.5e6
+    valve: ValveSection = ValveSection()
+
+    def generator(self, arm: float) -> GasGenerator:
+        """Return the record the numerics use."""
+        return GasGenerator(
+            rho_b=self.propellant_density,
+            D_P=self.grain_diameter,
+            a=self.burning_coefficient,
+            n=self.pressure_exponent,
+            C_r=self.characteristic_velocity,
+            gamma=self.heat_ratio,
+            V_0=self.free_volume,
+            p_c0=self.back_pressure,
+            valve=self.valve.geometry(arm),
+        )
+
+
 class BenchSection(Schema):
     """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`."""
 
@@ -77,10 +136,14 @@ class BenchSection(Schema):
     moment_arm: Constant | None = None
     lever_ratio: Constant = 10.0
     gravity: Constant = 9.80665
+    gas_generator: GasGeneratorSection | None = None
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        return Bench(**self.model_dump())
+        constants = self.model_dump(exclude={"gas_generator"})
+        if self.gas_generator is None:
+            return Bench(**constants)
+        return Bench(**constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1))
 
 
 class ModelSection(Schema):
@@ -310,7 +373,7 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     if not channels.keys() & {"angle", "velocity", "motor_angle"}:
         yield ("channels",), "no `angle`, `velocity` or `motor_angle`; map at least one"
     if not channels.keys() & {"torque", "current", "voltage"}:
-        yield ("channels",), "no `torque`, `current` or `voltage`; map at least one"
+        yield from _check_burn(channels, bench)
     elif not channels.keys() & {"torque", "current"}:
         missing = [name for name in ("resistance", "back_emf_constant") if getattr(bench, name) is None]
         if missing:
@@ -323,10 +386,34 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     yield from _check_load(recording, bench)
 
 
+def _check_burn(channels: Mapping[str, ChannelSection], bench: BenchSection) -> Iterator[tuple[Loc, str]]:
+    """Yield what a recording lacks that has no torque: the pressure of a gas generator under a valve of known angle."""
+    if "pressure" not in channels:
+        yield ("channels",), "no `torque`, `current` or `voltage`; map at least one, or `pressure` of a gas generator"
+    elif bench.gas_generator is None:
+        yield (
+            ("channels", "pressure"),
+            "`pressure` without torque, current or voltage needs the constants of its source; add bench.gas_generator"
+            " ({} takes the paper's)",
+        )
+    elif "angle" not in channels:
+        yield ("channels",), "no `angle` of the valve, which makes the throat; map it"
+
+
 def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     loaded = recording.stage == "loaded"
-    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels:
-        yield ("stage",), "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them"
+    if loaded and recording.weight_mass == 0 and not recording.channels.keys() & {"load_force", "pressure"}:
+        yield (
+            ("stage",),
+            "loaded, but weight_mass is 0 kg and there is no `load_force` channel, nor the `pressure` of a hot firing;"
+            " give one of them",
+        )
+    elif loaded and recording.weight_mass == 0 and "load_force" not in recording.channels and not bench.gas_generator:
+        yield (
+            ("channels", "pressure"),
+            "contact force from `pressure` takes the valve and the pressure behind it; add bench.gas_generator"
+            " ({} takes the paper's)",
+        )
     if loaded and bench.moment_arm is None:
         yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"
     if not loaded and recording.weight_mass > 0:

@@ -13,6 +13,8 @@ import numpy as np
 
 from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.gas.burns import bears
+from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.result import Diagnosis
 from identification.recording import Dataset, RecordingError
 from rig.diagnose_record import diagnosis_record, effects_record
@@ -50,9 +52,10 @@ def diagnose_source(
     Args:
         source: Run folder or campaign file.
         seed: Of the random generator.
-        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings.
+        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its own.
         progress: Called with what is being done and the share that is done.
-        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out.
+        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out; those of a gas
+            generator always are.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -63,7 +66,11 @@ def diagnose_source(
     dataset = load_source(source)
     described_by = source / RUN_FILE if source.is_dir() else source
     try:
-        found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+        rng = np.random.default_rng(seed)
+        if without_torque(dataset):
+            found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
+        else:
+            found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress)
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
@@ -73,6 +80,11 @@ def diagnose_source(
     seconds = time.perf_counter() - started
     found = dataclasses.replace(found, seconds=seconds)
     return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
+
+
+def without_torque(dataset: Dataset) -> bool:
+    """Whether recordings say nothing of the torque, and all of their gas generator."""
+    return all(bears(r) and not r.channels.keys() & {"torque", "current", "voltage"} for r in dataset.recordings)
 
 
 def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:

@@ -178,7 +178,8 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         repeats=section.repeats,
         settle_s=section.settle_s,
         duration_s=len(targets) * bench.cycle_s,
-        peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
+        peak_speed_rad_s=min(float(np.max(np.abs(steps), initial=0.0)), math.inf if flow is None else flow.law.step)
+        / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
         # What a hot firing presses with is measured, and its friction says nothing of a mass.
@@ -229,7 +230,7 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
     if section.ramp is not None:
         way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
     elif section.flow is not None:
-        way, pace, slower = ("flow", "steps"), ("flow", "ramp_s"), "lengthen ramp_s"
+        way = ("flow", "steps")
     for extreme in (float(stage.targets.min()), float(stage.targets.max())):
         if not limits.angle_min <= extreme <= limits.angle_max:
             yield (

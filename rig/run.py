@@ -24,7 +24,7 @@ _CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage"
 
 
 class RunFolder:
-    """A run folder being written; a :class:`rig.sequencer.Journal`.
+    """A run folder being written; a :class:`rig.journal.Journal`.
 
     Args:
         path: The folder.
@@ -114,8 +114,7 @@ def bench_constants(bench: Bench) -> BenchConstants:
         moment_arm=m.moment_arm_m,
         lever_ratio=m.lever_ratio,
         gravity=m.gravity_m_s2,
-        valve=None if generator is None else generator.valve(m.moment_arm_m),
-        back_pressure=None if generator is None else generator.back_pressure_MPa * 1e6,
+        gas_generator=None if generator is None else generator.generator(m.moment_arm_m),
     )
 
 

@@ -11,6 +11,7 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
 from identification.recording import Bench as BenchConstants
 from rig.configuration import Loc, explain_json, place_json
@@ -34,7 +35,7 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
-_ADDED = {"valve": None, "back_pressure": None}
+_ADDED = {"gas_generator": None}
 """Constants that runs of an older program do not state: they had no hot firings."""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
 _BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
@@ -94,8 +95,9 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
     """Return the constants of the bench that a run was made on; ``record`` was read with :func:`read_record`."""
-    valve = record.bench["valve"]
-    return BenchConstants(**{**record.bench, "valve": None if valve is None else ValveGeometry(**valve)})
+    burns = record.bench["gas_generator"]
+    rebuilt = None if burns is None else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])})
+    return BenchConstants(**{**record.bench, "gas_generator": rebuilt})
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:

@@ -169,7 +169,7 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
     Returns:
         Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the time k ``cycle_s``.
     """
-    t = np.arange(round(stage.duration_s / cycle_s)) * cycle_s
+    t = np.asarray(np.arange(round(stage.duration_s / cycle_s)) * cycle_s, dtype=np.float64)
     if stage.ramp is not None:
         return math.radians(stage.center_deg) + _there_and_back(stage.ramp, t)
     swing = np.zeros_like(t)

@@ -69,7 +69,7 @@ class GasGenerator:
     def Gamma(self) -> float:
         """sqrt(R_g T_g) / C_r of a choked ideal gas (0.658 at gamma = 1.25)."""
         g = self.gamma
-        return math.sqrt(g) * (2.0 / (g + 1.0)) ** (0.5 * (g + 1.0) / (g - 1.0))
+        return float(math.sqrt(g) * (2.0 / (g + 1.0)) ** (0.5 * (g + 1.0) / (g - 1.0)))
 
     @property
     def RT(self) -> float:

@@ -119,4 +119,4 @@ def _labelled(coordinate: str, unit: str) -> str:
 
 
 def _quantity(equation: str) -> str:
-    return {"transmission": "angle", "voltage": "voltage"}.get(equation, "torque")
+    return {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}.get(equation, "torque")

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 
 from drivers.mock.plant.compiled import Vector, inlined
+from drivers.mock.plant.effects import gas as hidden
 from drivers.mock.plant.valve import throat_area
 
 # State vector.
@@ -25,8 +26,9 @@ from drivers.mock.plant.valve import throat_area
     PRESSURE,  # p_g, Pa
     THROAT,  # A_t of the valve, m^2
     FORCE,  # F_P, eq. 10, N
-    GAS_SIZE,
+    MEMORY,  # from here on: what hidden effects remember
 ) = range(9)
+GAS_SIZE = MEMORY + hidden.MEMORY_SIZE
 
 # Constants, and what acts on them: shares of 1 and no leak where nothing does.
 (
@@ -36,6 +38,7 @@ from drivers.mock.plant.valve import throat_area
     EXPONENT,  # n
     ENERGY,  # R_g T_g, J/kg
     VELOCITY,  # C_r, m/s
+    ENTHALPY,  # of the gas at flame temperature, J/kg
     BACK_PRESSURE,  # p_c0, Pa
     SIMPLIFIED,  # 1: eq. 8
     ARM,  # L1, m
@@ -48,8 +51,10 @@ from drivers.mock.plant.valve import throat_area
     RATE_SHARE,  # of r
     HEAT_SHARE,  # of the gas temperature; C_r goes with its root
     LEAK_AREA,  # m^2, beside the throat
-    PARAMETER_SIZE,
-) = range(19)
+    HIDING,  # 1: something is hidden
+    HIDDEN,  # from here on: what it is
+) = range(21)
+PARAMETER_SIZE = HIDDEN + hidden.HIDDEN_SIZE
 
 _GAMMA = 1.0 - math.sqrt(0.5)
 
@@ -57,7 +62,28 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
     """Return what holds over the coming step: shares of throat, burning area, burning rate and heat, and leak, m^2."""
-    return g[THROAT_SHARE], g[BURNING_SHARE], g[RATE_SHARE], g[HEAT_SHARE], g[LEAK_AREA]
+    throat, burning, rate, heat, leak = g[THROAT_SHARE], g[BURNING_SHARE], g[RATE_SHARE], g[HEAT_SHARE], g[LEAK_AREA]
+    if g[HIDING] == 0.0:
+        return throat, burning, rate, heat, leak
+    web, at = y[MEMORY + hidden.WEB], HIDDEN
+    heat *= 1.0 - y[MEMORY + hidden.COOLED]
+    leak += g[at + hidden.LEAK]
+    # Gas leaves the burning surface at the speed at which the outflow empties the chamber's cross-section.
+    speed = (y[THROAT] * throat + leak) * g[ENERGY] * math.sqrt(heat) / (g[VELOCITY] * g[BURNING_AREA])
+    throat *= hidden.open_share(y[BURN_TIME], g, at)
+    burning *= hidden.burning_share(web, g, at)
+    rate *= hidden.rate_share(y[BURN_TIME], web, speed, g, at)
+    return throat, burning, rate, heat, leak
+
+
+@inlined
+def remember(y: Vector, g: Vector, grown: float, burning_area: float, h: float) -> None:
+    """Note what a step of ``h`` s that burnt ``grown`` m^3 over ``burning_area`` m^2 leaves for the next."""
+    web, cooled, warmed = MEMORY + hidden.WEB, MEMORY + hidden.COOLED, MEMORY + hidden.WARMED
+    y[web] += grown / burning_area
+    if g[HIDDEN + hidden.HEAT_FLOW] > 0.0:
+        burnt = g[DENSITY] * grown / h
+        y[cooled], y[warmed] = hidden.cool(y[cooled], y[warmed], burnt, y[MASS], g[ENTHALPY], h, g, HIDDEN)
 
 
 @inlined
@@ -108,7 +134,8 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     throat_share, burning_share, rate_share, heat_share, leak = conditions(y, g)
     energy, velocity = g[ENERGY] * heat_share, g[VELOCITY] * math.sqrt(heat_share)
     grown = g[BURNING_AREA] * burning_share * g[RATE] * rate_share
-    before, after = y[THROAT], throat_area(angle, g[ARM], g[HOLE], g[OPENING], g[HALF_WIDTH])
+    grows = hidden.layer(y[BURN_TIME] + h, g, HIDDEN)
+    before, after = y[THROAT], throat_area(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH])
     mass, volume, pressure = y[MASS], y[VOLUME], y[PRESSURE]
     made = 1.0 / energy if g[SIMPLIFIED] != 0.0 else 0.0
     early = (throat_share * (before + _GAMMA * (after - before)) + leak) / velocity
@@ -130,6 +157,8 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     y[PRESSURE] = y[MASS] * energy / y[VOLUME]
     y[THROAT] = after
     y[FORCE] = contact_force(y[PRESSURE], after, g)
+    if g[HIDING] != 0.0:
+        remember(y, g, burnt, g[BURNING_AREA] * burning_share, h)
 
 
 @inlined

@@ -9,9 +9,13 @@ from numpy.typing import NDArray
 
 from drivers.mock.plant import constants, gas
 from drivers.mock.plant.compiled import compiled
+from drivers.mock.plant.effects import gas as hidden
+from drivers.mock.plant.effects.pack import GAS_KNOWN
 from drivers.mock.plant.valve import throat_area
 
 Array = NDArray[np.float64]
+HEAT_RATIO = 1.25
+"""Specific-heat ratio of the gas."""
 
 
 def gas_vector(machine: constants.Machine) -> Array:
@@ -23,6 +27,7 @@ def gas_vector(machine: constants.Machine) -> Array:
     g[gas.RATE] = 1e-3 * generator.burning_rate_mm_s * 1e-6**generator.pressure_exponent
     g[gas.EXPONENT] = generator.pressure_exponent
     g[gas.ENERGY] = generator.energy_J_kg
+    g[gas.ENTHALPY] = HEAT_RATIO / (HEAT_RATIO - 1.0) * generator.energy_J_kg
     g[gas.VELOCITY] = generator.characteristic_velocity_m_s
     g[gas.BACK_PRESSURE] = generator.back_pressure_Pa
     g[gas.SIMPLIFIED] = float(generator.equation == 8)
@@ -32,6 +37,11 @@ def gas_vector(machine: constants.Machine) -> Array:
     g[gas.HALF_WIDTH] = 0.5 * valve.plate_width_m
     g[gas.LOOPS_PER_STEP] = generator.loops_per_step
     g[gas.THROAT_SHARE] = g[gas.BURNING_SHARE] = g[gas.RATE_SHARE] = g[gas.HEAT_SHARE] = 1.0
+    hides = GAS_KNOWN.keys() & machine.effects.keys()
+    for name in hides:
+        for key, value in machine.effects[name].items():
+            g[gas.HIDDEN + GAS_KNOWN[name][key].slot] = value
+    g[gas.HIDING] = float(bool(hides))
     return g
 
 
@@ -55,7 +65,10 @@ def lit(machine: constants.Machine, g: Array, angle_rad: float, pressure_Pa: flo
     y[gas.THROAT] = valve_throat(g, np.array([angle_rad]))[0]
     y[gas.PRESSURE] = steady_pressures(g, y[gas.THROAT : gas.THROAT + 1])[0] if pressure_Pa is None else pressure_Pa
     y[gas.VOLUME] = machine.gas.free_volume_m3
-    y[gas.MASS] = y[gas.PRESSURE] * y[gas.VOLUME] / (g[gas.ENERGY] * g[gas.HEAT_SHARE])
+    burnt = g[gas.DENSITY] * g[gas.BURNING_AREA] * g[gas.RATE] * y[gas.PRESSURE] ** g[gas.EXPONENT]
+    cooled = hidden.settled_chill(burnt, g[gas.ENTHALPY], g, gas.HIDDEN)
+    y[gas.MEMORY + hidden.COOLED] = cooled
+    y[gas.MASS] = y[gas.PRESSURE] * y[gas.VOLUME] / (g[gas.ENERGY] * g[gas.HEAT_SHARE] * (1.0 - cooled))
     y[gas.FORCE] = gas.contact_force(y[gas.PRESSURE], y[gas.THROAT], g)
     return y
 
