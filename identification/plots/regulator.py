@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from identification.plots.style import BLACK, BLUE, GREY, VERMILION, figure, legend_above, thinned
 from identification.recording import Array
 
-__all__ = ["Figure", "areas", "closed_loop", "speeds", "tracking", "uniform"]
+__all__ = ["Figure", "areas", "closed_loop", "speeds", "sweep", "tracking", "uniform"]
 
 _COLORS = (VERMILION, BLUE)
 _MM2 = 1e6
@@ -139,4 +139,28 @@ def closed_loop(
         fontsize=8,
         frameon=False,
     )
+    return made
+
+
+def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Figure:
+    """Current, pressure and area against the valve angle, a column for each speed (Fig. 4).
+
+    Args:
+        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure, the steady one (MPa) and
+            impacted area (mm^2).
+    """
+    made, axes = figure(3, len(panels), width=9.5, height=7.5, sharex=True)
+    for column, (title, angle, current, pressure, steady, area) in enumerate(panels):
+        top, middle, bottom = axes[column :: len(panels)]
+        top.plot(angle, current, color=BLUE, linewidth=1.0)
+        top.set_title(title, fontsize=10, loc="left")
+        top.set_ylim(bottom=0.0)
+        middle.plot(angle, pressure, color=BLUE, linewidth=1.2, label="measured")
+        middle.plot(angle, steady, color=BLACK, linestyle="--", linewidth=1.0, label="steady at this angle")
+        middle.set_ylim(bottom=0.0)
+        bottom.plot(angle, area, color=BLUE, linewidth=1.2)
+        bottom.set_xlabel("valve angle (deg)")
+        legend_above(middle, 2)
+    for row, label in enumerate(("motor current (A)", "pressure (MPa)", "impacted area (mm$^2$)")):
+        axes[row * len(panels)].set_ylabel(label)
     return made

@@ -52,6 +52,10 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
         report = write(out, found, [*shown, *exhibits(found)], provenance, json_file)
     for title, cells in tables(found).items():
         click.echo(f"{title}\n{table(cells.header, cells.rows, cells.right)}\n")
-    for line in (*remarks(found), *(f"{e.title}: {text}" for e in shown for text in e.found)):
+    for line in remarks(found):
         click.echo(line)
+    for exhibit in shown:
+        click.echo(f"\n{exhibit.title}")
+        for line in exhibit.found:
+            click.echo(f"  {line}")
     click.echo(f"report: {report}")

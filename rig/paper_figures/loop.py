@@ -94,7 +94,8 @@ def _hunting(flow: FlowSection, time: Array, current: Array) -> str:
     before = current[(time >= 1.0) & (time < flow.steps[1].at_s)]
     return (
         f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
-        f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of the limit cycles that the paper warns of."
+        f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of the limit cycles "
+        "that the paper warns of."
     )
 
 

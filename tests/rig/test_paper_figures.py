@@ -11,7 +11,7 @@ import pytest
 from identification.model.nominal import NOMINAL
 from rig.feedforward import Feedforward
 from rig.packaged import resolve
-from rig.paper_figures import chosen, loop, ramp, uniform, valve
+from rig.paper_figures import chosen, loop, ramp, sweep, uniform, valve
 from rig.paper_figures.exhibit import Exhibit, columns, write_exhibits
 
 
@@ -113,6 +113,18 @@ def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path: Path, monkeypa
     # More flow is asked for: the throat closes, and the flow falls before it rises.
     rise = (data["time_s"] >= 4.0) & (data["time_s"] < 4.3)
     assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
+
+
+def test_fig_4_falls_with_pressure_and_area() -> None:
+    made = sweep.exhibit(0)
+    for name, fastest in (("fig_4", 0.7), ("fig_4_slow", 7.0)):
+        data = numbers(made, name)
+        even = data["uniform"] > 0.5
+        early, late = even & (data["angle_rad"] < 0.15), even & (data["angle_rad"] > 0.45)
+        for column in ("current_A", "pressure_Pa", "impacted_area_m2"):
+            assert data[column][early].mean() > 1.3 * data[column][late].mean(), column
+        assert data["time_s"][-1] < fastest
+    assert "At 50 deg/s" in made.found[0]
 
 
 def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
