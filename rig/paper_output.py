@@ -163,7 +163,9 @@ def _pictures(found: Reproduction) -> dict[str, list[Picture]]:
         title: [_convergence(found, figure, k), _response(found.dataset, found, k)]
         for k, (title, figure) in enumerate(zip(_TITLES, ("fig_12", "fig_13"), strict=True))
     }
-    moments = {r.name: r.contact_force * (r.bench.moment_arm or 0.0) for r in found.dataset.recordings}
+    moments: dict[str, float | None] = {
+        r.name: r.contact_force * (r.bench.moment_arm or 0.0) for r in found.dataset.recordings
+    }
     errors = {m: {n: list(found.errors(m, n).values()) for n in _PRINTED} for m in found.runs}
     printed = {name: entry.error_percent for name, entry in _PRINTED.items()}
     groups[list(_TITLES)[-1]] += [
