@@ -181,7 +181,7 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
     return math.radians(stage.center_deg) + rise * fall * swing
 
 
-def _there_and_back(ramp: Ramp, t: Array) -> Array:
+def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
     """Return the angle from the centre, rad, shape of ``t``."""
     away_s = abs(ramp.travel_deg) / ramp.speed_deg_s
     share = np.minimum(t, away_s) - np.clip(t - away_s - ramp.rest_s, 0.0, away_s)

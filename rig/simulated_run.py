@@ -19,6 +19,13 @@ from rig.sequencer import Ending
 from rig.session import Inputs, execute
 
 
+class _Unattended(AutomaticOperator):
+    """Answers as planned, and has nobody to tell."""
+
+    def tell(self, words: str) -> None:
+        """Say nothing."""
+
+
 def run_simulated(
     bench: Document[Bench],
     sequence: Document[Sequence],
@@ -45,7 +52,7 @@ def run_simulated(
     create_folder(folder)
     inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)
     with connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices:
-        _, outcome = execute(inputs, plan, devices, folder, AutomaticOperator(), StopButton(), _silent)
+        _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
     if outcome.ending is Ending.STOPPED:
         raise KeyboardInterrupt
     if outcome.ending is not Ending.DONE:

@@ -26,7 +26,8 @@ SMOOTHING_S = 0.02
 UNIFORM = 0.2
 """Greatest spread of the speed, rms over its mean, that still counts as uniform motion."""
 _SPEED_UNIT = 1e-9  # commanded speeds closer than this, in rad per sample, are the same
-_LEAST_POINTS = 4  # as many as there are parameters
+_LEAST_SPEEDS = 4  # as many as there are parameters
+_DIGITS = 6  # of a speed in rad/s, by which two are told apart
 
 
 @dataclass(frozen=True)
@@ -95,15 +96,15 @@ def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str,
     """Fit eq. 9 to the unloaded points and, after it, the bracket of eq. 12 to the loaded ones.
 
     Returns:
-        Parameter name to value; a stage with fewer points than parameters is left out.
+        Parameter name to value; a stage with fewer speeds than parameters is left out.
     """
     unloaded = [p for p in points if p.moment == 0.0]
     loaded = [p for p in points if p.moment > 0.0]
-    if len(unloaded) < _LEAST_POINTS:
+    if _distinct(unloaded) < _LEAST_SPEEDS:
         return {}
     found = _fit(_speeds(unloaded), np.array([p.friction for p in unloaded]), np.ones(len(unloaded)), alpha)
     system = dict(zip(("Mc", "Ms", "omega_sf", "sigma_2"), found, strict=True))
-    if len(loaded) < _LEAST_POINTS:
+    if _distinct(loaded) < _LEAST_SPEEDS:
         return system
     rest = np.array([p.friction for p in loaded]) - system_friction(_speeds(loaded), system, alpha)
     load = _fit(_speeds(loaded), rest, np.array([p.moment for p in loaded]), alpha)
@@ -113,6 +114,10 @@ def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str,
 def errors_percent(found: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:
     """Return the error of each parameter found, percent of the true value."""
     return {name: 100.0 * (value / truth[name] - 1.0) for name, value in found.items()}
+
+
+def _distinct(points: Sequence[UniformPoint]) -> int:
+    return len({round(abs(p.speed), _DIGITS) for p in points})
 
 
 def _speeds(points: Sequence[UniformPoint]) -> Array:

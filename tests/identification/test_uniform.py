@@ -57,7 +57,8 @@ def test_exact_points_give_the_exact_curve() -> None:
     assert errors_percent(found, truth) == pytest.approx(dict.fromkeys(found, 0.0), abs=1e-3)
 
 
-def test_too_few_points_give_no_parameters() -> None:
+def test_too_few_speeds_give_no_parameters() -> None:
     assert fit_uniform([exact(v, 0.0) for v in (0.1, 0.2, 0.3)]) == {}
+    assert fit_uniform([exact(v, 0.0) for v in (0.1, 0.2, 0.3, 0.1, 0.2, 0.3)]) == {}
     points = [exact(v, 0.0) for v in (0.02, 0.05, 0.1, 0.2)] + [exact(0.1, 285.0)]
     assert set(fit_uniform(points)) == {"Mc", "Ms", "omega_sf", "sigma_2"}
