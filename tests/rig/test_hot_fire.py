@@ -248,10 +248,10 @@ recordings:
     angle = read.channels["angle"]
     np.testing.assert_allclose(contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9)
     path.write_text(text.replace(", gas_generator: {}", ""))
-    with pytest.raises(InputError, match=r"add bench\.gas_generator"):
+    with pytest.raises(InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"):
         load_source(path)
     path.write_text(text.replace(" pressure: pressure,", ""))
-    with pytest.raises(InputError, match="nor the `pressure` of a hot firing"):
+    with pytest.raises(InputError, match="or for a hot firing `pressure`"):
         load_source(path)
 
 
