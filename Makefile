@@ -90,7 +90,7 @@ prove: $(VENV)/.runtime
 	$(BIN)/rig prove --rigs $(or $(RIGS),48) --jobs 2 --out out/proof
 
 bench: $(VENV)/.runtime
-	for script in plant_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 weight-check: $(VENV)/.runtime
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done

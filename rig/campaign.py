@@ -402,17 +402,12 @@ def _check_burn(channels: Mapping[str, ChannelSection], bench: BenchSection) -> 
 
 def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     loaded = recording.stage == "loaded"
-    if loaded and recording.weight_mass == 0 and not recording.channels.keys() & {"load_force", "pressure"}:
+    hot_fire = "pressure" in recording.channels and bench.gas_generator is not None
+    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels and not hot_fire:
         yield (
             ("stage",),
-            "loaded, but weight_mass is 0 kg and there is no `load_force` channel, nor the `pressure` of a hot firing;"
-            " give one of them",
-        )
-    elif loaded and recording.weight_mass == 0 and "load_force" not in recording.channels and not bench.gas_generator:
-        yield (
-            ("channels", "pressure"),
-            "contact force from `pressure` takes the valve and the pressure behind it; add bench.gas_generator"
-            " ({} takes the paper's)",
+            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them, or for a hot"
+            " firing `pressure` and bench.gas_generator",
         )
     if loaded and bench.moment_arm is None:
         yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"

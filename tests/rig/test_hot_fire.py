@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +13,20 @@ import pytest
 
 from identification.contact_force import contact_force
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure
+from identification.model.nominal import NOMINAL
 from identification.model.valve import throat_area
 from rig.bench import load_bench
 from rig.cli import status
 from rig.errors import InputError
+from rig.label_check import comparable, off_label
 from rig.mcap_reader import read_run
 from rig.packaged import resolve
 from rig.plan import make_plan
 from rig.plan_text import describe
+from rig.reference import Reference
 from rig.run import load_run, read_record
 from rig.sequence import load_sequence
+from rig.sources import load_source
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
 HOT = f"""\
@@ -31,6 +36,8 @@ stages:
   - {{name: sine, stage: hot_fire, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
   - {{name: flow, stage: hot_fire, flow: {STEPS}, duration_s: 4}}
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
+     ramp_in_s: 0.3, ramp_out_s: 0.3}}
 """
 
 
@@ -70,7 +77,8 @@ def problems(bench: str | Path = "practical_hot") -> str:
 
 
 def test_the_chamber_pressure_is_logged_and_loads_the_valve(fired: Path) -> None:
-    sine, flow = load_run(fired).recordings
+    sine, flow, empty = load_run(fired).recordings
+    assert "pressure" not in empty.channels
     for recording in (sine, flow):
         assert recording.hot_fire
         assert recording.stage == "loaded"
@@ -99,7 +107,7 @@ def test_the_closed_loop_brings_the_flow_asked_for(fired: Path) -> None:
 
 def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
     record = read_record(fired)
-    assert [(s.stage, s.weight_kg, s.confirmed_kg) for s in record.stages] == [("hot_fire", 0.0, 0.0)] * 2
+    assert [(s.stage, s.weight_kg, s.confirmed_kg) for s in record.stages[:2]] == [("hot_fire", 0.0, 0.0)] * 2
     assert record.parts[0].devices["pressure"]["product_code"] == 0x404
     assert "pressure.eds" in record.inputs
     events = [event["event"] for event in read_run(fired / "recording.mcap").events]
@@ -211,3 +219,43 @@ def test_a_run_from_before_hot_firings_is_read(fired: Path, tmp_path: Path) -> N
     (tmp_path / "old").mkdir()
     (tmp_path / "old" / "run.json").write_text(json.dumps(old))
     assert read_record(tmp_path / "old").bench["gas_generator"] is None
+
+
+def test_its_friction_is_not_held_against_a_weight(fired: Path) -> None:
+    dataset = load_run(fired)
+    assert not comparable(dataset)
+    assert off_label(dataset, Reference(NOMINAL, dict.fromkeys(NOMINAL, 1e-4), 2.0, 9.3163, "known.json")) == []
+
+
+def test_a_campaign_may_be_a_hot_firing(fired: Path) -> None:
+    sine = load_run(fired).recordings[0]
+    columns = {name: sine.channels[name] for name in ("time", "current", "angle", "pressure")}
+    np.savetxt(
+        "sine.csv", np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments=""
+    )
+    text = """\
+campaign: 1
+bench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, gas_generator: {}}
+model: {fixed: {Mc: 6.825, Ms: 12.025, omega_sf: 0.0557, sigma_2: 5.3462, J: 0.204}}
+recordings:
+  - {file: sine.csv, stage: loaded, channels: {time: time, angle: angle, pressure: pressure,
+     current: {column: current, average: true}}}
+"""
+    path = Path("campaign.yaml")
+    path.write_text(text)
+    (read,) = load_source(path).recordings
+    assert read.hot_fire
+    angle = read.channels["angle"]
+    np.testing.assert_allclose(contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9)
+    path.write_text(text.replace(", gas_generator: {}", ""))
+    with pytest.raises(InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"):
+        load_source(path)
+    path.write_text(text.replace(" pressure: pressure,", ""))
+    with pytest.raises(InputError, match="or for a hot firing `pressure`"):
+        load_source(path)
+
+
+def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
+    shutil.copytree(fired, "copy")
+    assert status(["identify", "copy"]) == 0
+    assert "gas generator" in (Path("copy") / "report.html").read_text()

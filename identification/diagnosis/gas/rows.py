@@ -78,7 +78,7 @@ def candidates(
     for term in terms:
         for shape in term.shapes:
             columns = {PRESSURE: slope(burns, fitted, term, shape)[:, None]}
-            found = stack.candidate(term.name, shape, columns, (0,) if term.positive else ())
+            found = stack.candidate(term.name, shape, columns)
             if found is not None:
                 yield found
 

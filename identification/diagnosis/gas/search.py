@@ -15,7 +15,16 @@ from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
 from identification.diagnosis.gas.rows import candidates, families, stacked
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
-from identification.diagnosis.search import EXCESS, FURTHER_SHARE, LEVEL, RARE, SIMPLER_IF, chance
+from identification.diagnosis.search import (
+    EXCESS,
+    FURTHER_SHARE,
+    LEAST_FURTHER,
+    LEVEL,
+    NEARLY_ALL,
+    RARE,
+    SIMPLER_IF,
+    chance,
+)
 from identification.diagnosis.stack import Candidate, Stack
 from identification.recording import Array
 
@@ -101,16 +110,27 @@ def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, prog
     steps = [seen.step]
     while seen.p_value <= LEVEL and len(taken) < MOST_EFFECTS:
         progress("fitting effects", (len(taken) + 0.5) / (MOST_EFFECTS + 1))
-        fitted = _fitted(burns, sigma, here, seen.trials)
+        tried = _fitted(burns, sigma, here, seen.trials)
+        fitted = [f for f in tried if plausible(f.model.effects[-1])]
         if not fitted:
             steps.append(Step("stop", "", seen.p_value, 0.0, "no effect of the catalogue fits with a plausible size"))
             break
         winner = _simplest(fitted, first)
+        turned = [f for f in tried if reversed_sign(f.model.effects[-1]) and _likelier(f, winner, first) > REJECTED]
+        if turned:
+            best = min(turned, key=lambda f: f.cost)
+            words = "of the opposite sign fits better than any effect of the catalogue"
+            steps.append(Step("stop", best.model.effects[-1].term.name, seen.p_value, here.cost - best.cost, words))
+            break
         name = winner.model.effects[-1].term.name
         gain = here.cost - winner.cost
         share = gain / max(here.cost - EXCESS * len(here.residual), gain)
-        if taken and share < FURTHER_SHARE:
-            words = f"explains {100.0 * share:.0f} % of what is left: too little for one more name"
+        beside = gain / max(baseline.cost - here.cost, gain)
+        if taken and share < (FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL):
+            words = (
+                f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of what is explained "
+                "already: too little for one more name"
+            )
             steps.append(Step("stop", name, seen.p_value, gain, words))
             break
         after = _test(burns, stacked(burns, winner, sigma, first), winner, rng)
@@ -170,14 +190,13 @@ def apart(one: Fitted, other: Fitted) -> float:
 
 
 def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, trials: Sequence[Candidate]) -> list[Fitted]:
-    """Return every effect that fits with a plausible size, jointly with all that is fitted already."""
+    """Return the best fit of every effect that explains something, jointly with all that is fitted already."""
     found = []
     for term in GAS_TERMS:
         mine = sorted((c for c in trials if c.name == term.name), key=lambda c: -c.score)[:TRIALS_FITTED]
         tried = [fit(burns, sigma, _with(here.model, term, c)) for c in mine]
-        good = [f for f in tried if plausible(f.model.effects[-1])]
-        if good:
-            found.append(min(good, key=lambda f: f.cost))
+        if tried:
+            found.append(min(tried, key=lambda f: (not plausible(f.model.effects[-1]), f.cost)))
     return [f for f in found if f.cost < here.cost]
 
 
@@ -190,6 +209,13 @@ def plausible(effect: GasEffect) -> bool:
     """Whether an effect's parameters are within the ranges of the catalogue."""
     ranges = {q.name: (q.low, q.high) for q in ENTRIES[effect.term.name].parameters}
     return all(ranges[name][0] <= value <= ranges[name][1] for name, value in effect.parameters.items())
+
+
+def reversed_sign(effect: GasEffect) -> bool:
+    """Whether an effect's size has the sign that the catalogue excludes: a wearing throat is no negative deposit."""
+    name = next(iter(effect.term.sizes))
+    low = next(q.low for q in ENTRIES[effect.term.name].parameters if q.name == name)
+    return effect.parameters[name] < low
 
 
 def _excess(fitted: Fitted) -> float:

@@ -31,12 +31,10 @@ class GasTerm:
     Attributes:
         name: Stable name.
         sizes: Parameter name to its place.
-        positive: Whether a negative size is unphysical.
     """
 
     name: str
     sizes: Mapping[str, Size]
-    positive: bool = True
 
     @property
     def shapes(self) -> tuple[tuple[float, ...], ...]:
@@ -49,7 +47,7 @@ class GasTerm:
 
 GAS_TERMS = (
     GasTerm("throat_deposition", {"rate_m_s": Size(kernel.LAYER_RATE, 1e-6)}),
-    GasTerm("burning_area_change", {"taper_per_m": Size(kernel.TAPER, 0.01)}, positive=False),
+    GasTerm("burning_area_change", {"taper_per_m": Size(kernel.TAPER, 0.01)}),
     GasTerm("erosive_burning", {"coefficient_s_m": Size(kernel.EROSION, 1e-3)}),
     GasTerm(
         "heat_loss",
