@@ -6,7 +6,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from rig.paper_figures import loop, machine, ramp, sweep, uniform, valve
+from rig.paper_figures import loop, machine, ramp, sine, sweep, uniform, valve
 from rig.paper_figures.exhibit import Exhibit
 
 
@@ -23,10 +23,12 @@ def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
         model = machine.identified(scratch, seed, lambda what, share: None)
         progress("Fig. 2 and 9: slow ramps", 0.2)
         fig_2, fig_9 = ramp.exhibits(ramp.run_ramps(scratch, model, seed))
+        progress("compensation: the sine of both cases", 0.3)
+        compensation = sine.exhibit(*sine.run_sines(scratch, model, seed))
         progress("eq. 14: uniform motion on two gain sets", 0.4)
         eq_14 = uniform.exhibit(uniform.measure(scratch, seed))
         progress("Fig. 4: the opening valve", 0.85)
         fig_4 = sweep.exhibit(seed)
         progress("Fig. 5 and 11: the closed loop", 0.9)
         fig_11 = loop.exhibit(scratch, seed)
-    return [fig_2, valve.exhibit(), fig_4, fig_11, fig_9, eq_14]
+    return [fig_2, valve.exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]

@@ -11,7 +11,7 @@ import pytest
 from identification.model.nominal import NOMINAL
 from rig.feedforward import Feedforward
 from rig.packaged import resolve
-from rig.paper_figures import chosen, loop, ramp, sweep, uniform, valve
+from rig.paper_figures import chosen, loop, ramp, sine, sweep, uniform, valve
 from rig.paper_figures.exhibit import Exhibit, columns, write_exhibits
 
 
@@ -113,6 +113,27 @@ def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path: Path, monkeypa
     # More flow is asked for: the throat closes, and the flow falls before it rises.
     rise = (data["time_s"] >= 4.0) & (data["time_s"] < 4.3)
     assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
+
+
+def test_the_sine_is_followed_better_and_its_energy_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = tmp_path / "figure10.yaml"
+    text = resolve("figure10", "sequences").read_text()
+    short.write_text(text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5"))
+    monkeypatch.setattr(sine, "SEQUENCE", str(short))
+    monkeypatch.setattr(sine, "FIRST_S", 1.0)
+    monkeypatch.setattr(sine, "CYCLES", 1)
+    known = tmp_path / "known.json"
+    known.write_text("{}")
+    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+    made = sine.exhibit(*sine.run_sines(tmp_path, model, 5))
+    data = numbers(made)
+    for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
+        before, after = (np.sqrt(np.mean(data[f"error_{stage}{fed}_rad"] ** 2)) for fed in ("", "_fed"))
+        assert before > ratio * after
+        for fed in ("", "_fed"):
+            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * sine.PERIOD_S < energy[1]
+    assert made.table is not None
+    assert [row[0] for row in made.table.rows] == ["0 N", "3001 N"]
 
 
 def test_fig_4_falls_with_pressure_and_area() -> None:
