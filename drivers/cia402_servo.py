@@ -10,7 +10,7 @@ from drivers import cia402, servo_limits
 from drivers.cia402 import Command, controlword, decode_state
 from drivers.clock import NS
 from drivers.emergency import explain
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, ObjectAccessError, StateError
 from drivers.interfaces import Identity, Link, Servo, ServoLimits, ServoSample, ServoState
 from drivers.objects import PdoLayout, ProcessChannel, read_identity
 from drivers.units import ServoScales, Unwrapper
@@ -113,6 +113,8 @@ class Cia402Servo(Servo):
         servo_limits.store(channel, (0x6007, 0), _ABORT_IS_FAULT)
         outputs = (cia402.CONTROLWORD, (0x607A, 0))
         self._offset = 0
+        if self._takes_offset:
+            self._require_offset()
         channel.map_process_data(
             outputs=[PdoLayout(_OUTPUT, (*outputs, TORQUE_OFFSET) if self._takes_offset else outputs)],
             inputs=[
@@ -252,6 +254,14 @@ class Cia402Servo(Servo):
             self._channel.stage(_OUTPUT, self._word, counts, self._offset)
         else:
             self._channel.stage(_OUTPUT, self._word, counts)
+
+    def _require_offset(self) -> None:
+        try:
+            self._channel.read(*TORQUE_OFFSET)
+        except (ConfigurationError, ObjectAccessError) as error:
+            raise ConfigurationError(
+                f"{self._channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
+            ) from error
 
     def _command(self, command: Command) -> None:
         # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the command.

@@ -46,7 +46,7 @@ def describe(plan: Plan) -> str:
         ],
     )
     head = f"{plan.name}: {plan.duration_s:.1f} s at {1.0 / plan.cycle_s:g} Hz, and moves to the start"
-    passes = "\n".join(_first_pass(stage) for stage in plan.stages)
+    passes = "\n".join(line for stage in plan.stages for line in (_first_pass(stage), *_feedforward(stage)))
     return f"{head}\n\n{stages}\n\n{passes}\n\n{held}"
 
 
@@ -55,6 +55,13 @@ def _gas_rows(limits: GasLimits) -> list[list[str]]:
         ["chamber pressure", f"{limits.pressure * 1e-6:g}", "MPa"],
         ["contact force", f"{limits.contact_force:g}", "N"],
     ]
+
+
+def _feedforward(stage: PlannedStage) -> list[str]:
+    if stage.offsets is None:
+        return []
+    peak, damping = max(abs(stage.offsets.torque)), max(stage.offsets.damping)
+    return [f"{stage.name}: feed-forward up to {peak:.3g} N m, damping {damping:.3g} N m s/rad"]
 
 
 def _first_pass(stage: PlannedStage) -> str:

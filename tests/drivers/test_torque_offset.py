@@ -4,12 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from drivers.canopen_link import CanopenLink
+from drivers.cia402_servo import Cia402Servo
 from drivers.errors import ConfigurationError
 from drivers.interfaces import ServoState
-from drivers.mock.drive import FOLLOWING_ERROR
+from drivers.mock.bench import DRIVE_NODE, simulated_bench
+from drivers.mock.drive import DRIVE_EDS, FOLLOWING_ERROR
+from drivers.mock.plant.constants import Machine
 
 from .dbc_host import make_dbc_host
 from .host import SCALES, Host, enabled, make_host, prepared
@@ -140,3 +145,20 @@ def test_a_drive_with_frames_of_its_own_refuses() -> None:
     with pytest.raises(ConfigurationError, match="60B2h"):
         host.servo.set_torque_offset(1.0)
     host.link.close()
+
+
+def test_a_drive_that_lacks_the_object_is_refused_before_power(tmp_path: Path) -> None:
+    """Its EDS says so, or the drive does."""
+    eds = tmp_path / "drive.eds"
+    eds.write_text(DRIVE_EDS.read_text().replace("[60B2]", "[60B4]").replace("=0x60B2", "=0x60B4"))
+    for path, hidden in ((eds, False), (DRIVE_EDS, True)):
+        bench = simulated_bench(Machine(), 1)
+        link = CanopenLink(bench.clock, lambda bench=bench: bench.bus, "simulated bus")
+        servo = Cia402Servo(link.add_node(DRIVE_NODE, path), link, SCALES, torque_offset=True)
+        link.open()
+        if hidden:
+            del bench.drive.objects.entries[0x60B2 << 8]
+        with pytest.raises(ConfigurationError, match=r"has no torque offset 60B2h \(.*\): run without feed-forward"):
+            servo.prepare(0.001)
+        assert not servo.state().energised
+        link.close()

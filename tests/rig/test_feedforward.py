@@ -164,6 +164,15 @@ def test_more_torque_than_the_limit_is_refused_beforehand(capsys: pytest.Capture
     assert "limit torque_N_m 75 N m" in err
 
 
+def test_the_plan_says_what_is_added(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["run", "ramps.yaml", "--feedforward", str(result_file()), "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "slow: feed-forward up to 1" in out
+    assert "damping 80.1 N m s/rad" in out
+    assert status(["run", "ramps.yaml", "--dry-run"]) == 0
+    assert "feed-forward" not in capsys.readouterr().out
+
+
 def tracking_rms(recording: Recording) -> float:
     """Rms of what was commanded for each sample less what was measured, rad; the target arrives one cycle later."""
     command: Array = recording.channels["command"]
