@@ -83,9 +83,9 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
         energy_J_kg=g.energy_J_kg * (velocity / g.characteristic_velocity_m_s) ** 2,
         free_volume_m3=volume,
     )
-    noise = base.sensing.pressure_range_Pa * float(rng.uniform(*NOISE_SHARES))
+    sensor = replace(g.transmitter, noise_Pa=g.transmitter.range_Pa * float(rng.uniform(*NOISE_SHARES)))
     sizes = {**GAS_SIZES, **GAS_OUTSIDE_SIZES}
     effects = {name: {key: size(rng) for key, size in sizes[name].items()} for name in names}
-    machine = replace(base, gas=gas, sensing=replace(base.sensing, pressure_noise_Pa=noise), effects=effects)
+    machine = replace(base, gas=replace(gas, transmitter=sensor), effects=effects)
     volumes = tuple(around(volume, GRAIN_SPREAD) for _ in gas_experiments())
     return GasRig(kind, machine, volumes, int(rng.integers(1 << 62)))
