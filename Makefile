@@ -13,7 +13,7 @@ DEMO := runs/demo
 help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
-	@echo "make paper     the paper's tables and Fig. 12 and 13, 20 seeds (out/paper)"
+	@echo "make paper     the paper's figures and tables done again, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
