@@ -17,6 +17,7 @@ from identification.model.nominal import NOMINAL
 from identification.model.valve import throat_area
 from rig.bench import load_bench
 from rig.cli import status
+from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, device_files
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
 from rig.mcap_reader import read_run
@@ -259,3 +260,15 @@ def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
     shutil.copytree(fired, "copy")
     assert status(["identify", "copy"]) == 0
     assert "gas generator" in (Path("copy") / "report.html").read_text()
+
+
+def test_a_real_transmitter_brings_its_own_description() -> None:
+    real = {
+        "bus: {interface: mock, bitrate: 1000000}": "bus: {interface: socketcan, channel: can0}",
+        "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
+        "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
+    }
+    with pytest.raises(InputError, match=r"pressure\.eds: missing; a real device needs its manufacturer's EDS file"):
+        device_files(load_bench(bench_with(**real)))
+    own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
+    assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
