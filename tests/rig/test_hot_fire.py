@@ -11,22 +11,28 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.clock import Clock
 from identification.contact_force import contact_force
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure
 from identification.model.nominal import NOMINAL
 from identification.model.valve import throat_area
 from rig.bench import load_bench
 from rig.cli import status
-from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, device_files
+from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
 from rig.mcap_reader import read_run
+from rig.operator import AutomaticOperator, StopButton
 from rig.packaged import resolve
 from rig.plan import make_plan
 from rig.plan_text import describe
+from rig.progress import RunProgress
 from rig.reference import Reference
 from rig.run import load_run, read_record
+from rig.safety import Check
 from rig.sequence import load_sequence
+from rig.sequencer import Ending
+from rig.session import Inputs, execute
 from rig.sources import load_source
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
@@ -272,3 +278,27 @@ def test_a_real_transmitter_brings_its_own_description() -> None:
         device_files(load_bench(bench_with(**real)))
     own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
     assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
+
+
+def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
+    """Its process data stop, its heartbeat goes on: two frames late is too late, and age has its limit."""
+    bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
+    plan = make_plan(sequence, bench)
+
+    def attach(twin: Any) -> Clock:
+        def lose(time_ns: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+            return None if identifier == 0x184 and time_ns > 1_200_000_000 else (identifier, data)
+
+        twin.bus.frame_filters.append(lose)
+        return twin.clock  # type: ignore[no-any-return]
+
+    folder = Path("silent")
+    folder.mkdir()
+    with connect(bench, 0, False, attach) as devices, RunProgress(plan.cycle_s, plan.duration_s) as progress:
+        inputs = Inputs(bench, sequence, 0, False)
+        _, outcome = execute(inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress)
+    assert outcome.ending is Ending.FAILED
+    assert outcome.trip is not None
+    assert outcome.trip.check is Check.SAMPLE_AGE
+    assert outcome.safe.verified
+    assert outcome.trip.time == pytest.approx(1.2, abs=0.02)
