@@ -12,6 +12,7 @@ import yaml
 
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.gas_direct import burn
+from identification.diagnosis.gas.constants import CONSTANTS
 from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
 from rig.campaign import load_campaign
@@ -53,7 +54,7 @@ def test_a_leak_is_found_from_a_campaign(campaign: Path, capsys: pytest.CaptureF
     assert effect["parameters"]["area_m2"]["value"] == pytest.approx(2e-5, rel=0.1)
     assert record["fit"]["equation"] == "pressure"
     assert record["fit"]["validate_final_rms"] < record["fit"]["validate_baseline_rms"]
-    assert set(record["parameter_shift"]) == {"a", "n", "C_r", "V_0"}
+    assert set(record["parameter_shift"]) == {*CONSTANTS, "V_0"}
     assert "gas leaks beside the throat through" in " ".join(capsys.readouterr().out.split())
     block = yaml.safe_load((out / GAS_FILE).read_text())
     assert block["gas_generator"]["characteristic_velocity"] == record["parameters"]["C_r"]

@@ -12,7 +12,7 @@ from scipy import stats
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
-from identification.diagnosis.gas.rows import candidates, families, stacked
+from identification.diagnosis.gas.rows import candidates, families, padded, stacked
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
 from identification.diagnosis.search import (
@@ -174,7 +174,8 @@ def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
 
 def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
     """Return how far the data prefer ``chosen``, in standard errors of the difference by blocks."""
-    loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
+    loss = stack.sums(padded(stack, (rival.residual**2 - chosen.residual**2)[:, None]))[:, 0]
+    loss[-1] = rival.pull @ rival.pull - chosen.pull @ chosen.pull
     spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
     return float(np.sum(loss)) / spread if spread > 0.0 else 0.0
 
