@@ -121,7 +121,7 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
         machine=machine,
         volumes_m3=volumes,
         angle_zero_rad=off(ANGLE_SPREAD_RAD),
-        pressure_zero_Pa=off(ZERO_SHARE * base.sensing.pressure_range_Pa),
+        pressure_zero_Pa=off(ZERO_SHARE * base.gas.transmitter.range_Pa),
         late_cycles=int(rng.integers(MOST_LATE_CYCLES + 1)),
         seed=int(rng.integers(1 << 62)),
     )

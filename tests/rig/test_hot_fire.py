@@ -42,7 +42,7 @@ name: hot
 stages:
   - {{name: sine, stage: hot_fire, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
-  - {{name: flow, stage: hot_fire, flow: {STEPS}, duration_s: 4}}
+  - {{name: flow, stage: hot_fire, role: validate, flow: {STEPS}, duration_s: 4}}
   - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
 """
@@ -86,6 +86,7 @@ def problems(bench: str | Path = "practical_hot") -> str:
 def test_the_chamber_pressure_is_logged_and_loads_the_valve(fired: Path) -> None:
     sine, flow, empty = load_run(fired).recordings
     assert "pressure" not in empty.channels
+    assert [r.role for r in (sine, flow, empty)] == ["fit", "validate", "fit"]
     for recording in (sine, flow):
         assert recording.hot_fire
         assert recording.stage == "loaded"
@@ -157,7 +158,8 @@ def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("stage: hot_fire, flow", "stage: loaded, weight_kg: 3, flow", "a flow needs a gas generator"),
+        ("stage: hot_fire, role: validate, flow", "stage: loaded, weight_kg: 3, flow", "a flow needs a gas generator"),
+        ("stage: hot_fire, tones", "role: validate, stage: hot_fire, tones", "sine, flow is loaded and set aside"),
         ("stage: hot_fire, tones", "stage: hot_fire, weight_kg: 3, tones", "the gas generator loads a hot firing"),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
         ("at_s: 1.5", "at_s: 0.1", "begins before the one at 0 s is over"),
@@ -264,7 +266,8 @@ recordings:
 
 def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
     shutil.copytree(fired, "copy")
-    assert status(["identify", "copy"]) == 0
+    assert status(["identify", "copy", "--json", "found.json"]) == 0
+    assert 0.0 < json.loads(Path("found.json").read_text())["fit"]["validate_relative"] < 0.5
     assert "gas generator" in (Path("copy") / "report.html").read_text()
 
 
