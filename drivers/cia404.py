@@ -54,7 +54,9 @@ class Cia404Transmitter(PressureTransmitter):
             )
         if status := channel.read(0x6150, 1):
             raise ConfigurationError(f"{channel.label}: {status_words(status)} (6150h); check the sensor and its range")
-        channel.map_process_data([], [PdoLayout(_PRESSURE, ((0x9130, 1), (0x6150, 1)))], cycle_s)
+        # A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the cycle is
+        # over; pressure hardly changes meanwhile.
+        channel.map_process_data([], [PdoLayout(_PRESSURE, ((0x9130, 1), (0x6150, 1)), slack=1)], cycle_s)
 
     def sample(self) -> PressureSample:
         """Return the sample of the last exchange; one that the device calls invalid is not fresh."""

@@ -21,19 +21,19 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
         angle: Of the valve at those times, rad, shape (n,).
 
     Raises:
-        RecordingError: A hot firing on a bench whose valve or back pressure is not known.
+        RecordingError: A hot firing on a bench whose gas generator is not known.
     """
-    bench = recording.bench
+    generator = recording.bench.gas_generator
     if "load_force" in recording.channels:
         return resample(recording.time, recording.channels["load_force"], grid)
     if not recording.hot_fire:
         return np.full(len(grid), recording.contact_force)
-    if bench.valve is None or bench.back_pressure is None:
+    if generator is None:
         raise RecordingError(
-            f"{recording.name}: force from pressure, F_P = (p_g - p_c0) A_s, needs the bench's valve and back pressure"
+            f"{recording.name}: F_P = (p_g - p_c0) A_s of a hot firing takes valve and p_c0 of bench.gas_generator"
         )
     pressure = resample(recording.time, recording.channels["pressure"], grid)
-    return np.asarray(np.maximum(pressure - bench.back_pressure, 0.0) * impacted_area(angle, bench.valve))
+    return np.asarray(np.maximum(pressure - generator.p_c0, 0.0) * impacted_area(angle, generator.valve))
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from identification.model.gas_generator import GasGenerator
-from identification.model.valve import ValveGeometry
 
 Array = NDArray[np.float64]
 
@@ -55,9 +54,8 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
-        valve: Of the flow regulator (Fig. 3); only hot firings need it.
-        back_pressure: p_c0 behind that valve, Pa (eq. 10); likewise.
-        gas_generator: What is believed of what burns before the valve (eq. 2 to 8); only its diagnosis needs it.
+        gas_generator: What is believed of the valve (Fig. 3), the pressure behind it and what burns before it (eq. 2 to
+            8); only hot firings need it.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -69,8 +67,6 @@ class Bench:
     moment_arm: float | None = None
     lever_ratio: float = 10.0
     gravity: float = 9.80665
-    valve: ValveGeometry | None = None
-    back_pressure: float | None = None
     gas_generator: GasGenerator | None = None
 
     def contact_force(self, weight_mass: float) -> float:

@@ -48,7 +48,7 @@ _MAY_BE_ZERO = frozenset(
         "current_noise_A",
         "rotor_inertia_kg_m2",
         "warming_K",
-        "pressure_noise_Pa",
+        "noise_Pa",
         "back_pressure_Pa",
     }
 )

@@ -46,6 +46,17 @@ class Devices:
     pressure: PressureTransmitter | None = None
     ignite: Callable[[], None] | None = None
 
+    def prepare(self, cycle_s: float) -> None:
+        """Check every device against the bench file and map its process data. No power.
+
+        Raises:
+            DeviceError: A device is not what the bench file says, or does not answer.
+        """
+        self.servo.prepare(cycle_s)
+        self.encoder.prepare(cycle_s)
+        if self.pressure is not None:
+            self.pressure.prepare(cycle_s)
+
 
 Progress = Callable[[str, int, Sample], None]
 """Called now and then with stage name, cycles since the last call and the latest sample."""

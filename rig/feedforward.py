@@ -92,7 +92,7 @@ class Compensator:
         if angle is not None and self._before is not None:
             torque += damping * (commanded - (angle - self._before) / self._span)
         self._before = angle
-        return min(max(torque, -self._limit), self._limit)
+        return float(min(max(torque, -self._limit), self._limit))
 
 
 def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:

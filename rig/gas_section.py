@@ -36,8 +36,8 @@ class PressureSection(Schema):
 class GasGeneratorSection(Schema):
     """What is believed of gas generator and valve (Fig. 3, eq. 2, 3, 10).
 
-    Contact force and limits need the valve and ``back_pressure_MPa`` (p_c0); the rest turns a flow into the pressure
-    and the valve angle that belong to it.
+    Contact force and limits need the valve and ``back_pressure_MPa`` (p_c0); a flow command also what makes the flow;
+    the rest is for its diagnosis.
     """
 
     hole_diameter_m: _Positive
@@ -49,6 +49,8 @@ class GasGeneratorSection(Schema):
     pressure_exponent: Annotated[float, Field(gt=0, lt=1)]
     chamber_diameter_m: _Positive
     characteristic_velocity_m_s: _Positive
+    heat_ratio: Annotated[float, Field(gt=1, lt=2)]
+    free_volume_m3: _Positive
 
     def valve(self, arm_m: float) -> ValveGeometry:
         """Return the valve; it swings on the moment arm L1."""
@@ -62,6 +64,8 @@ class GasGeneratorSection(Schema):
             a=self.burning_rate_mm_s * 1e-3,
             n=self.pressure_exponent,
             C_r=self.characteristic_velocity_m_s,
+            gamma=self.heat_ratio,
+            V_0=self.free_volume_m3,
             p_c0=self.back_pressure_MPa * 1e6,
             valve=self.valve(arm_m),
         )

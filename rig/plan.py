@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from rig.errors import InputError
 from rig.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.first_pass import PlannedPass, plan_passes
 from rig.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
+from rig.run_record import Load, Role
 from rig.safety import Limits
 from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
 
@@ -55,7 +55,7 @@ class PlannedStage:
     """
 
     name: str
-    stage: Literal["unloaded", "loaded", "hot_fire"]
+    stage: Load
     weight_kg: float
     contact_force_N: float
     targets: Array
@@ -68,6 +68,7 @@ class PlannedStage:
     first_passes: tuple[PlannedPass, ...] = ()
     offsets: Offsets | None = None
     flow: FlowPlan | None = None
+    role: Role = "fit"
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,8 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         repeats=section.repeats,
         settle_s=section.settle_s,
         duration_s=len(targets) * bench.cycle_s,
-        peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
+        peak_speed_rad_s=min(float(np.max(np.abs(steps), initial=0.0)), math.inf if flow is None else flow.law.step)
+        / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
         # What a hot firing presses with is measured, and its friction says nothing of a mass.
@@ -186,6 +188,7 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         if low is None or section.stage == "hot_fire"
         else plan_passes(section, low, limits, bench.cycle_s),
         flow=flow,
+        role=section.role,
     )
     across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
     passes = len(stage.first_passes)
@@ -229,7 +232,7 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
     if section.ramp is not None:
         way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
     elif section.flow is not None:
-        way, pace, slower = ("flow", "steps"), ("flow", "ramp_s"), "lengthen ramp_s"
+        way = ("flow", "steps")
     for extreme in (float(stage.targets.min()), float(stage.targets.max())):
         if not limits.angle_min <= extreme <= limits.angle_max:
             yield (

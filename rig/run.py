@@ -24,7 +24,7 @@ _CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage"
 
 
 class RunFolder:
-    """A run folder being written; a :class:`rig.sequencer.Journal`.
+    """A run folder being written; a :class:`rig.journal.Journal`.
 
     Args:
         path: The folder.
@@ -98,7 +98,7 @@ def part_file(number: int) -> str:
 
 def stage_records(plan: Plan) -> list[StageRecord]:
     """Return the stages of a plan as they stand before the run."""
-    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets)) for s in plan.stages]
+    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role) for s in plan.stages]
 
 
 def bench_constants(bench: Bench) -> BenchConstants:
@@ -114,8 +114,6 @@ def bench_constants(bench: Bench) -> BenchConstants:
         moment_arm=m.moment_arm_m,
         lever_ratio=m.lever_ratio,
         gravity=m.gravity_m_s2,
-        valve=None if generator is None else generator.valve(m.moment_arm_m),
-        back_pressure=None if generator is None else generator.back_pressure_MPa * 1e6,
         gas_generator=None if generator is None else generator.generator(m.moment_arm_m),
     )
 
@@ -213,6 +211,7 @@ def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Pa
         bench=bench,
         stage="unloaded" if segment.stage == "unloaded" else "loaded",
         weight_mass=segment.weight_kg,
+        role=segment.role,
         averaged=frozenset({"current", "voltage"}),
         source=str(path),
         sha256=digest,

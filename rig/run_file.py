@@ -35,7 +35,7 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
-_ADDED = {"valve": None, "back_pressure": None, "gas_generator": None}
+_ADDED = {"gas_generator": None}
 """Constants that runs of an older program do not state: they had no hot firings."""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
 _BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
@@ -95,12 +95,9 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
     """Return the constants of the bench that a run was made on; ``record`` was read with :func:`read_record`."""
-    valve, burns = record.bench["valve"], record.bench["gas_generator"]
-    rebuilt = {
-        "valve": None if valve is None else ValveGeometry(**valve),
-        "gas_generator": None if burns is None else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])}),
-    }
-    return BenchConstants(**{**record.bench, **rebuilt})
+    burns = record.bench["gas_generator"]
+    rebuilt = None if burns is None else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])})
+    return BenchConstants(**{**record.bench, "gas_generator": rebuilt})
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:

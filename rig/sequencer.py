@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
 
 from drivers.errors import DeviceError, DriveFault, StateError
 from drivers.interfaces import ServoLimits, ServoState
@@ -14,6 +13,7 @@ from rig.drive_limits import require_held, require_within_own
 from rig.feedforward import Compensator
 from rig.flow_control import Regulator
 from rig.hot_fire import hot_fire_words
+from rig.journal import Journal
 from rig.operator import Operator, OperatorStopError, StopButton, Verb
 from rig.phases import Event, Phase, next_phase
 from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
@@ -23,7 +23,7 @@ from rig.sample import Sample
 from rig.scale import Scale, measured_level
 from rig.sequence import approach
 from rig.teardown import SafeState, give_back, make_safe
-from rig.weight_check import Verdict, Weighing
+from rig.weight_check import Verdict
 
 
 class Ending(Enum):
@@ -47,34 +47,6 @@ class Outcome:
 
 class WeightError(Exception):
     """The friction of a stage is not that of the confirmed mass."""
-
-
-class Journal(Protocol):
-    """Keeps the state of the run on disk."""
-
-    def stage_started(self, index: int) -> None:
-        """Stage ``index`` begins."""
-        ...
-
-    def stage_finished(self, index: int) -> None:
-        """Stage ``index`` is complete and de-energised."""
-        ...
-
-    def weight_confirmed(self, index: int, weight_kg: float) -> None:
-        """The operator confirmed a mass for stage ``index``."""
-        ...
-
-    def weighed(self, weighing: Weighing) -> None:
-        """The weight of a stage was checked."""
-        ...
-
-    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
-        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of the recording."""
-        ...
-
-    def segment_finished(self, segment: int, time: float) -> None:
-        """It is complete."""
-        ...
 
 
 RESET_HINT = "; once its cause is removed, --reset-fault clears it"
@@ -267,10 +239,7 @@ class Sequencer:
 
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
-        devices.servo.prepare(plan.cycle_s)
-        devices.encoder.prepare(plan.cycle_s)
-        if devices.pressure is not None:
-            devices.pressure.prepare(plan.cycle_s)
+        devices.prepare(plan.cycle_s)
         if self._own_limits is None:
             own = devices.servo.read_limits()
             require_within_own(plan.servo_limits, own)

@@ -32,6 +32,8 @@ from rig.serial_bus import GUARDED, NO_WATCHDOG
 
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
+DEVICES = ("servo", "encoder", "pressure")
+"""Roles that devices have; not every bench has all."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +217,7 @@ def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dic
     recorder.metadata("run", {**run, "part": str(len(record.parts))})
     recorder.metadata("versions", part.versions)
     recorder.metadata("sha256", {name: entry["sha256"] for name, entry in record.inputs.items()})
-    for role in ("servo", "encoder", "pressure"):
+    for role in DEVICES:
         if role in identities:
             recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
     if record.calibrations:

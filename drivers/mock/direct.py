@@ -78,7 +78,7 @@ def record(
         _int16(latches.voltage_V * 1e2) * 0.01,
         np.rint(latches.supply_V * 1e3)[held] * 1e-3,
         np.rint(machine.temperature(latches.run_s) * 1e1)[held] * 0.1,
-        transmitted(machine.constants.sensing, latches.pressure_Pa, pressure_rng)[0] * PRESSURE_UNIT_PA,
+        transmitted(machine.constants.gas.transmitter, latches.pressure_Pa, pressure_rng)[0] * PRESSURE_UNIT_PA,
     )
 
 

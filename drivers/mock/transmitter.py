@@ -12,7 +12,7 @@ from drivers.clock import SimulatedClock
 from drivers.mock.bus import SimulatedBus
 from drivers.mock.dictionary import key
 from drivers.mock.node import SimulatedNode
-from drivers.mock.plant.constants import Sensing
+from drivers.mock.plant.constants import Transmitter
 from drivers.mock.sampler import Sampler
 
 TRANSMITTER_EDS: Final = Path(__file__).with_name("transmitter.eds")
@@ -42,21 +42,21 @@ class SimulatedTransmitter(SimulatedNode):
         """Sample the pressure at a SYNC."""
         now = self._clock.now_ns()
         exact = np.array([self._sampler.peek(now).pressure_Pa])
-        units, over = transmitted(self._sampler.machine.constants.sensing, exact, self._rng)
+        units, over = transmitted(self._sampler.machine.constants.gas.transmitter, exact, self._rng)
         self.stamp(now)
         self._values[_VALUE] = int(units[0])
         self._values[_STATUS] = _OVERLOAD if over[0] else 0
 
 
 def transmitted(
-    sensing: Sensing, pressure_Pa: NDArray[np.float64], rng: np.random.Generator | None
+    transmitter: Transmitter, pressure_Pa: NDArray[np.float64], rng: np.random.Generator | None
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return what a transmitter makes of exact pressures, shape (n,).
 
     Returns:
         The reading in whole units of :data:`PRESSURE_UNIT_PA`, and whether it is held at the end of the range.
     """
-    noise = 0.0 if rng is None else sensing.pressure_noise_Pa * rng.standard_normal(len(pressure_Pa))
+    noise = 0.0 if rng is None else transmitter.noise_Pa * rng.standard_normal(len(pressure_Pa))
     reading = pressure_Pa + noise
-    over = np.asarray(reading > sensing.pressure_range_Pa)
-    return np.rint(np.minimum(reading, sensing.pressure_range_Pa) / PRESSURE_UNIT_PA), over
+    over = np.asarray(reading > transmitter.range_Pa)
+    return np.rint(np.minimum(reading, transmitter.range_Pa) / PRESSURE_UNIT_PA), over

@@ -21,6 +21,8 @@ PHASE_MARGIN_RAD = math.pi / 4.0
 """What damping may leave of the quarter turn that an inertia and a delay share."""
 DELAY_CYCLES = 2.0
 """From the middle of the interval whose speed is measured to that of the one in which the torque acts."""
+RISE_SHARE = 0.75
+"""Share of friction's rise toward rest that is fed forward where damping cannot outweigh the fall that follows it."""
 _GRID_POINTS = 2000
 _GRID_SPAN = 4.0  # in Stribeck speeds; beyond, eq. 9 and 13 rise again
 
@@ -36,7 +38,10 @@ def motion(angle: Array, period: float) -> Array:
 
 
 def feedforward(angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float) -> Array:
-    """Return the joint torque that a commanded motion takes by eq. 15: friction, working load and inertia.
+    """Return the joint torque to feed forward for a commanded motion, by eq. 15: friction, working load and inertia.
+
+    Where friction falls by more than :func:`damping` gives back, the joint will slip whatever is done, and its whole
+    static friction fed forward drives the slip on; a part of the rise is left to the loop then.
 
     Args:
         angle: Commanded joint angles, rad, one a period, shape (n,); each is reached at the end of its period.
@@ -48,6 +53,8 @@ def feedforward(angle: Array, period: float, parameters: Mapping[str, float], al
     Returns:
         N m, shape (n,), for the period that ends at each angle. At the start of a motion it is the static friction.
     """
+    tame = damping(parameters, alpha, moment, period) >= steepest_fall(parameters, alpha, moment)
+    parameters = _with_rise(parameters, 1.0 if tame else RISE_SHARE, moment)
     speed = commanded_speed(angle, period)
     magnitude = np.abs(speed)
     friction = system_friction(magnitude, parameters, alpha)
@@ -56,6 +63,15 @@ def feedforward(angle: Array, period: float, parameters: Mapping[str, float], al
     after, before = np.append(speed[1:], 0.0), np.insert(speed[:-1], 0, 0.0)
     acceleration = (after - before) / (2.0 * period)
     return np.asarray(motion(angle, period) * friction + parameters["J"] * acceleration)
+
+
+def _with_rise(parameters: Mapping[str, float], share: float, moment: float) -> dict[str, float]:
+    """Return the parameters with this share of the rise from Coulomb to static friction, eq. 9 and 12."""
+    p = dict(parameters)
+    p["Ms"] = p["Mc"] + share * (p["Ms"] - p["Mc"])
+    if moment:
+        p["mu_s"] = p["mu_c"] + share * (p["mu_s"] - p["mu_c"])
+    return p
 
 
 def steepest_fall(parameters: Mapping[str, float], alpha: float, moment: float) -> float:

@@ -111,17 +111,17 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
         energy_J_kg=g.energy_J_kg * (velocity / g.characteristic_velocity_m_s) ** 2,
         free_volume_m3=volume,
     )
-    noise = base.sensing.pressure_range_Pa * float(rng.uniform(*NOISE_SHARES))
+    sensor = replace(g.transmitter, noise_Pa=g.transmitter.range_Pa * float(rng.uniform(*NOISE_SHARES)))
     sizes = {**GAS_SIZES, **GAS_OUTSIDE_SIZES}
     effects = {name: {key: size(rng) for key, size in sizes[name].items()} for name in names}
-    machine = replace(base, gas=gas, sensing=replace(base.sensing, pressure_noise_Pa=noise), effects=effects)
+    machine = replace(base, gas=replace(gas, transmitter=sensor), effects=effects)
     volumes = tuple(around(volume, GRAIN_SPREAD) for _ in gas_experiments())
     return GasRig(
         kind=kind,
         machine=machine,
         volumes_m3=volumes,
         angle_zero_rad=off(ANGLE_SPREAD_RAD),
-        pressure_zero_Pa=off(ZERO_SHARE * base.sensing.pressure_range_Pa),
+        pressure_zero_Pa=off(ZERO_SHARE * base.gas.transmitter.range_Pa),
         late_cycles=int(rng.integers(MOST_LATE_CYCLES + 1)),
         seed=int(rng.integers(1 << 62)),
     )

@@ -65,7 +65,7 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
         return {}
     twin = campaign(rig._replace(machine=replace(rig.machine, effects={})))
     changes = np.concatenate([a.pressure - b.pressure for a, b in zip(burns, twin, strict=True)])
-    return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.sensing.pressure_noise_Pa}
+    return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.gas.transmitter.noise_Pa}
 
 
 def campaign(rig: GasRig) -> list[Samples]:

@@ -13,14 +13,14 @@ from drivers.canopen_link import CanopenLink
 from drivers.cia404 import Cia404Transmitter, status_words, unit_of
 from drivers.errors import ConfigurationError
 from drivers.mock.bench import TRANSMITTER_NODE, SimulatedBench, simulated_bench
-from drivers.mock.plant.constants import Machine, Sensing
+from drivers.mock.plant.constants import GasGenerator, Machine, Transmitter
 from drivers.mock.transmitter import PRESSURE_UNIT_PA, TRANSMITTER_EDS
 
 
 def fitted(
-    sensing: Sensing | None = None, unit_Pa: float = PRESSURE_UNIT_PA
+    built: Transmitter | None = None, unit_Pa: float = PRESSURE_UNIT_PA
 ) -> tuple[SimulatedBench, CanopenLink, Cia404Transmitter]:
-    machine = replace(Machine(), sensing=sensing or Sensing())
+    machine = replace(Machine(), gas=GasGenerator(transmitter=built or Transmitter()))
     bench = simulated_bench(machine, seed=3, transmitter_node=TRANSMITTER_NODE)
     link = CanopenLink(bench.clock, lambda: bench.bus, "simulated bus")
     transmitter = Cia404Transmitter(link.add_node(TRANSMITTER_NODE, TRANSMITTER_EDS), unit_Pa)
@@ -46,25 +46,41 @@ def test_it_sends_the_chamber_pressure_with_its_noise() -> None:
     transmitter.prepare(0.001)
     found = np.array(readings(bench, link, transmitter, 800))
     assert found.mean() == pytest.approx(bench.machine.truth().pressure_Pa, abs=200.0)
-    assert found.std() == pytest.approx(Sensing().pressure_noise_Pa, rel=0.1)
+    assert found.std() == pytest.approx(Transmitter().noise_Pa, rel=0.1)
     np.testing.assert_allclose(found / PRESSURE_UNIT_PA, np.rint(found / PRESSURE_UNIT_PA), atol=1e-6)
 
 
 def test_before_ignition_it_sends_the_pressure_beyond_the_valve() -> None:
-    bench, link, transmitter = fitted(Sensing(pressure_noise_Pa=0.0))
+    bench, link, transmitter = fitted(Transmitter(noise_Pa=0.0))
     transmitter.prepare(0.001)
     assert set(readings(bench, link, transmitter, 5)) == {0.5e6}
 
 
 def test_beyond_its_range_nothing_is_fresh() -> None:
-    bench, link, transmitter = fitted(Sensing(pressure_range_Pa=4e6))
+    bench, link, transmitter = fitted(Transmitter(range_Pa=4e6))
     transmitter.prepare(0.001)
+    assert readings(bench, link, transmitter, 3) == pytest.approx([0.5e6] * 3, abs=1e4)
     bench.machine.ignite()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000)
-    link.exchange()
+    for _ in range(2):
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000)
+        link.exchange()
     assert transmitter.sample() == (4e6, False)
     with pytest.raises(ConfigurationError, match="above its range"):
         transmitter.prepare(0.001)
+
+
+def test_a_frame_may_be_lost_but_not_two() -> None:
+    bench, link, transmitter = fitted()
+    transmitter.prepare(0.001)
+    readings(bench, link, transmitter, 3)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 500_000)
+    bench.bus.frame_filters.append(lambda _t, identifier, data, _h: None if identifier == 0x184 else (identifier, data))
+    seen = []
+    for _ in range(4):
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000)
+        link.exchange()
+        seen.append(transmitter.sample().fresh)
+    assert seen == [True, False, False, False]
 
 
 def test_another_unit_is_refused() -> None:

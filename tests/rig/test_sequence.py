@@ -150,8 +150,9 @@ def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float,
         ("{name: a, stage: unloaded, TONES, ramp_in_s: 1.5}", ["2.5 s is longer than duration_s 2 s"]),
         ("{name: a, stage: unloaded, weight_kg: 3, TONES}", ["an unloaded stage has no weight"]),
         ("{name: a, stage: loaded, TONES}", ["a loaded stage needs weight_kg above 0"]),
+        ("{name: a, stage: unloaded, role: validate, TONES}", ["every stage has role validate"]),
         ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
-        ("{name: a, stage: unloaded, duration_s: 3}", ["needs tones or a ramp"]),
+        ("{name: a, stage: unloaded, duration_s: 3}", ["needs tones, a ramp or a flow"]),
         ("{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}", ["only one of them"]),
         ("{name: a, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 2}, duration_s: 5}", ["ramp takes 6 s"]),
         (
@@ -233,10 +234,13 @@ def test_mock_without_a_machine_is_refused(tmp_path: Path) -> None:
 
 def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> None:
     """A default that changes in the plant must not silently change a packaged bench."""
-    text = resolve("practical", "benches").read_text()
-    for record in (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine):
-        for item in dataclasses.fields(record):
-            assert f"{item.name}:" in text
+    records = (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine)
+    gas = (constants.GasGenerator, constants.Valve, constants.Transmitter)
+    for name, written, left_out in (("practical", records, {"gas"}), ("practical_hot", (*records, *gas), set())):
+        text = resolve(name, "benches").read_text()
+        for record in written:
+            for item in dataclasses.fields(record):
+                assert f"{item.name}:" in text or item.name in left_out
 
 
 def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:

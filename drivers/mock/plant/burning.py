@@ -12,7 +12,7 @@ from drivers.mock.plant.effects.kernel import advance_hiding
 from drivers.mock.plant.effects.sensing import Histories
 from drivers.mock.plant.effects.state import JOINT, RUN, SEEN
 from drivers.mock.plant.friction import MOMENT
-from drivers.mock.plant.gas import ARM, FORCE, LOOPS_PER_STEP, MASS, step_gas
+from drivers.mock.plant.gas import ARM, FORCE, LOOPS_PER_STEP, MASS, PENDING, step_gas
 from drivers.mock.plant.loops import LOOP_S, THETA, advance
 
 REFERENCE_FORCE_N = 3000.0
@@ -43,12 +43,13 @@ def advance_loaded(
 ) -> None:
     """Advance ``loops`` drive-loop periods; arguments as of the two kernels, ``y`` and ``g`` of the gas generator.
 
-    The force is that at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100 microseconds.
+    The force is that at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100 microseconds. Steps are
+    counted from ignition, so that it does not matter in what pieces time passes.
     """
     burns = y[MASS] > 0.0
     done = 0
     while done < loops:
-        n = min(int(g[LOOPS_PER_STEP]), loops - done) if burns else loops
+        n = min(int(g[LOOPS_PER_STEP] - y[PENDING]), loops - done) if burns else loops
         if burns:
             p[MOMENT] = felt_force(y[FORCE], e) * g[ARM]
         part = path[done : done + n]
@@ -58,6 +59,9 @@ def advance_loaded(
             advance(n, s, d, p, noise[done : done + n], part)
             x[RUN] += n * d[LOOP_S]
             x[SEEN] = s[THETA]
-        if burns:
-            step_gas(y, g, x[JOINT] if len(e) > 0 else s[THETA], n * d[LOOP_S])
         done += n
+        if burns:
+            y[PENDING] += n
+            if y[PENDING] >= g[LOOPS_PER_STEP]:
+                step_gas(y, g, x[JOINT] if len(e) > 0 else s[THETA], y[PENDING] * d[LOOP_S])
+                y[PENDING] = 0.0

@@ -74,16 +74,12 @@ class Sensing:
 
     Zero counts or zero quantum mean an exact sensor. ``current_noise_A`` is the rms noise of the logged mean over one
     cycle of ``cycle_s``; each sample of the current loop carries it times the square root of the samples per cycle.
-    ``pressure_noise_Pa`` is the rms noise of one sample of the pressure transmitter, which measures up to
-    ``pressure_range_Pa``.
     """
 
     motor_counts_per_turn: int = 4096
     joint_counts_per_turn: int = 262144
     current_noise_A: float = 0.020
     cycle_s: float = 0.001
-    pressure_noise_Pa: float = 1500.0
-    pressure_range_Pa: float = 10e6
 
 
 @dataclass(frozen=True)
@@ -93,6 +89,14 @@ class Valve:
     hole_diameter_m: float = 0.025
     opening_diameter_m: float = 0.040
     plate_width_m: float = 0.054
+
+
+@dataclass(frozen=True)
+class Transmitter:
+    """The pressure transmitter on the chamber: rms noise of one sample, and the pressure it measures up to; chosen."""
+
+    noise_Pa: float = 1500.0
+    range_Pa: float = 10e6
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,7 @@ class GasGenerator:
     energy_J_kg: float = 432964.0  # chosen
     free_volume_m3: float = 0.010  # chosen
     back_pressure_Pa: float = 0.5e6  # chosen
+    transmitter: Transmitter = field(default_factory=Transmitter)
     equation: Literal[7, 8] = 7
     loops_per_step: int = 2
 

@@ -26,8 +26,9 @@ from drivers.mock.plant.valve import throat_area
     PRESSURE,  # p_g, Pa
     THROAT,  # A_t of the valve, m^2
     FORCE,  # F_P, eq. 10, N
+    PENDING,  # loops of the drive since the last step
     MEMORY,  # from here on: what hidden effects remember
-) = range(9)
+) = range(10)
 GAS_SIZE = MEMORY + hidden.MEMORY_SIZE
 
 # Constants, and what acts on them: shares of 1 and no leak where nothing does.
