@@ -20,8 +20,8 @@ GRAIN_SPREAD = 0.03
 """Free volumes of one rig's burns differ by this share: grains are not of one length."""
 NOISE_SHARES = (0.001, 0.0025)
 """Noise of the transmitter over its range."""
-ZERO_SHARE = 0.001
-"""Of the transmitter's range, by which its zero is off at most."""
+ZERO_SHARE = 0.0003
+"""Of the transmitter's range, by which its zero is off at most after taring."""
 SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
 """By which the valve's dimensions and the encoder's zero are off at most, and how late the pressure is sampled."""
 

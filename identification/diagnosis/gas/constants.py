@@ -44,7 +44,7 @@ CONSTANTS: Mapping[str, Constant] = {
     "D": Constant("m", 2.5e-5),
     "b": Constant("m", 2.5e-5),
     "angle_zero": Constant("rad", math.radians(0.05)),  # true angle less measured
-    "pressure_zero": Constant("Pa", 1e4),  # measured pressure less true; 0.1 % of 10 MPa
+    "pressure_zero": Constant("Pa", 3e3),  # measured pressure less true, of a transducer tared before ignition
     "delay": Constant("s", 1e-3),  # of pressure behind angle
 }
 """Name to tolerance, in the order in which they are fitted."""

@@ -42,6 +42,8 @@ ADEQUATE = 0.9
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis, where more
 than noise is left. The balance of the gas has no friction's fine print, so that the right name explains nearly all."""
 _MOST_SURE = 0.99
+STRAINED = 3.0
+"""Tolerances by which a constant has to be off to be worth a look."""
 
 
 def diagnose_gas(
@@ -104,13 +106,15 @@ def diagnose_gas(
 def _verdict(found: GasSearch) -> Verdict:
     if found.p_value > LEVEL:
         return Verdict.NOTHING_MISSING
-    if not found.taken or (_explained(found) < ADEQUATE and found.p_after <= LEVEL):
+    if not found.taken or _explained(found) < ADEQUATE:
         return Verdict.OUTSIDE_CATALOGUE
     return Verdict.AMBIGUOUS if any(r.open for t in found.taken for r in t.rivals) else Verdict.NAMED
 
 
 def _explained(found: GasSearch) -> float:
-    """Return the share of the mismatch beyond the noise that the effects explain."""
+    """Return the share of the mismatch beyond the noise that the effects explain; all where nothing else is left."""
+    if found.p_after > LEVEL:
+        return 1.0
     before, after = (float(np.mean(f.residual**2)) for f in (found.baseline, found.final))
     return min(1.0, max(0.0, (before - max(after, 1.0)) / max(before - 1.0, 1e-12)))
 
@@ -259,4 +263,8 @@ def _warnings(dataset: Dataset, found: GasSearch) -> tuple[str, ...]:
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
             warnings.append(f"{burn.recording.name}: the throat hardly moves; it shows no transient")
+    off = zip(CONSTANTS.items(), found.baseline.pull, strict=False)
+    strained = [f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}" for (name, c), p in off if abs(p) > STRAINED]
+    if strained:
+        warnings.append(f"without anything missing these would have to be off: {', '.join(strained)}; check them first")
     return tuple(warnings)

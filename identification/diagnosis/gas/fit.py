@@ -15,16 +15,16 @@ from identification.estimate.levenberg import minimise
 from identification.model import gas_kernel as kernel
 from identification.model.gas_generator import constants
 from identification.recording import Array
+from identification.signals import BoolArray
 
 _STEP = 0.01
 """Of numerical derivatives, in the units of the fit."""
-_STAGES = ((1e4, 1e-3), (1.0, 1e-6))
-"""Factor on what holds valve and sensors, and share of the cost below whose gain a stage ends. They are as good as
-fixed until the rest has settled: from far off they would run away to help."""
-_MOST_STEPS = 10
-"""Of each stage. What fits has settled by then; what does not may crawl on for long."""
-_FARTHEST = 8.0
-"""Tolerances beyond which no constant is looked for: such a chamber could not be marched either..."""
+_STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
+"""Factor on what holds valve and sensors, share of the cost below whose gain a stage ends, and its steps at most. They
+are as good as fixed until the rest has settled: from far off they would run away to help."""
+_FARTHEST, _FIRM_FARTHEST = 6.0, 15.0
+"""Tolerances beyond which no constant is looked for, those of valve and sensors farther: a chamber ten times as large
+would make anything slow look like its filling..."""
 _REJECTED = 1e6
 """... and the residual there, over the noise."""
 
@@ -58,6 +58,7 @@ class Fitted:
             effects' parameters come last.
         held: Weight that holds each of those to what was believed, shape (p,).
         pull: Believed less fitted over the tolerance, shape (p,); zero where nothing is held.
+        firm: Which of those are of valve and sensors, shape (p,).
     """
 
     model: Model
@@ -66,6 +67,7 @@ class Fitted:
     tangent: Array
     held: Array
     pull: Array
+    firm: BoolArray
 
     @property
     def cost(self) -> float:
@@ -91,30 +93,36 @@ def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = Tru
     layout = _Layout(burns, start, shared)
     measured = np.concatenate([b.pressure for b in burns])
     x = layout.start
-    for stiffness, tolerance in _STAGES:
+    for stiffness, tolerance, most_steps in _STAGES:
         held = np.where(layout.firm, stiffness, 1.0) * layout.held
-        x = _settled(burns, sigma, layout, x, held, tolerance)
+        x = _settled(burns, sigma, layout, x, held, tolerance, most_steps)
     model = layout.model(x)
     simulated = simulate(burns, model)
     tangent = _tangent(burns, layout, x) / sigma
-    return Fitted(model, simulated, (measured - simulated) / sigma, tangent, layout.held, -layout.held * x)
+    return Fitted(model, simulated, (measured - simulated) / sigma, tangent, layout.held, -layout.held * x, layout.firm)
 
 
 def _settled(
-    burns: Sequence[Burn], sigma: float, layout: _Layout, start: Array, held: Array, tolerance: float
+    burns: Sequence[Burn],
+    sigma: float,
+    layout: _Layout,
+    start: Array,
+    held: Array,
+    tolerance: float,
+    most_steps: int,
 ) -> Array:
     """Return the vector of least squares under the weights ``held``."""
     measured = np.concatenate([b.pressure for b in burns])
 
     def residuals(x: Array) -> Array:
-        if np.any(np.abs(layout.held * x) > _FARTHEST):
+        if np.any(np.abs(layout.held * x) > np.where(layout.firm, _FIRM_FARTHEST, _FARTHEST)):
             return np.full(len(measured) + len(x), _REJECTED)
         return np.concatenate(((simulate(burns, layout.model(x)) - measured) / sigma, held * x))
 
     def jacobian(x: Array, _residual: Array) -> Array:
         return np.concatenate((_tangent(burns, layout, x) / sigma, np.diag(held)))
 
-    return minimise(residuals, jacobian, start, threshold=math.inf, tolerance=tolerance, most_steps=_MOST_STEPS).x
+    return minimise(residuals, jacobian, start, threshold=math.inf, tolerance=tolerance, most_steps=most_steps).x
 
 
 def simulate(burns: Sequence[Burn], model: Model) -> Array:

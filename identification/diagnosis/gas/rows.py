@@ -96,6 +96,19 @@ def candidates(
                 yield found
 
 
+def starts(
+    burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
+) -> list[tuple[float, float, tuple[float, ...]]]:
+    """Return (gain, size, shape) of an effect at every trial shape by linear least squares, the greatest gain first."""
+    found = []
+    for shape in term.shapes:
+        column = stack.projected(stack.whitened({PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}))
+        power, score = float(np.sum(column**2)), float(column[:, 0] @ stack.residual)
+        if power > 0.0:
+            found.append((score**2 / power, score / power, shape))
+    return sorted(found, reverse=True)
+
+
 def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[float, ...]) -> Array:
     """Return how the pressure changes with a small effect, Pa over the unit of its size, shape (n,)."""
     size = _SMALL * next(iter(term.sizes.values())).scale
