@@ -150,7 +150,6 @@ def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float,
         ("{name: a, stage: unloaded, TONES, ramp_in_s: 1.5}", ["2.5 s is longer than duration_s 2 s"]),
         ("{name: a, stage: unloaded, weight_kg: 3, TONES}", ["an unloaded stage has no weight"]),
         ("{name: a, stage: loaded, TONES}", ["a loaded stage needs weight_kg above 0"]),
-        ("{name: a, stage: unloaded, role: validate, TONES}", ["every stage has role validate"]),
         ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
         ("{name: a, stage: unloaded, duration_s: 3}", ["needs tones, a ramp or a flow"]),
         ("{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}", ["only one of them"]),
@@ -269,3 +268,11 @@ def test_a_cycle_must_fit_the_bus(tmp_path: Path, bitrate: int, rate: int, fits:
         InputError, match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500"
     ):
         load_bench(path)
+
+
+def test_something_must_be_fitted(tmp_path: Path) -> None:
+    aside = f"{HEAD}  - {{name: a, stage: unloaded, role: validate, {GOOD}}}\n"
+    with pytest.raises(InputError, match="every stage has role validate"):
+        plan_of(tmp_path / "s.yaml", aside)
+    plan = plan_of(tmp_path / "s.yaml", f"{aside}  - {{name: b, stage: unloaded, {GOOD}}}\n")
+    assert [stage.role for stage in plan.stages] == ["validate", "fit"]
