@@ -15,10 +15,13 @@ from drivers.mock.plant.gas_direct import burn
 from identification.diagnosis.gas.constants import CONSTANTS
 from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
+from identification.recording import Dataset, RecordingError
 from rig.campaign import load_campaign
 from rig.cli import status
+from rig.diagnose import burning, without_torque
 from rig.errors import InputError
 from rig.gas_model_file import GAS_FILE
+from rig.sources.load import load_source
 
 TIME = np.arange(0.0, 6.0, 0.01)
 STEPS = np.repeat([4.0, 20.0, 9.0, 26.0, 6.0, 14.0], 100)
@@ -76,6 +79,26 @@ def test_the_corrected_constants_are_a_campaigns_block(campaign: Path) -> None:
 def test_what_needs_torque_says_so(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["identify", str(campaign)]) == 2
     assert "no torque, current or voltage channel" in capsys.readouterr().err
+
+
+def test_of_a_run_only_hot_firings_show_the_gas(campaign: Path) -> None:
+    recordings = load_source(campaign).recordings
+    current = np.zeros(len(recordings[0].time))
+    hot, cold = (
+        replace(recordings[0], stage=stage, channels={**recordings[0].channels, "current": current})
+        for stage in ("loaded", "unloaded")
+    )
+    assert not without_torque(Dataset((*recordings, hot)))
+    assert burning(Dataset((*recordings, hot, cold))).recordings == (*recordings, hot)
+    with pytest.raises(RecordingError, match="no hot firing"):
+        burning(Dataset((cold,)))
+
+
+def test_a_gas_result_is_no_model_of_the_motion(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    result = campaign.parent / "d.json"
+    result.write_text(json.dumps({"schema": "loadrig.diagnose/1", "fit": {"equation": "pressure"}}))
+    assert status(["simulate", str(campaign), "--result", str(result)]) == 2
+    assert "says nothing of the torque" in capsys.readouterr().err
 
 
 def test_the_block_of_a_campaign(tmp_path: Path) -> None:

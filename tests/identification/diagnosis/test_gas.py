@@ -15,9 +15,9 @@ from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.gas.fit import believed, fit, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm, effect_at
 from identification.diagnosis.result import Verdict
-from identification.recording import Dataset, RecordingError
+from identification.recording import Dataset, Recording, RecordingError
 
-from .burning import NOISE_PA, TRUE, pauses, recordings
+from .burning import BENCH, NOISE_PA, TRUE, pauses, recordings
 
 HIDDEN: Mapping[str, Mapping[str, float]] = {
     "throat_deposition": {"rate_m_s": 6e-6},
@@ -89,6 +89,31 @@ def test_two_effects_at_once() -> None:
     assert {e.name for e in found.effects} == set(both)
     sizes = {k: e.value for effect in found.effects for k, e in effect.parameters.items()}
     assert sizes == pytest.approx({"area_m2": 1.5e-5, "taper_per_m": -0.06}, rel=0.2)
+
+
+def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
+    true = recordings({})
+    valve = replace(BENCH.gas_generator.valve, d=0.02503, D=0.03998, b=0.05402)
+    bench = replace(BENCH, gas_generator=replace(BENCH.gas_generator, valve=valve))
+
+    def off(r: Recording) -> Recording:
+        late = np.interp(r.time - 1e-3, r.time, r.channels["pressure"] + 2.5e3)
+        return replace(r, bench=bench, channels={**r.channels, "angle": r.channels["angle"] + 7e-4, "pressure": late})
+
+    found = diagnose_gas(Dataset(tuple(off(r) for r in true.recordings)))
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.parameters["angle_zero"] == pytest.approx(-7e-4, abs=2e-4)
+    assert found.parameters["delay"] == pytest.approx(1e-3, abs=3e-4)
+    assert not any("would have to be off" in w for w in found.warnings)
+
+
+def test_a_belief_that_is_far_off_is_told() -> None:
+    raised = tuple(
+        replace(r, channels={**r.channels, "pressure": r.channels["pressure"] + 5e4}) for r in recordings({}).recordings
+    )
+    found = diagnose_gas(Dataset(raised))
+    assert found.verdict is not Verdict.NOTHING_MISSING
+    assert any("pressure_zero by" in w for w in found.warnings)
 
 
 def test_rows_faster_than_the_gas_are_averaged() -> None:
