@@ -42,6 +42,8 @@ ADEQUATE = 0.9
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis, where more
 than noise is left. The balance of the gas has no friction's fine print, so that the right name explains nearly all."""
 _MOST_SURE = 0.99
+UNSEEN = 1.5
+"""Error on recordings set aside over the noise, from which the reader is told."""
 STRAINED = 3.0
 """Tolerances by which a constant has to be off to be worth a look."""
 
@@ -98,7 +100,7 @@ def diagnose_gas(
             *_traces(found.burns, found.baseline, scored, found.sigma),
             *(_traces(aside, held[0], held[1], found.sigma) if held else ()),
         ),
-        warnings=_warnings(dataset, found),
+        warnings=_warnings(dataset, found, main),
         seconds=perf_counter() - started,
     )
 
@@ -256,10 +258,16 @@ def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Lo
     return f"{words}. Pressure error on {on} {before:.3g} -> {after:.3g} Pa; noise floor {main.noise_floor_rms:.3g}."
 
 
-def _warnings(dataset: Dataset, found: GasSearch) -> tuple[str, ...]:
+def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     warnings = []
     if not dataset.part("validate"):
         warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
+    unseen = main.validate_final_rms
+    if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
+        warnings.append(
+            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the noise: those fitted do "
+            "not pin the gas generator; fit burns with steps between narrow and wide throats as well"
+        )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
             warnings.append(f"{burn.recording.name}: the throat hardly moves; it shows no transient")
