@@ -265,8 +265,8 @@ def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     unseen = main.validate_final_rms
     if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
         warnings.append(
-            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the noise: those fitted do "
-            "not pin the gas generator; fit burns with steps between narrow and wide throats as well"
+            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the noise: those fitted "
+            "do not pin the gas generator; fit burns with steps between narrow and wide throats as well"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
