@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench loop prove paper feedforward weight-check transports fault-matrix kill fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench loop prove prove-gas paper feedforward weight-check transports fault-matrix kill fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
 	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
+	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
@@ -88,6 +89,9 @@ feedforward: $(VENV)/.runtime
 
 prove: $(VENV)/.runtime
 	$(BIN)/rig prove --rigs $(or $(RIGS),48) --jobs 2 --out out/proof
+
+prove-gas: $(VENV)/.runtime
+	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done

@@ -1,8 +1,8 @@
 """Plant, drive loops and gas generator together, compiled and without the bus: times real time, and the step's error.
 
-The valve swings from closed to open and back at 0.2 Hz for 20 s under the pressure that it makes. The error is that of
-every step against one of a quarter: integration of eq. 1 (``steps_per_loop``) and renewal of pressure and contact force
-(``loops_per_step``), with exact sensors and without noise, so that nothing but the steps differs.
+The valve swings from closed to open and back at 0.2 Hz for 20 s under the pressure that it makes. The error is what
+halving the steps changes: those of eq. 1 (``steps_per_loop``) and those in which pressure and contact force are renewed
+(``loops_per_step``), with exact sensors and without noise, so that nothing else differs.
 
     python benchmarks/hotfire_speed.py
 """

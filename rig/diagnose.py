@@ -24,6 +24,9 @@ from rig.results import Provenance
 from rig.run_record import RUN_FILE
 from rig.sources import load_source
 
+EFFORT = frozenset({"torque", "current", "voltage"})
+"""Channels any of which tells the drive's torque."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -46,6 +49,7 @@ def diagnose_source(
     bandwidth_Hz: float | None = None,
     progress: Callable[[str, float], None] | None = None,
     refine: bool = False,
+    gas: bool = False,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
 
@@ -56,6 +60,7 @@ def diagnose_source(
         progress: Called with what is being done and the share that is done.
         refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out; those of a gas
             generator always are.
+        gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -67,7 +72,8 @@ def diagnose_source(
     described_by = source / RUN_FILE if source.is_dir() else source
     try:
         rng = np.random.default_rng(seed)
-        if without_torque(dataset):
+        if gas or without_torque(dataset):
+            dataset = burning(dataset)
             found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
         else:
             found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress)
@@ -84,7 +90,19 @@ def diagnose_source(
 
 def without_torque(dataset: Dataset) -> bool:
     """Whether recordings say nothing of the torque, and all of their gas generator."""
-    return all(bears(r) and not r.channels.keys() & {"torque", "current", "voltage"} for r in dataset.recordings)
+    return all(bears(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
+
+
+def burning(dataset: Dataset) -> Dataset:
+    """Return the recordings in which a gas generator burns: hot firings, and what has no torque.
+
+    Raises:
+        RecordingError: There are none.
+    """
+    kept = tuple(r for r in dataset.recordings if bears(r) and (r.hot_fire or not r.channels.keys() & EFFORT))
+    if not kept:
+        raise RecordingError("no hot firing with pressure and angle on a bench with bench.gas_generator")
+    return dataclasses.replace(dataset, recordings=kept)
 
 
 def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:

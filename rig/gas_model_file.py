@@ -19,6 +19,7 @@ _KEYS = {
     "V_0": "free_volume",
 }
 """Constant that is fitted to its key in a campaign file."""
+_VALVE_KEYS = {"d": "hole_diameter", "D": "opening_diameter", "b": "plate_width"}
 
 
 def of_gas(found: Diagnosis) -> bool:
@@ -41,7 +42,7 @@ def gas_text(found: Diagnosis, bench: Bench) -> str:
         **{key: float(found.parameters[name]) for name, key in _KEYS.items()},
         "heat_ratio": g.gamma,
         "back_pressure": g.p_c0,
-        "valve": {"hole_diameter": g.valve.d, "opening_diameter": g.valve.D, "plate_width": g.valve.b},
+        "valve": {key: float(found.parameters[name]) for name, key in _VALVE_KEYS.items()},
     }
     effects: Mapping[str, Any] = {e.name: {n: float(v.value) for n, v in e.parameters.items()} for e in found.effects}
     return (

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from rig.errors import InputError
 from rig.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.first_pass import PlannedPass, plan_passes
 from rig.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
+from rig.run_record import Load, Role
 from rig.safety import Limits
 from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
 
@@ -55,7 +55,7 @@ class PlannedStage:
     """
 
     name: str
-    stage: Literal["unloaded", "loaded", "hot_fire"]
+    stage: Load
     weight_kg: float
     contact_force_N: float
     targets: Array
@@ -68,6 +68,7 @@ class PlannedStage:
     first_passes: tuple[PlannedPass, ...] = ()
     offsets: Offsets | None = None
     flow: FlowPlan | None = None
+    role: Role = "fit"
 
 
 @dataclass(frozen=True)
@@ -187,6 +188,7 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         if low is None or section.stage == "hot_fire"
         else plan_passes(section, low, limits, bench.cycle_s),
         flow=flow,
+        role=section.role,
     )
     across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
     passes = len(stage.first_passes)

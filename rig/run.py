@@ -98,7 +98,7 @@ def part_file(number: int) -> str:
 
 def stage_records(plan: Plan) -> list[StageRecord]:
     """Return the stages of a plan as they stand before the run."""
-    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets)) for s in plan.stages]
+    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role) for s in plan.stages]
 
 
 def bench_constants(bench: Bench) -> BenchConstants:
@@ -211,6 +211,7 @@ def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Pa
         bench=bench,
         stage="unloaded" if segment.stage == "unloaded" else "loaded",
         weight_mass=segment.weight_kg,
+        role=segment.role,
         averaged=frozenset({"current", "voltage"}),
         source=str(path),
         sha256=digest,

@@ -51,6 +51,7 @@ class StageSection(Schema):
     The ramps in and out of the tones lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before
     each repeat.
     ``time_limit_s`` is the longest the drive may be under power in this stage; a bound from the plan unless given.
+    ``role: validate`` sets its recordings aside: identification fits them not, and scores them once at the end.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
@@ -66,6 +67,7 @@ class StageSection(Schema):
     center_deg: float = 0.0
     settle_s: Annotated[float, Field(ge=0, le=600)] = 0.2
     time_limit_s: Positive | None = None
+    role: Literal["fit", "validate"] = "fit"
 
     @model_validator(mode="after")
     def _one_excitation(self) -> Self:
@@ -152,6 +154,19 @@ class Sequence(Schema):
         if repeated:
             raise ValueError(f"stage names must differ; {', '.join(repeated)} is used more than once")
         return stages
+
+    @model_validator(mode="after")
+    def _something_is_fitted(self) -> Self:
+        fitted = [stage.stage != "unloaded" for stage in self.stages if stage.role == "fit"]
+        if not fitted:
+            raise ValueError("every stage has role validate; at least one must have role fit")
+        aside = [stage.name for stage in self.stages if stage.role == "validate" and stage.stage != "unloaded"]
+        if aside and not any(fitted):
+            raise ValueError(
+                f"{', '.join(aside)} is loaded and set aside, but no loaded stage is fitted, so that its working load "
+                "would be unknown; give one role fit"
+            )
+        return self
 
 
 def load_sequence(name: str | Path) -> Document[Sequence]:

@@ -33,7 +33,7 @@ class Motion:
         angle: rad, as the encoder counted.
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Its slope within that period, N m/s.
-        moment: F_P L1, N m.
+        moment: Mean F_P L1 over that period, N m.
         table: Stretches for the kernel, shape (m, 4).
         seen: First sample of each stretch that has visibly moved, shape (m,).
         steps: Integration steps per sample.
@@ -132,13 +132,14 @@ def motion(recording: Recording) -> Motion | None:
         steps[max(first, last - FINE_SAMPLES) : last] = FINE_STEPS
     slow = np.abs(velocity) < 0.3 * float(np.max(np.abs(velocity)))
     steps[slow] = FINE_STEPS
+    moment = contact_moment(recording, at, angle)
     return Motion(
         recording=recording,
         time=at,
         angle=angle,
         torque=np.ascontiguousarray(torque),
         slope=np.gradient(torque, at),
-        moment=contact_moment(recording, at, angle),
+        moment=0.5 * (moment + np.concatenate((moment[:1], moment[:-1]))),
         table=table,
         seen=seen,
         steps=steps,

@@ -12,8 +12,6 @@ import numpy as np
 from identification.model import gas_kernel as kernel
 from identification.model.valve import Array, ValveGeometry, throat_area
 
-SHARED = ("a", "n", "C_r")
-"""Constants of the propellant that an experiment can correct."""
 _MOST_STEPS = 60
 LAYER_STEP = 2.5e-4
 """m, thickness of a deposit over which the throat's derivatives are taken."""
@@ -83,11 +81,11 @@ class GasGenerator:
 
 
 class Burn(NamedTuple):
-    """One burn: pressure p_g (Pa), web burnt (m) and gas temperature over the flame's, each of shape (n,)."""
+    """One burn: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape (n,)."""
 
     pressure: Array
     web: Array
-    heat: Array
+    rise: Array
 
 
 def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool = True) -> Array:
@@ -152,7 +150,7 @@ def pressure_history(
 def constants(
     g: GasGenerator, corrected: Mapping[str, float], start_pressure: float, start_volume: float, *, exact: bool = True
 ) -> Array:
-    """Pack constants for the kernel; those of :data:`SHARED` that ``corrected`` has are taken from there."""
+    """Pack constants for the kernel; ``a``, ``n`` and ``C_r`` are taken from ``corrected`` where it has them."""
     C_r = corrected.get("C_r", g.C_r)
     RT = (g.Gamma * C_r) ** 2
     c = np.zeros(kernel.CONSTANTS_SIZE)

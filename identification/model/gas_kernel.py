@@ -55,8 +55,8 @@ _LONGEST = 0.25
 @compiled
 def rates(y: float, w: float, z: float, t: float, area: float, c: Array, e: Array) -> tuple[float, float, float]:
     """Return the derivatives of ln p, w and ln s at ``t`` s of burning with an effective throat of ``area`` m^2."""
-    s = math.exp(z)
-    root = math.sqrt(s)
+    root = math.exp(0.5 * z) if z != 0.0 else 1.0
+    s = root * root
     taper = e[TAPER]
     volume = c[START_VOLUME] + c[BURNING_AREA] * w * (1.0 + taper * w * (1.0 + taper * w / 3.0))
     burning = c[BURNING_AREA] * (1.0 + taper * w) ** 2
@@ -82,15 +82,16 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
         areas: Throat at each sample and its first and second derivative by the thickness of a deposit, shape (3, n).
         c: Constants.
         e: What is missing.
-        out: Filled with pressure (Pa), web burnt (m) and s, shape (3, n).
+        out: Filled with pressure (Pa), web burnt (m) and the pressure's rate (Pa/s), shape (3, n).
     """
     y, w, z = math.log(c[START_PRESSURE]), 0.0, 0.0
     if e[HEAT_FLOW] != 0.0:
         flow = c[DENSITY] * c[BURNING_AREA] * c[BURNING_COEFFICIENT] * (c[START_PRESSURE] / 1e6) ** c[EXPONENT]
         z = -math.log1p(e[HEAT_FLOW] * math.exp(-time[0] / e[HEAT_TIME]) / (flow * c[ENTHALPY]))
-    out[0, 0], out[1, 0], out[2, 0] = c[START_PRESSURE], w, math.exp(z)
     layer = e[LAYER_RATE] * time[0]
     after = areas[0, 0] + layer * (areas[1, 0] + 0.5 * layer * areas[2, 0]) + e[LEAK]
+    y1, w1, z1 = rates(y, w, z, time[0], after, c, e)
+    out[0, 0], out[1, 0], out[2, 0] = c[START_PRESSURE], w, c[START_PRESSURE] * y1
     for k in range(1, len(time)):
         before = after
         layer = e[LAYER_RATE] * time[k]
@@ -102,17 +103,17 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
         h = whole / steps
         for j in range(steps):
             t = time[k - 1] + j * h
-            a0 = before + (after - before) * j / steps
+            a1 = before + (after - before) * (j + 0.5) / steps
             a2 = before + (after - before) * (j + 1) / steps
-            a1 = 0.5 * (a0 + a2)
-            y1, w1, z1 = rates(y, w, z, t, a0, c, e)
             y2, w2, z2 = rates(y + 0.5 * h * y1, w + 0.5 * h * w1, z + 0.5 * h * z1, t + 0.5 * h, a1, c, e)
             y3, w3, z3 = rates(y + 0.5 * h * y2, w + 0.5 * h * w2, z + 0.5 * h * z2, t + 0.5 * h, a1, c, e)
             y4, w4, z4 = rates(y + h * y3, w + h * w3, z + h * z3, t + h, a2, c, e)
             y += h / 6.0 * (y1 + 2.0 * y2 + 2.0 * y3 + y4)
             w += h / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)
             z += h / 6.0 * (z1 + 2.0 * z2 + 2.0 * z3 + z4)
-        out[0, k], out[1, k], out[2, k] = math.exp(y), w, math.exp(z)
+            y1, w1, z1 = rates(y, w, z, t + h, a2, c, e)
+        p = math.exp(y)
+        out[0, k], out[1, k], out[2, k] = p, w, p * y1
 
 
 NOTHING = np.zeros(MISSING_SIZE)

@@ -20,6 +20,10 @@ GRAIN_SPREAD = 0.03
 """Free volumes of one rig's burns differ by this share: grains are not of one length."""
 NOISE_SHARES = (0.001, 0.0025)
 """Noise of the transmitter over its range."""
+ZERO_SHARE = 0.0003
+"""Of the transmitter's range, by which its zero is off at most after taring."""
+SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
+"""By which the valve's dimensions and the encoder's zero are off at most, and how late the pressure is sampled."""
 
 GAS_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "throat_deposition": {"rate_m_s": log(5e-7, 2e-5)},
@@ -40,11 +44,24 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
 
 
 class GasRig(NamedTuple):
-    """One rig as drawn: its kind, the simulated machine, the free volume of each burn (m^3), the seed of its noise."""
+    """One rig as drawn.
+
+    Attributes:
+        kind: Whether it hides something, and of which sort.
+        machine: The simulated machine with it.
+        volumes_m3: Free volume of each burn.
+        angle_zero_rad: True valve angle less that recorded.
+        pressure_zero_Pa: Recorded pressure less that of the transmitter.
+        late_cycles: By which pressure lags behind angle.
+        seed: Of its noise.
+    """
 
     kind: Kind
     machine: Machine
     volumes_m3: tuple[float, ...]
+    angle_zero_rad: float
+    pressure_zero_Pa: float
+    late_cycles: int
     seed: int
 
 
@@ -75,17 +92,36 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
 
     velocity = around(g.characteristic_velocity_m_s, VELOCITY_SPREAD)
     volume = around(g.free_volume_m3, VOLUME_SPREAD)
+
+    def off(most: float) -> float:
+        return float(rng.uniform(-most, most))
+
+    valve = replace(
+        g.valve,
+        hole_diameter_m=g.valve.hole_diameter_m + off(SIZE_SPREAD_M),
+        opening_diameter_m=g.valve.opening_diameter_m + off(SIZE_SPREAD_M),
+        plate_width_m=g.valve.plate_width_m + off(SIZE_SPREAD_M),
+    )
     gas = replace(
         g,
+        valve=valve,
         burning_rate_mm_s=around(g.burning_rate_mm_s, RATE_SPREAD),
-        pressure_exponent=float(g.pressure_exponent + rng.uniform(-EXPONENT_SPREAD, EXPONENT_SPREAD)),
+        pressure_exponent=g.pressure_exponent + off(EXPONENT_SPREAD),
         characteristic_velocity_m_s=velocity,
         energy_J_kg=g.energy_J_kg * (velocity / g.characteristic_velocity_m_s) ** 2,
         free_volume_m3=volume,
     )
-    noise = base.sensing.pressure_range_Pa * float(rng.uniform(*NOISE_SHARES))
+    sensor = replace(g.transmitter, noise_Pa=g.transmitter.range_Pa * float(rng.uniform(*NOISE_SHARES)))
     sizes = {**GAS_SIZES, **GAS_OUTSIDE_SIZES}
     effects = {name: {key: size(rng) for key, size in sizes[name].items()} for name in names}
-    machine = replace(base, gas=gas, sensing=replace(base.sensing, pressure_noise_Pa=noise), effects=effects)
+    machine = replace(base, gas=replace(gas, transmitter=sensor), effects=effects)
     volumes = tuple(around(volume, GRAIN_SPREAD) for _ in gas_experiments())
-    return GasRig(kind, machine, volumes, int(rng.integers(1 << 62)))
+    return GasRig(
+        kind=kind,
+        machine=machine,
+        volumes_m3=volumes,
+        angle_zero_rad=off(ANGLE_SPREAD_RAD),
+        pressure_zero_Pa=off(ZERO_SHARE * base.gas.transmitter.range_Pa),
+        late_cycles=int(rng.integers(MOST_LATE_CYCLES + 1)),
+        seed=int(rng.integers(1 << 62)),
+    )

@@ -42,10 +42,12 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
             "V_0": float(
                 np.mean([v for v, e in zip(rig.volumes_m3, gas_experiments(), strict=True) if e.role == "fit"])
             ),
+            "d": gas.valve.hole_diameter_m,
+            "D": gas.valve.opening_diameter_m,
+            "b": gas.valve.plate_width_m,
         },
+        **{name: value for name, value in rig._asdict().items() if name not in ("kind", "machine")},
         "machine": asdict(rig.machine),
-        "volumes_m3": rig.volumes_m3,
-        "seed": rig.seed,
     }
     return seal_truth(out, number, truth)
 
@@ -63,11 +65,14 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
         return {}
     twin = campaign(rig._replace(machine=replace(rig.machine, effects={})))
     changes = np.concatenate([a.pressure - b.pressure for a, b in zip(burns, twin, strict=True)])
-    return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.sensing.pressure_noise_Pa}
+    return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.gas.transmitter.noise_Pa}
 
 
 def campaign(rig: GasRig) -> list[Samples]:
-    """Simulate all burns over motor, drive loops and sensors, each from its ignition with a fresh grain."""
+    """Simulate all burns over motor, drive loops and sensors, each from its ignition with a fresh grain.
+
+    Zeros and lateness are added to what the sensors gave; of a late pressure the first sample stands for those before.
+    """
     done = []
     for number, (experiment, volume) in enumerate(zip(gas_experiments(), rig.volumes_m3, strict=True)):
         machine: Machine = replace(rig.machine, gas=replace(rig.machine.gas, free_volume_m3=volume))
@@ -75,7 +80,10 @@ def campaign(rig: GasRig) -> list[Samples]:
         plant = SimulatedMachine(machine, motion)
         plant.power(True)
         plant.ignite()
-        done.append(record(plant, experiment.command, CYCLE_S, pressure_rng=pressure))
+        samples = record(plant, experiment.command, CYCLE_S, pressure_rng=pressure)
+        late = np.maximum(np.arange(len(samples.time)) - rig.late_cycles, 0)
+        seen = samples.pressure[late] + rig.pressure_zero_Pa
+        done.append(samples._replace(angle=samples.angle - rig.angle_zero_rad, pressure=seen))
     return done
 
 

@@ -11,21 +11,28 @@ from typing import Any
 import numpy as np
 import pytest
 
+from drivers.clock import Clock
 from identification.contact_force import contact_force
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure
 from identification.model.nominal import NOMINAL
 from identification.model.valve import throat_area
 from rig.bench import load_bench
 from rig.cli import status
+from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
 from rig.mcap_reader import read_run
+from rig.operator import AutomaticOperator, StopButton
 from rig.packaged import resolve
 from rig.plan import make_plan
 from rig.plan_text import describe
+from rig.progress import RunProgress
 from rig.reference import Reference
 from rig.run import load_run, read_record
+from rig.safety import Check
 from rig.sequence import load_sequence
+from rig.sequencer import Ending
+from rig.session import Inputs, execute
 from rig.sources import load_source
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
@@ -35,7 +42,7 @@ name: hot
 stages:
   - {{name: sine, stage: hot_fire, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
-  - {{name: flow, stage: hot_fire, flow: {STEPS}, duration_s: 4}}
+  - {{name: flow, stage: hot_fire, role: validate, flow: {STEPS}, duration_s: 4}}
   - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
 """
@@ -79,6 +86,7 @@ def problems(bench: str | Path = "practical_hot") -> str:
 def test_the_chamber_pressure_is_logged_and_loads_the_valve(fired: Path) -> None:
     sine, flow, empty = load_run(fired).recordings
     assert "pressure" not in empty.channels
+    assert [r.role for r in (sine, flow, empty)] == ["fit", "validate", "fit"]
     for recording in (sine, flow):
         assert recording.hot_fire
         assert recording.stage == "loaded"
@@ -150,7 +158,8 @@ def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("stage: hot_fire, flow", "stage: loaded, weight_kg: 3, flow", "a flow needs a gas generator"),
+        ("stage: hot_fire, role: validate, flow", "stage: loaded, weight_kg: 3, flow", "a flow needs a gas generator"),
+        ("stage: hot_fire, tones", "role: validate, stage: hot_fire, tones", "sine, flow is loaded and set aside"),
         ("stage: hot_fire, tones", "stage: hot_fire, weight_kg: 3, tones", "the gas generator loads a hot firing"),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
         ("at_s: 1.5", "at_s: 0.1", "begins before the one at 0 s is over"),
@@ -257,5 +266,42 @@ recordings:
 
 def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
     shutil.copytree(fired, "copy")
-    assert status(["identify", "copy"]) == 0
+    assert status(["identify", "copy", "--json", "found.json"]) == 0
+    assert 0.0 < json.loads(Path("found.json").read_text())["fit"]["validate_relative"] < 0.5
     assert "gas generator" in (Path("copy") / "report.html").read_text()
+
+
+def test_a_real_transmitter_brings_its_own_description() -> None:
+    real = {
+        "bus: {interface: mock, bitrate: 1000000}": "bus: {interface: socketcan, channel: can0}",
+        "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
+        "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
+    }
+    with pytest.raises(InputError, match=r"pressure\.eds: missing; a real device needs its manufacturer's EDS file"):
+        device_files(load_bench(bench_with(**real)))
+    own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
+    assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
+
+
+def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
+    """Its process data stop, its heartbeat goes on: two frames late is too late, and age has its limit."""
+    bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
+    plan = make_plan(sequence, bench)
+
+    def attach(twin: Any) -> Clock:
+        def lose(time_ns: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+            return None if identifier == 0x184 and time_ns > 1_200_000_000 else (identifier, data)
+
+        twin.bus.frame_filters.append(lose)
+        return twin.clock  # type: ignore[no-any-return]
+
+    folder = Path("silent")
+    folder.mkdir()
+    with connect(bench, 0, False, attach) as devices, RunProgress(plan.cycle_s, plan.duration_s) as progress:
+        inputs = Inputs(bench, sequence, 0, False)
+        _, outcome = execute(inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress)
+    assert outcome.ending is Ending.FAILED
+    assert outcome.trip is not None
+    assert outcome.trip.check is Check.SAMPLE_AGE
+    assert outcome.safe.verified
+    assert outcome.trip.time == pytest.approx(1.2, abs=0.02)

@@ -35,7 +35,7 @@ def test_every_gas_effect_can_be_drawn_hidden_and_named() -> None:
 def test_draws_are_within_what_the_plant_can_hide(name: str) -> None:
     machines = [draw_gas("one", (name,), (seed, 1)).machine for seed in range(20)]
     assert not [text for machine in machines for text in problems(machine.effects)]
-    noises = [m.sensing.pressure_noise_Pa / m.sensing.pressure_range_Pa for m in machines]
+    noises = [m.gas.transmitter.noise_Pa / m.gas.transmitter.range_Pa for m in machines]
     assert 0.001 <= min(noises) < max(noises) <= 0.0025
     assert len({m.gas.burning_rate_mm_s for m in machines}) == 20
 
@@ -88,7 +88,7 @@ def test_a_twin_that_hides_nothing_burns_with_the_same_noise() -> None:
     plain = rig._replace(machine=replace(rig.machine, effects={}))
     first, again, hiding = (gas_simulate.campaign(r)[0].pressure for r in (plain, plain, rig))
     assert np.array_equal(first, again)
-    assert np.std(np.diff(hiding - first)) < 0.2 * rig.machine.sensing.pressure_noise_Pa
+    assert np.std(np.diff(hiding - first)) < 0.2 * rig.machine.gas.transmitter.noise_Pa
 
 
 def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

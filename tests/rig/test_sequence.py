@@ -268,3 +268,11 @@ def test_a_cycle_must_fit_the_bus(tmp_path: Path, bitrate: int, rate: int, fits:
         InputError, match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500"
     ):
         load_bench(path)
+
+
+def test_something_must_be_fitted(tmp_path: Path) -> None:
+    aside = f"{HEAD}  - {{name: a, stage: unloaded, role: validate, {GOOD}}}\n"
+    with pytest.raises(InputError, match="every stage has role validate"):
+        plan_of(tmp_path / "s.yaml", aside)
+    plan = plan_of(tmp_path / "s.yaml", f"{aside}  - {{name: b, stage: unloaded, {GOOD}}}\n")
+    assert [stage.role for stage in plan.stages] == ["validate", "fit"]

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.model.gas_generator import GasGenerator, throat_derivatives
+from identification.model.valve import ValveGeometry, throat_area
 from identification.recording import Array, Recording, RecordingError
 
 ROW_S = 0.005
 """Samples closer than this are averaged to rows; the chamber takes ten times as long to empty."""
 LEAST_ROWS = 50
 _FIRST_ROWS = 4
+_TURN, _SIZE = math.radians(0.05), 2.5e-5
+"""rad and m: steps of derivatives, about what valve and encoder are off by."""
 _SPREAD_PER_MAD = 1.4826
 _THIRD_DIFFERENCE = math.sqrt(20.0)
 """Deviation of a third difference over that of white noise."""
@@ -29,6 +32,7 @@ class Burn:
         index: Its place among those under diagnosis.
         time: Since its first sample, s, shape (n,).
         areas: A_t and its derivatives by the thickness of a deposit, shape (3, n).
+        shifts: Derivatives of A_t by angle, d, D and b, shape (4, n).
         angle: rad, shape (n,).
         pressure: Pa, shape (n,).
     """
@@ -37,6 +41,7 @@ class Burn:
     index: int
     time: Array
     areas: Array
+    shifts: Array
     angle: Array
     pressure: Array
 
@@ -109,6 +114,17 @@ def _burn(recording: Recording, index: int) -> Burn:
         raise RecordingError(
             f"{recording.name}: pressure falls to {lowest:g} Pa; give it absolute, in Pa, and only while it burns"
         )
-    areas = mean(throat_derivatives(recording.channels["angle"], g.valve))
-    start = float(recording.time[0])
-    return Burn(recording, index, time - start, areas, angle, pressure)
+    measured = recording.channels["angle"]
+    areas, shifts = mean(throat_derivatives(measured, g.valve)), mean(throat_shifts(measured, g.valve))
+    return Burn(recording, index, time - float(recording.time[0]), areas, shifts, angle, pressure)
+
+
+def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
+    """Return the derivatives of A_t by angle (m^2/rad), d, D and b (m), by central differences, shape (4, n)."""
+    by_angle = throat_area(angle + _TURN, valve) - throat_area(angle - _TURN, valve)
+    by_size = [
+        throat_area(angle, replace(valve, **{name: value + _SIZE}))
+        - throat_area(angle, replace(valve, **{name: value - _SIZE}))
+        for name, value in (("d", valve.d), ("D", valve.D), ("b", valve.b))
+    ]
+    return np.stack([by_angle / (2.0 * _TURN), *(change / (2.0 * _SIZE) for change in by_size)])

@@ -15,8 +15,9 @@ from scipy import stats
 
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.gas.burns import Burn, burns, noise
+from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
 from identification.diagnosis.gas.fit import Fitted, believed, fit
-from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates
+from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded
 from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Taken, search
 from identification.diagnosis.gas.terms import GasEffect
 from identification.diagnosis.locate import OWN_RECORDING, curve, mapped, ranges
@@ -40,9 +41,11 @@ from identification.recording import Dataset, RecordingError
 ADEQUATE = 0.9
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis, where more
 than noise is left. The balance of the gas has no friction's fine print, so that the right name explains nearly all."""
-UNITS: Mapping[str, str] = {"a": "m/s", "n": "1", "C_r": "m/s", "V_0": "m^3"}
-"""Of the nominal constants that are fitted; ``a`` at 1 MPa, ``V_0`` the mean over the recordings."""
 _MOST_SURE = 0.99
+UNSEEN = 1.5
+"""Error on recordings set aside over the noise, from which the reader is told."""
+STRAINED = 3.0
+"""Tolerances by which a constant has to be off to be worth a look."""
 
 
 def diagnose_gas(
@@ -50,8 +53,8 @@ def diagnose_gas(
 ) -> Diagnosis:
     """Say whether physics is missing from the gas generator of these recordings, where, and which.
 
-    Burning coefficient, exponent, characteristic velocity and the start of every recording are fitted beside whatever
-    is missing; the geometry and the propellant's density are taken as known.
+    What is believed of propellant, valve and sensors is fitted beside whatever is missing, within tolerances
+    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording.
 
     Args:
         dataset: Recordings with pressure and valve angle, each from its ignition; those with role ``validate`` are
@@ -85,7 +88,7 @@ def diagnose_gas(
         fits=(main,),
         parameters=_constants(scored),
         parameter_shift={
-            name: Shift(before, _constants(scored)[name], UNITS[name])
+            name: Shift(before, _constants(scored)[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
             for name, before in _constants(found.baseline).items()
         },
         p_value=found.p_value,
@@ -97,7 +100,7 @@ def diagnose_gas(
             *_traces(found.burns, found.baseline, scored, found.sigma),
             *(_traces(aside, held[0], held[1], found.sigma) if held else ()),
         ),
-        warnings=_warnings(dataset, found),
+        warnings=_warnings(dataset, found, main),
         seconds=perf_counter() - started,
     )
 
@@ -105,13 +108,15 @@ def diagnose_gas(
 def _verdict(found: GasSearch) -> Verdict:
     if found.p_value > LEVEL:
         return Verdict.NOTHING_MISSING
-    if not found.taken or (_explained(found) < ADEQUATE and found.p_after <= LEVEL):
+    if not found.taken or _explained(found) < ADEQUATE:
         return Verdict.OUTSIDE_CATALOGUE
     return Verdict.AMBIGUOUS if any(r.open for t in found.taken for r in t.rivals) else Verdict.NAMED
 
 
 def _explained(found: GasSearch) -> float:
-    """Return the share of the mismatch beyond the noise that the effects explain."""
+    """Return the share of the mismatch beyond the noise that the effects explain; all where nothing else is left."""
+    if found.p_after > LEVEL:
+        return 1.0
     before, after = (float(np.mean(f.residual**2)) for f in (found.baseline, found.final))
     return min(1.0, max(0.0, (before - max(after, 1.0)) / max(before - 1.0, 1e-12)))
 
@@ -154,7 +159,8 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
     scale = np.linalg.norm(final.tangent, axis=0) + final.held
     tangent = final.tangent / scale
     bread = np.linalg.pinv(tangent.T @ tangent + np.diag((final.held / scale) ** 2), hermitian=True)
-    sums = stack.sums(tangent * final.residual[:, None])
+    sums = stack.sums(padded(stack, tangent * final.residual[:, None]))
+    sums[-1] = final.held / scale * final.pull
     count = final.tangent.shape[1]
     freedom = max(stack.blocks - count, 3)
     covariance = bread @ (sums.T @ sums) @ bread * stack.blocks / freedom / np.outer(scale, scale)
@@ -177,6 +183,7 @@ def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
 
 
 def _constants(fitted: Fitted) -> dict[str, float]:
+    """Return what all burns share, and the mean of their free volumes."""
     volumes = [s.volume for s in fitted.model.starts]
     return {**fitted.model.constants, "V_0": float(np.mean(volumes))}
 
@@ -186,19 +193,16 @@ def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
     units = {c.name: c.unit for c in COORDINATES}
     stack, equation = found.stack, found.stack.equations[0]
     drawn = [
-        mapped(equation, name, units[name], values, before, after, stack.block, stack.blocks, rng)
+        mapped(equation, name, units[name], values, before, after, stack.block[: len(values)], stack.blocks, rng)
         for name, values in coordinates(found.burns, found.baseline)
     ]
     return tuple(sorted((m for m in drawn if m is not None), key=lambda m: -m.share))
 
 
 def _location(found: GasSearch, best: Map) -> Location:
-    owner = found.stack.equations[0].owner
-    names = tuple(
-        b.recording.name
-        for b in found.burns
-        if float(np.mean(found.baseline.residual[owner == b.index] ** 2)) > OWN_RECORDING
-    )
+    edges = np.cumsum([len(b.time) for b in found.burns])[:-1]
+    powers = [float(np.mean(part**2)) for part in np.split(found.baseline.residual, edges)]
+    names = tuple(b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > OWN_RECORDING)
     return Location(best.coordinate, best.unit, ranges(best), best.share, names)
 
 
@@ -223,7 +227,7 @@ def _rms(fitted: Fitted, sigma: float) -> float:
 def _started(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
     """Return a model on burns that took no part: of each its start alone is fitted."""
     starts = believed(aside).starts
-    return fit(aside, sigma, replace(fitted.model, starts=starts), propellant=False)
+    return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 
 
 def _traces(here: Sequence[Burn], before: Fitted, after: Fitted, sigma: float) -> list[ResidualTrace]:
@@ -254,11 +258,21 @@ def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Lo
     return f"{words}. Pressure error on {on} {before:.3g} -> {after:.3g} Pa; noise floor {main.noise_floor_rms:.3g}."
 
 
-def _warnings(dataset: Dataset, found: GasSearch) -> tuple[str, ...]:
+def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     warnings = []
     if not dataset.part("validate"):
         warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
+    unseen = main.validate_final_rms
+    if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
+        warnings.append(
+            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the noise: those fitted "
+            "do not pin the gas generator; fit burns with steps between narrow and wide throats as well"
+        )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
             warnings.append(f"{burn.recording.name}: the throat hardly moves; it shows no transient")
+    off = zip(CONSTANTS.items(), found.baseline.pull, strict=False)
+    strained = [f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}" for (name, c), p in off if abs(p) > STRAINED]
+    if strained:
+        warnings.append(f"without anything missing these would have to be off: {', '.join(strained)}; check them first")
     return tuple(warnings)

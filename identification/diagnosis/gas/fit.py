@@ -1,4 +1,4 @@
-"""Constants of the propellant, the start of each burn and named effects, fitted together by forward simulation."""
+"""Believed constants, the start of each burn and named effects, fitted together by forward simulation."""
 
 from __future__ import annotations
 
@@ -9,27 +9,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.diagnosis.gas.burns import Burn, generator
+from identification.diagnosis.gas.constants import CONSTANTS, PRESSURE, PROPELLANT, VOLUME, beliefs
 from identification.diagnosis.gas.terms import GasEffect, effect_at
 from identification.estimate.levenberg import minimise
 from identification.model import gas_kernel as kernel
-from identification.model.gas_generator import SHARED, constants
+from identification.model.gas_generator import constants
 from identification.recording import Array
+from identification.signals import BoolArray
 
-TOLERANCE: Mapping[str, float] = {"a": 0.1, "n": 0.03, "C_r": 0.05, "V_0": 0.3}
-"""How far the believed constants may be off, one standard deviation: a share of each, for n a difference.
-
-A propellant's lots differ in burning rate; a strand burner gives n to a few hundredths; free volumes are what the
-igniter and the grain's length have left.
-"""
-_START_SHARE = 0.01
-"""Unit of the start pressure, as a share; it is not held to anything."""
 _STEP = 0.01
 """Of numerical derivatives, in the units of the fit."""
-_OUTLIER = 6.0
-_SETTLED = 1e-6
-_MOST_STEPS = 25
-_FARTHEST = 8.0
-"""Tolerances beyond which no constant is looked for: such a chamber could not be marched either..."""
+_STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
+"""Factor on what holds valve and sensors, share of the cost below whose gain a stage ends, and its steps at most. They
+are as good as fixed until the rest has settled: from far off they would run away to help."""
+_FARTHEST, _FIRM_FARTHEST = 6.0, 15.0
+"""Tolerances beyond which no constant is looked for, those of valve and sensors farther: a chamber ten times as large
+would make anything slow look like its filling..."""
 _REJECTED = 1e6
 """... and the residual there, over the noise."""
 
@@ -44,7 +39,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted: propellant constants by name, the start of each burn, effects in the order they were added."""
+    """What is fitted: constants by name, the start of each burn, effects in the order they were added."""
 
     constants: Mapping[str, float]
     starts: tuple[Start, ...]
@@ -57,11 +52,13 @@ class Fitted:
 
     Attributes:
         model: Its values.
-        simulated: Pressure of all rows, Pa, shape (n,).
+        simulated: Pressure of all rows as the transducer would show it, Pa, shape (n,).
         residual: Measured less simulated over the noise, shape (n,).
         tangent: Derivative of the simulated rows over the noise by everything that was fitted, shape (n, p); the
             effects' parameters come last.
         held: Weight that holds each of those to what was believed, shape (p,).
+        pull: Believed less fitted over the tolerance, shape (p,); zero where nothing is held.
+        firm: Which of those are of valve and sensors, shape (p,).
     """
 
     model: Model
@@ -69,63 +66,85 @@ class Fitted:
     residual: Array
     tangent: Array
     held: Array
+    pull: Array
+    firm: BoolArray
 
     @property
     def cost(self) -> float:
-        """Sum of whitened squares."""
-        return float(self.residual @ self.residual)
+        """Sum of whitened squares, those of the beliefs among them."""
+        return float(self.residual @ self.residual + self.pull @ self.pull)
 
 
 def believed(burns: Sequence[Burn]) -> Model:
     """Return the model with what is believed of it, each burn from its first pressure."""
     g = generator(burns[0])
-    return Model({name: getattr(g, name) for name in SHARED}, tuple(Start(b.first_pressure, g.V_0) for b in burns))
+    return Model(beliefs(g), tuple(Start(b.first_pressure, g.V_0) for b in burns))
 
 
-def fit(burns: Sequence[Burn], sigma: float, start: Model, *, propellant: bool = True) -> Fitted:
-    """Fit a model to burns by least squares of the pressure, outliers held back.
+def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = True) -> Fitted:
+    """Fit a model to burns by least squares of the pressure.
 
     Args:
         burns: Recordings to fit.
         sigma: Noise of a row, Pa.
         start: To start from, with the effects to fit.
-        propellant: Whether its constants and effects are fitted; else the start of each burn alone.
+        shared: Whether constants and effects are fitted; else the start of each burn alone.
     """
-    layout = _Layout(burns, start, propellant)
+    layout = _Layout(burns, start, shared)
+    measured = np.concatenate([b.pressure for b in burns])
+    x = layout.start
+    for stiffness, tolerance, most_steps in _STAGES:
+        held = np.where(layout.firm, stiffness, 1.0) * layout.held
+        x = _settled(burns, sigma, layout, x, held, tolerance, most_steps)
+    model = layout.model(x)
+    simulated = simulate(burns, model)
+    tangent = _tangent(burns, layout, x) / sigma
+    return Fitted(model, simulated, (measured - simulated) / sigma, tangent, layout.held, -layout.held * x, layout.firm)
+
+
+def _settled(
+    burns: Sequence[Burn],
+    sigma: float,
+    layout: _Layout,
+    start: Array,
+    held: Array,
+    tolerance: float,
+    most_steps: int,
+) -> Array:
+    """Return the vector of least squares under the weights ``held``."""
     measured = np.concatenate([b.pressure for b in burns])
 
     def residuals(x: Array) -> Array:
-        if np.any(np.abs(layout.held * x) > _FARTHEST):
+        if np.any(np.abs(layout.held * x) > np.where(layout.firm, _FIRM_FARTHEST, _FARTHEST)):
             return np.full(len(measured) + len(x), _REJECTED)
-        simulated = simulate(burns, layout.model(x))
-        return np.concatenate(((simulated - measured) / sigma, layout.held * x))
+        return np.concatenate(((simulate(burns, layout.model(x)) - measured) / sigma, held * x))
 
-    def jacobian(x: Array, residual: Array) -> Array:
-        return np.concatenate((_tangent(burns, layout, x) / sigma, np.diag(layout.held)))
+    def jacobian(x: Array, _residual: Array) -> Array:
+        return np.concatenate((_tangent(burns, layout, x) / sigma, np.diag(held)))
 
-    x = minimise(residuals, jacobian, layout.start, threshold=_OUTLIER, tolerance=_SETTLED, most_steps=_MOST_STEPS).x
-    model = layout.model(x)
-    simulated = simulate(burns, model)
-    return Fitted(model, simulated, (measured - simulated) / sigma, _tangent(burns, layout, x) / sigma, layout.held)
+    return minimise(residuals, jacobian, start, threshold=math.inf, tolerance=tolerance, most_steps=most_steps).x
 
 
 def simulate(burns: Sequence[Burn], model: Model) -> Array:
-    """Return the pressure of all rows, Pa, shape (n,)."""
-    return np.concatenate([march(b, model)[0] for b in burns])
+    """Return the pressure of all rows as the transducer would show it, Pa, shape (n,)."""
+    return np.concatenate([shown(march(b, model), model) for b in burns])
 
 
-def march(burn: Burn, model: Model, place: int | None = None) -> Array:
-    """Return pressure (Pa), web burnt (m) and gas temperature over the flame's of one burn, shape (3, n).
+def shown(marched: Array, model: Model) -> Array:
+    """Return what a transducer with a zero error shows a little late, Pa, shape (n,)."""
+    pressure, _, rise = marched
+    return np.asarray(pressure + model.constants["pressure_zero"] - model.constants["delay"] * rise)
 
-    Args:
-        burn: Whose valve.
-        model: With its start.
-        place: Of its start among the model's; None takes the burn's own index.
-    """
-    start = model.starts[burn.index if place is None else place]
-    c = constants(generator(burn), model.constants, start.pressure, start.volume)
+
+def march(burn: Burn, model: Model) -> Array:
+    """Return pressure (Pa), web burnt (m) and the pressure's rate (Pa/s) of one burn, shape (3, n)."""
+    start, own, given = model.starts[burn.index], beliefs(generator(burn)), model.constants
+    off = np.array([given[name] - own[name] for name in ("angle_zero", "d", "D", "b")])
+    areas = burn.areas.copy()
+    areas[0] += off @ burn.shifts
+    c = constants(generator(burn), given, start.pressure, start.volume)
     out = np.empty((3, len(burn.time)))
-    kernel.march(burn.time, burn.areas, c, missing(model.effects), out)
+    kernel.march(burn.time, areas, c, missing(model.effects), out)
     return out
 
 
@@ -139,49 +158,38 @@ def missing(effects: Sequence[GasEffect]) -> Array:
 
 
 class _Layout:
-    """Where each number of a model stands in the vector that is fitted, and in which unit."""
+    """Where each number of a model stands in the vector that is fitted, in tolerances of what is believed."""
 
-    def __init__(self, burns: Sequence[Burn], start: Model, propellant: bool) -> None:
-        self._believed, self._given, self._propellant = believed(burns), start, propellant
-        self.shared = len(SHARED) if propellant else 0
-        self.burns = len(burns)
-        self.ends = self.shared + 2 * self.burns
-        inner: list[float] = []
-        if propellant:
-            inner += [self._offset(name, start.constants[name]) for name in SHARED]
+    def __init__(self, burns: Sequence[Burn], start: Model, shared: bool) -> None:
+        self._believed, self._given = believed(burns), start
+        self.constants = CONSTANTS if shared else {}
+        self.effects = start.effects if shared else ()
+        self.shared, self.ends = len(self.constants), len(self.constants) + 2 * len(burns)
+        inner = [c.steps(self._believed.constants[k], start.constants[k]) for k, c in self.constants.items()]
         for mine, own in zip(start.starts, self._believed.starts, strict=True):
-            inner += [
-                math.log(mine.volume / own.volume) / TOLERANCE["V_0"],
-                math.log(mine.pressure / own.pressure) / _START_SHARE,
-            ]
-        if propellant:
-            inner += [x for effect in start.effects for x in effect.coordinates]
+            inner += [VOLUME.steps(own.volume, mine.volume), PRESSURE.steps(own.pressure, mine.pressure)]
+        inner += [x for effect in self.effects for x in effect.coordinates]
         self.start = np.array(inner)
         self.held = np.zeros(len(inner))
-        self.held[: self.ends] = [1.0] * self.shared + [1.0, 0.0] * self.burns
-
-    def _offset(self, name: str, value: float) -> float:
-        own = self._believed.constants[name]
-        return (value - own if name == "n" else math.log(value / own)) / TOLERANCE[name]
+        self.held[: self.ends] = [1.0] * self.shared + [1.0, 0.0] * len(burns)
+        self.firm = np.zeros(len(inner), dtype=np.bool_)
+        self.firm[: self.shared] = [name not in PROPELLANT for name in self.constants]
 
     def model(self, x: Array) -> Model:
         """Return the model at a vector."""
-        own, given = self._believed, self._given
-        shared = dict(given.constants)
-        for name, value in zip(SHARED[: self.shared], x, strict=False):
-            moved = TOLERANCE[name] * float(value)
-            shared[name] = own.constants[name] + moved if name == "n" else own.constants[name] * math.exp(moved)
+        own = self._believed
+        moved = {k: c.moved(own.constants[k], float(v)) for (k, c), v in zip(self.constants.items(), x, strict=False)}
         pairs = x[self.shared : self.ends].reshape(-1, 2)
         starts = tuple(
-            Start(b.pressure * math.exp(_START_SHARE * p), b.volume * math.exp(TOLERANCE["V_0"] * v))
+            Start(PRESSURE.moved(b.pressure, float(p)), VOLUME.moved(b.volume, float(v)))
             for b, (v, p) in zip(own.starts, pairs, strict=True)
         )
         effects, at = [], self.ends
-        for effect in given.effects if self._propellant else ():
+        for effect in self.effects:
             count = len(effect.term.sizes)
             effects.append(effect_at(effect.term, tuple(float(v) for v in x[at : at + count])))
             at += count
-        return Model(shared, starts, tuple(effects) if self._propellant else given.effects)
+        return Model({**self._given.constants, **moved}, starts, tuple(effects) or self._given.effects)
 
     def touches(self, k: int) -> int | None:
         """Return the burn that alone an entry of the vector moves, or None."""
@@ -190,15 +198,14 @@ class _Layout:
 
 def _tangent(burns: Sequence[Burn], layout: _Layout, x: Array) -> Array:
     """Return the derivative of the simulated pressure, Pa, shape (n, p)."""
-    here = [march(b, layout.model(x))[0] for b in burns]
+    here = [simulate((b,), layout.model(x)) for b in burns]
     edges = np.cumsum([0, *(len(p) for p in here)])
     out = np.zeros((edges[-1], len(x)))
     for k in range(len(x)):
         moved = x.copy()
         moved[k] += _STEP
-        model = layout.model(moved)
-        own = layout.touches(k)
+        model, own = layout.model(moved), layout.touches(k)
         for j, burn in enumerate(burns):
             if own is None or own == j:
-                out[edges[j] : edges[j + 1], k] = (march(burn, model)[0] - here[j]) / _STEP
+                out[edges[j] : edges[j + 1], k] = (simulate((burn,), model) - here[j]) / _STEP
     return out

@@ -10,7 +10,7 @@ from scipy import sparse
 
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.gas.burns import Burn
-from identification.diagnosis.gas.fit import Fitted, Model, march
+from identification.diagnosis.gas.fit import Fitted, Model, march, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.generic import edges
 from identification.diagnosis.nominal import Nominal
@@ -48,27 +48,40 @@ COORDINATES = (
 def stacked(burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None) -> Stack:
     """Return the mismatch of a fit with everything fitted projected out.
 
+    Behind the rows of the burns stand those of the beliefs, one for each number that is held, in a block of their own:
+    so an effect is absorbed as far as the tolerances allow, and no farther.
+
     Args:
         burns: Recordings.
         fitted: The fit of them.
         sigma: Noise of a row, Pa.
         like: A stack of the same recordings whose blocks are kept.
     """
-    owner = np.concatenate([np.full(len(b.time), b.index) for b in burns])
-    time = np.concatenate([b.time for b in burns])
-    equation = Equation(PRESSURE, UNIT, (), (), sigma * fitted.residual, sigma * fitted.tangent, (), owner, time, sigma)
-    values, vectors = np.linalg.eigh(fitted.tangent.T @ fitted.tangent)
+    held = fitted.held > 0.0
+    residual = np.concatenate((fitted.residual, fitted.pull[held]))
+    tangent = np.concatenate((fitted.tangent, np.diag(fitted.held)[held]))
+    beliefs = int(np.sum(held))
+    owner = np.concatenate([*(np.full(len(b.time), b.index) for b in burns), np.full(beliefs, -1)])
+    time = np.concatenate([*(b.time for b in burns), np.zeros(beliefs)])
+    equation = Equation(PRESSURE, UNIT, (), (), sigma * residual, sigma * tangent, (), owner, time, sigma)
+    values, vectors = np.linalg.eigh(tangent.T @ tangent)
     keep = values > 1e-12 * float(values[-1])
-    basis = fitted.tangent @ (vectors[:, keep] / np.sqrt(values[keep]))
-    residual = fitted.residual - basis @ (basis.T @ fitted.residual)
+    basis = tangent @ (vectors[:, keep] / np.sqrt(values[keep]))
     if like is None:
         block, count = _blocks(burns, fitted.residual, owner)
-        ones = np.ones(len(block))
-        gather = (sparse.csr_matrix((ones, (block, np.arange(len(block)))), shape=(count, len(block))),)
+        gather = (sparse.csr_matrix((np.ones(len(block)), (block, np.arange(len(block)))), shape=(count, len(block))),)
     else:
         block, count, gather = like.block, like.blocks, like.gather
     nominal = Nominal(fitted.model.constants, tuple(fitted.model.constants), 2.0)
-    return Stack((equation,), nominal, (basis,), np.zeros((len(residual), 0)), residual, block, count, gather)
+    left = residual - basis @ (basis.T @ residual)
+    return Stack((equation,), nominal, (basis,), np.zeros((len(left), 0)), left, block, count, gather)
+
+
+def padded(stack: Stack, values: Array) -> Array:
+    """Return rows of the burns with zeros behind them for the beliefs, shape (n + p, ...)."""
+    out = np.zeros((len(stack.residual), *values.shape[1:]))
+    out[: len(values)] = values
+    return out
 
 
 def candidates(
@@ -77,10 +90,23 @@ def candidates(
     """Yield every effect at every trial shape, linearised where the fit stands; coefficients are in its own unit."""
     for term in terms:
         for shape in term.shapes:
-            columns = {PRESSURE: slope(burns, fitted, term, shape)[:, None]}
+            columns = {PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}
             found = stack.candidate(term.name, shape, columns)
             if found is not None:
                 yield found
+
+
+def starts(
+    burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
+) -> list[tuple[float, float, tuple[float, ...]]]:
+    """Return (gain, size, shape) of an effect at every trial shape by linear least squares, the greatest gain first."""
+    found = []
+    for shape in term.shapes:
+        column = stack.projected(stack.whitened({PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}))
+        power, score = float(np.sum(column**2)), float(column[:, 0] @ stack.residual)
+        if power > 0.0:
+            found.append((score**2 / power, score / power, shape))
+    return sorted(found, reverse=True)
 
 
 def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[float, ...]) -> Array:
@@ -88,7 +114,7 @@ def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[flo
     size = _SMALL * next(iter(term.sizes.values())).scale
     effect = GasEffect(term, dict(zip(term.sizes, (size, *shape), strict=True)))
     moved: Model = replace(fitted.model, effects=(*fitted.model.effects, effect))
-    return (np.concatenate([march(b, moved)[0] for b in burns]) - fitted.simulated) / size
+    return (simulate(burns, moved) - fitted.simulated) / size
 
 
 def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Candidate]:
@@ -97,11 +123,8 @@ def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Ca
         grid = edges(values)
         if len(grid) > 2:
             yield from _levels(stack, name, np.searchsorted(grid[1:-1], values, side="right"))
-    owner = stack.equations[0].owner
-    span = {b.index: float(b.time[-1]) for b in burns}
-    length = np.array([span[k] for k in range(len(burns))])[owner]
-    share = np.minimum((stack.equations[0].time / length * _PIECES).astype(np.int64), _PIECES - 1)
-    yield from _levels(stack, "time in each recording", owner * _PIECES + share)
+    pieces = [b.index * _PIECES + (b.time * (_PIECES - 1e-9) / b.time[-1]).astype(np.int64) for b in burns]
+    yield from _levels(stack, "time in each recording", np.concatenate(pieces))
 
 
 def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Array]]:
@@ -113,17 +136,18 @@ def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Ar
 
 def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
     columns = (place[:, None] == np.unique(place)).astype(np.float64)
-    found = stack.independent(f"{PRESSURE} over {name}", PRESSURE, columns)
+    found = stack.independent(f"{PRESSURE} over {name}", PRESSURE, padded(stack, columns))
     if found is not None:
         yield found
 
 
 def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[np.ndarray, int]:
-    """Number blocks of time: ten correlation times of the worst burn's mismatch, within limits."""
+    """Number blocks of time, ten correlation times of the worst burn's mismatch within limits; the beliefs' is last."""
     length = LEAST_BLOCK_S
     for burn in burns:
         step = float(burn.time[-1] - burn.time[0]) / (len(burn.time) - 1)
-        length = max(length, BLOCK_CORRELATION_TIMES * correlation_samples(residual[owner == burn.index]) * step)
+        mine = residual[owner[: len(residual)] == burn.index]
+        length = max(length, BLOCK_CORRELATION_TIMES * correlation_samples(mine) * step)
     length = min(length, GREATEST_BLOCK_S)
     parts, count = [], 0
     for burn in burns:
@@ -132,4 +156,4 @@ def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[
         place = (burn.time - burn.time[0]) / span * number
         parts.append(count + np.minimum(place.astype(np.int64), number - 1))
         count += number
-    return np.concatenate(parts), count
+    return np.concatenate([*parts, np.full(len(owner) - len(residual), count)]), count + 1

@@ -12,7 +12,7 @@ from scipy import stats
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
-from identification.diagnosis.gas.rows import candidates, families, stacked
+from identification.diagnosis.gas.rows import candidates, families, padded, stacked, starts
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.result import Step
 from identification.diagnosis.search import (
@@ -25,11 +25,11 @@ from identification.diagnosis.search import (
     SIMPLER_IF,
     chance,
 )
-from identification.diagnosis.stack import Candidate, Stack
+from identification.diagnosis.stack import Stack
 from identification.recording import Array
 
 MOST_EFFECTS = 2
-LEAST_SHARE = 1e-3
+LEAST_SHARE = 5e-4
 """Power of a contribution over that of the noise, below which it does not matter. The nominal constants absorb nearly
 all of a leak or of erosion, and the noise of a transducer is white: what is left is little, and sure."""
 REJECTED = 1.645
@@ -110,7 +110,7 @@ def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, prog
     steps = [seen.step]
     while seen.p_value <= LEVEL and len(taken) < MOST_EFFECTS:
         progress("fitting effects", (len(taken) + 0.5) / (MOST_EFFECTS + 1))
-        tried = _fitted(burns, sigma, here, seen.trials)
+        tried = _fitted(burns, sigma, here, seen.stack)
         fitted = [f for f in tried if plausible(f.model.effects[-1])]
         if not fitted:
             steps.append(Step("stop", "", seen.p_value, 0.0, "no effect of the catalogue fits with a plausible size"))
@@ -149,20 +149,25 @@ def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, prog
 
 @dataclass(frozen=True)
 class _Test:
-    """Of whether anything is missing: its p-value, its line, and the effects that may still be added."""
+    """Of whether anything is missing: its p-value, its line, and the rows with everything fitted projected out."""
 
     p_value: float
     step: Step
-    trials: tuple[Candidate, ...]
+    stack: Stack
 
 
 def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Generator) -> _Test:
+    """Test by shape (sign flips of blocks), by size, and by how far off valve and sensors are; the least counts."""
     named = {e.term.name for e in here.model.effects}
-    trials = tuple(candidates(burns, stack, here, [t for t in GAS_TERMS if t.name not in named]))
-    tried = [*trials, *families(burns, stack, here)]
-    p_value = min(1.0, 2.0 * min(chance(tried, stack.blocks, rng, LEAST_SHARE), max(_excess(here), 1e-12)))
+    left = [t for t in GAS_TERMS if t.name not in named]
+    tried = [*candidates(burns, stack, here, left), *families(burns, stack, here)]
+    by_shape, by_size, by_belief = chance(tried, stack.blocks, rng, LEAST_SHARE), _excess(here), _strained(here)
+    p_value = min(1.0, 3.0 * max(min(by_shape, by_size, by_belief), 1e-12))
     loudest = max(tried, key=lambda c: c.surprise).name if tried else ""
-    return _Test(p_value, Step("test", loudest, p_value, 0.0, "the most surprising candidate"), trials)
+    words = "the most surprising candidate"
+    if by_belief < min(by_shape, by_size):
+        loudest, words = "beliefs", "valve or sensors would have to be off by more than their tolerances"
+    return _Test(p_value, Step("test", loudest, p_value, 0.0, words), stack)
 
 
 def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
@@ -174,7 +179,8 @@ def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
 
 def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
     """Return how far the data prefer ``chosen``, in standard errors of the difference by blocks."""
-    loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
+    loss = stack.sums(padded(stack, (rival.residual**2 - chosen.residual**2)[:, None]))[:, 0]
+    loss[-1] = rival.pull @ rival.pull - chosen.pull @ chosen.pull
     spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
     return float(np.sum(loss)) / spread if spread > 0.0 else 0.0
 
@@ -189,19 +195,22 @@ def apart(one: Fitted, other: Fitted) -> float:
     return 0.5 * float(np.linalg.norm(one.residual - other.residual))
 
 
-def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, trials: Sequence[Candidate]) -> list[Fitted]:
+def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> list[Fitted]:
     """Return the best fit of every effect that explains something, jointly with all that is fitted already."""
+    named = {e.term.name for e in here.model.effects}
     found = []
     for term in GAS_TERMS:
-        mine = sorted((c for c in trials if c.name == term.name), key=lambda c: -c.score)[:TRIALS_FITTED]
-        tried = [fit(burns, sigma, _with(here.model, term, c)) for c in mine]
+        if term.name in named:
+            continue
+        trials = starts(burns, stack, here, term)[:TRIALS_FITTED]
+        tried = [fit(burns, sigma, _with(here.model, term, size, shape)) for _, size, shape in trials]
         if tried:
             found.append(min(tried, key=lambda f: (not plausible(f.model.effects[-1]), f.cost)))
     return [f for f in found if f.cost < here.cost]
 
 
-def _with(model: Model, term: GasTerm, trial: Candidate) -> Model:
-    sizes = dict(zip(term.sizes, (float(trial.coefficients[0]), *trial.shape), strict=True))
+def _with(model: Model, term: GasTerm, size: float, shape: tuple[float, ...]) -> Model:
+    sizes = dict(zip(term.sizes, (size, *shape), strict=True))
     return replace(model, effects=(*model.effects, GasEffect(term, sizes)))
 
 
@@ -222,6 +231,12 @@ def _excess(fitted: Fitted) -> float:
     """Return the p-value of the mismatch having no more than :data:`EXCESS` times the noise's power."""
     rows: Array = np.minimum(np.abs(fitted.residual), RARE)
     return float(stats.chi2.sf(float(rows @ rows) / EXCESS, len(rows)))
+
+
+def _strained(fitted: Fitted) -> float:
+    """Return the p-value of valve and sensors being as far off as the fit asks, were the tolerances normal."""
+    pull = fitted.pull[fitted.firm]
+    return float(stats.chi2.sf(float(pull @ pull), len(pull)))
 
 
 def _why(rivals: Sequence[Rivalry]) -> str:
