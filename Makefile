@@ -7,18 +7,20 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench loop prove paper weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench loop prove prove-gas paper feedforward weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
-	@echo "make paper     the paper's tables and Fig. 12 and 13, 20 seeds (out/paper)"
+	@echo "make paper     the paper's figures and tables done again, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
+	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
+	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make bench     speed, as ratios within one run"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
@@ -83,11 +85,17 @@ real: $(VENV)/.runtime
 loop: $(VENV)/.runtime
 	$(BIN)/python tests/long/close_loop.py
 
+feedforward: $(VENV)/.runtime
+	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 100
+
 prove: $(VENV)/.runtime
 	$(BIN)/rig prove --rigs $(or $(RIGS),48) --jobs 2 --out out/proof
 
+prove-gas: $(VENV)/.runtime
+	$(BIN)/rig prove --gas --rigs $(or $(RIGS),100) --jobs 2 --out out/proof-gas
+
 bench: $(VENV)/.runtime
-	for script in plant_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
 
 weight-check: $(VENV)/.runtime
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done

@@ -1,10 +1,11 @@
-"""Accuracy and coverage of the default method on the default Figure 10 run, over seeds of noise.
+"""Accuracy and coverage of the default method on the default Figure 10 run, or another, over seeds of noise.
 
-Each seed runs `rig run figure10` through the whole simulated chain (drive loops, bus, quantisation, noise) and
+Each seed runs `rig run` through the whole simulated chain (drive loops, bus, quantisation, noise) and
 identifies that run's own log. Prints the error of every parameter, the share of 90 % intervals that hold the truth, and
 what was flagged.
 
     python benchmarks/figure10_accuracy.py --seeds 20
+    python benchmarks/figure10_accuracy.py --sequence hotfire --bench practical_hot --seeds 12
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--sequence", default="figure10")
+    parser.add_argument("--bench", default="practical")
     arguments = parser.parse_args()
     errors: dict[str, list[float]] = {}
     inside: dict[str, list[bool]] = {}
@@ -34,7 +37,8 @@ def main() -> None:
     for seed in range(arguments.first, arguments.first + arguments.seeds):
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch) / "run"
-            status = cli.status(["run", "figure10", "--yes", "--seed", str(seed), "--out", str(folder)])
+            asked = [arguments.sequence, "--bench", arguments.bench, "--seed", str(seed)]
+            status = cli.status(["run", *asked, "--yes", "--out", str(folder)])
             if status != 0:
                 raise SystemExit(f"seed {seed}: rig run ended with status {status}")
             truth = truth_of(folder)

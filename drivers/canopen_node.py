@@ -141,13 +141,13 @@ class CanopenNode:
             self._staged[layout.number] = (identifier, packing)
         self.inputs, self._numbered, self._slow = {}, {}, []
         for layout, (identifier, packing) in zip(inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True):
-            slot = Input(packing, layout.every)
+            slot = Input(packing, layout.every, layout.slack)
             slot.values = tuple(self.read(*address) for address in layout.objects)
             if slot.slack:
                 slot.cycle = self.cycle
                 self._slow.append(slot)
             self.inputs[identifier] = self._numbered[layout.number] = slot
-        self.expected = self.missing = sum(layout.every == 1 for layout in inputs)
+        self.expected = self.missing = sum(not slot.slack for slot in self.inputs.values())
         self._start()
 
     def stage(self, number: int, *values: int) -> None:

@@ -35,11 +35,11 @@ class Input:
 
     __slots__ = ("cycle", "layout", "size", "slack", "values")
 
-    def __init__(self, layout: struct.Struct, every: int) -> None:
+    def __init__(self, layout: struct.Struct, every: int, slack: int = 0) -> None:
         self.layout = layout
         self.size = layout.size
         # A slow PDO's phase against the exchange is the device's own, so one period more is allowed.
-        self.slack = 0 if every == 1 else 2 * every
+        self.slack = slack if every == 1 else 2 * every
         self.values: tuple[int, ...] = layout.unpack(bytes(layout.size))
         self.cycle = -1
 

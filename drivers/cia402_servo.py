@@ -10,7 +10,7 @@ from drivers import cia402, servo_limits
 from drivers.cia402 import Command, controlword, decode_state
 from drivers.clock import NS
 from drivers.emergency import explain
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, ObjectAccessError, StateError
 from drivers.interfaces import Identity, Link, Servo, ServoLimits, ServoSample, ServoState
 from drivers.objects import PdoLayout, ProcessChannel, read_identity
 from drivers.units import ServoScales, Unwrapper
@@ -23,9 +23,13 @@ _SUPPLY: Final = 4
 _SUPPLY_EVERY: Final = 10
 FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, _SUPPLY_EVERY))
 """Data bytes of each PDO, and in how many cycles it goes once; with a voltage object of 16 bits."""
+FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
+"""The same where the torque offset is mapped."""
+TORQUE_OFFSET: Final = (0x60B2, 0)
 _ABORT_IS_FAULT: Final = 1
 _US: Final = 1e-6
 _INT32: Final = range(-(1 << 31), 1 << 31)
+_INT16: Final = range(-(1 << 15), 1 << 15)
 
 
 class Cia402Servo(Servo):
@@ -37,6 +41,7 @@ class Cia402Servo(Servo):
         scales: Its units, from the bench file.
         watch_s: The drive stops by itself when the control loop is silent for this long.
         state_timeout_s: How long it may take to reach a state.
+        torque_offset: Map 60B2h, so that :meth:`set_torque_offset` can be used.
     """
 
     def __init__(
@@ -46,6 +51,7 @@ class Cia402Servo(Servo):
         scales: ServoScales,
         watch_s: float = 0.1,
         state_timeout_s: float = 1.0,
+        torque_offset: bool = False,
     ) -> None:
         self._channel = channel
         self._link = link
@@ -56,6 +62,8 @@ class Cia402Servo(Servo):
         self._cycle_ns = 0
         self._word = cia402.DISABLE_VOLTAGE
         self._target = 0
+        self._takes_offset = torque_offset
+        self._offset = 0
         self._previous = 0
         self._staged_in = 0
         self._time = Unwrapper(1 << 32)
@@ -103,8 +111,12 @@ class Cia402Servo(Servo):
         servo_limits.store(channel, (0x60C2, 1), milliseconds)
         servo_limits.store(channel, (0x60C2, 2), -3)
         servo_limits.store(channel, (0x6007, 0), _ABORT_IS_FAULT)
+        outputs = (cia402.CONTROLWORD, (0x607A, 0))
+        self._offset = 0
+        if self._takes_offset:
+            self._require_offset()
         channel.map_process_data(
-            outputs=[PdoLayout(_OUTPUT, (cia402.CONTROLWORD, (0x607A, 0)))],
+            outputs=[PdoLayout(_OUTPUT, (*outputs, TORQUE_OFFSET) if self._takes_offset else outputs)],
             inputs=[
                 PdoLayout(_MOTION, (cia402.STATUSWORD, (0x6064, 0), (0x6078, 0))),
                 PdoLayout(_SPEED, ((0x606C, 0), (0x1013, 0))),
@@ -136,6 +148,7 @@ class Cia402Servo(Servo):
         try:
             self._channel.watch(self._watch_s)
             self._word = cia402.DISABLE_VOLTAGE
+            self._offset = 0
             self._stage(self._channel.read(0x6064))
             self._select_mode()
             self._walk()
@@ -153,6 +166,8 @@ class Cia402Servo(Servo):
         """
         self._command(Command.DISABLE)
         self._await(lambda state: not state.energised, "a de-energised state")
+        if self._takes_offset:
+            self._channel.write(*TORQUE_OFFSET, 0)
         self._channel.unwatch()
 
     def quick_stop(self) -> None:
@@ -189,6 +204,22 @@ class Cia402Servo(Servo):
             raise ConfigurationError(f"target {angle_rad:g} rad is {counts} counts, beyond 32 bits: check the scales")
         self._stage(counts)
 
+    def set_torque_offset(self, torque_N_m: float) -> None:
+        """Stage a joint torque that the drive adds to its own, to the nearest per mille of its rated torque (60B2h).
+
+        Zero is staged instead while the drive is not told to be in operation.
+
+        Raises:
+            ConfigurationError: The drive was not prepared for it, or the torque is beyond what 60B2h can hold.
+        """
+        if not self._takes_offset:
+            super().set_torque_offset(torque_N_m)
+        units = round(self._scales.sign * torque_N_m / self._scales.joint_torque_unit_N_m)
+        if units not in _INT16:
+            raise ConfigurationError(f"torque offset {torque_N_m:g} N m is {units} per mille of 6076h, beyond 16 bits")
+        self._offset = units if self._word == cia402.ENABLE_OPERATION else 0
+        self._stage(self._target)
+
     def sample(self) -> ServoSample:
         """Return the sample of the last exchange."""
         channel, scales = self._channel, self._scales
@@ -219,11 +250,23 @@ class Cia402Servo(Servo):
             self._previous = self._target
             self._staged_in = self._channel.cycle
         self._target = counts
-        self._channel.stage(_OUTPUT, self._word, counts)
+        if self._takes_offset:
+            self._channel.stage(_OUTPUT, self._word, counts, self._offset)
+        else:
+            self._channel.stage(_OUTPUT, self._word, counts)
+
+    def _require_offset(self) -> None:
+        try:
+            self._channel.read(*TORQUE_OFFSET)
+        except (ConfigurationError, ObjectAccessError) as error:
+            raise ConfigurationError(
+                f"{self._channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
+            ) from error
 
     def _command(self, command: Command) -> None:
         # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the command.
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
+        self._offset = 0
         if self._cycle_ns:
             self._stage(self._target)
         self._channel.insist(*cia402.CONTROLWORD, self._word)

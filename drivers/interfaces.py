@@ -12,6 +12,7 @@ from enum import Enum
 from typing import NamedTuple
 
 from drivers.clock import Clock
+from drivers.errors import ConfigurationError
 
 
 class ServoState(Enum):
@@ -89,6 +90,13 @@ class EncoderSample(NamedTuple):
 
     device_time_s: float
     angle_rad: float
+    fresh: bool
+
+
+class PressureSample(NamedTuple):
+    """What the pressure transmitter said about one cycle."""
+
+    pressure_Pa: float
     fresh: bool
 
 
@@ -203,6 +211,19 @@ class Servo(ABC):
     def set_target(self, angle_rad: float) -> None:
         """Stage the joint angle that the next exchange sends."""
 
+    def set_torque_offset(self, torque_N_m: float) -> None:
+        """Stage a joint torque that the drive adds to its own, from the next exchange until another is staged.
+
+        Only where the drive was prepared for it; zero again as soon as anything takes it away from power.
+
+        Raises:
+            ConfigurationError: The drive was not prepared for it, or has no such input.
+        """
+        raise ConfigurationError(
+            f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run without feed-forward, "
+            "or use a CANopen drive with object 60B2h"
+        )
+
     @abstractmethod
     def sample(self) -> ServoSample:
         """Return the sample of the last exchange."""
@@ -221,4 +242,20 @@ class Encoder(ABC):
 
     @abstractmethod
     def sample(self) -> EncoderSample:
+        """Return the sample of the last exchange."""
+
+
+class PressureTransmitter(ABC):
+    """A transmitter on the gas generator's chamber."""
+
+    @abstractmethod
+    def identity(self) -> Identity:
+        """Read who it is."""
+
+    @abstractmethod
+    def prepare(self, cycle_s: float) -> None:
+        """Check unit and state against the device and map process data."""
+
+    @abstractmethod
+    def sample(self) -> PressureSample:
         """Return the sample of the last exchange."""

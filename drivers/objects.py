@@ -44,11 +44,13 @@ class PdoLayout:
         number: PDO number, from 1.
         objects: Addresses in order.
         every: Exchanged once in this many cycles.
+        slack: Cycles that an input may be late and still count as fresh; the exchange does not wait for one with slack.
     """
 
     number: int
     objects: tuple[ObjectAddress, ...]
     every: int = 1
+    slack: int = 0
 
 
 class ProcessChannel(ObjectAccess, Protocol):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.contact_force import contact_moment
 from identification.recording import Array, Recording, RecordingError
 from identification.signals import (
     BoolArray,
@@ -272,7 +273,7 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
         acceleration=low_pass(acceleration),
         torque=low_pass(drive + known),
         drive_torque=low_pass(drive),
-        moment=low_pass(_moment(recording, grid)),
+        moment=low_pass(contact_moment(recording, grid, angle)),
         used=used,
         bandwidth_Hz=min(bandwidth_Hz, 0.5 * rate),
         filter=low_pass,
@@ -311,16 +312,3 @@ def _unresolved(velocity: Array, rate: float) -> BoolArray:
     worst = np.maximum.reduce([np.roll(steps, k) for k in range(-4, 5)])
     scale = float(np.percentile(np.abs(fine), 50.0)) / rate
     return np.asarray(worst > 1e-3 * scale)
-
-
-def _moment(recording: Recording, grid: Array) -> Array:
-    """Return F_P L1 on ``grid``, N m."""
-    if "load_force" in recording.channels:
-        force = resample(recording.time, recording.channels["load_force"], grid)
-    else:
-        force = np.full(len(grid), recording.contact_force)
-    if recording.bench.moment_arm is None:
-        if np.any(force != 0.0):
-            raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
-        return np.zeros(len(grid))
-    return np.asarray(force * recording.bench.moment_arm)

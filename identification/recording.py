@@ -9,6 +9,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from identification.model.gas_generator import GasGenerator
+
 Array = NDArray[np.float64]
 
 CHANNELS: Mapping[str, str] = {
@@ -52,6 +54,8 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
+        gas_generator: What is believed of the valve (Fig. 3), the pressure behind it and what burns before it (eq. 2 to
+            8); only hot firings need it.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -63,6 +67,7 @@ class Bench:
     moment_arm: float | None = None
     lever_ratio: float = 10.0
     gravity: float = 9.80665
+    gas_generator: GasGenerator | None = None
 
     def contact_force(self, weight_mass: float) -> float:
         """Contact force F'_P = (L3/L4) m_w g of the lever-weight device, N (eq. 17)."""
@@ -137,7 +142,7 @@ class Recording:
             NaN marks samples that were not measured (``voltage`` while the power stage is off).
         bench: The machine.
         stage: ``unloaded`` or ``loaded``.
-        weight_mass: m_w on the lever, kg.
+        weight_mass: m_w on the lever, kg; none in a hot firing, which is loaded by its `pressure`.
         pendulum: A weight that turns with the joint, or None.
         controller: The loop it was made in, where that is known; only simulations need it.
         role: ``fit``, or ``validate`` (never used for a decision; scored once at the end).
@@ -193,8 +198,13 @@ class Recording:
         return float(np.median(np.diff(self.time)))
 
     @property
+    def hot_fire(self) -> bool:
+        """Whether a gas generator, and not a weight, loads the valve."""
+        return self.stage == "loaded" and self.weight_mass == 0.0 and "pressure" in self.channels
+
+    @property
     def contact_force(self) -> float:
-        """F'_P pressing on the valve, N (eq. 17)."""
+        """F'_P of the weight pressing on the valve, N (eq. 17)."""
         return self.bench.contact_force(self.weight_mass)
 
 

@@ -14,12 +14,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from drivers import cia402_servo, cia406
+from drivers import cia402_servo, cia404, cia406
 from drivers.can_timing import ANSWER_SHARE, cycle_bits
 from drivers.mock.plant import constants
 from drivers.mock.plant.effects.pack import problems, too_light
 from rig.configuration import Document, Schema, load_located
 from rig.dbc import DbcServoSection, cycle_frames, wire
+from rig.gas_section import GasGeneratorSection, PressureSection
 from rig.packaged import resolve
 from rig.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
 
@@ -47,6 +48,8 @@ _MAY_BE_ZERO = frozenset(
         "current_noise_A",
         "rotor_inertia_kg_m2",
         "warming_K",
+        "noise_Pa",
+        "back_pressure_Pa",
     }
 )
 
@@ -111,6 +114,8 @@ class LimitsSection(Schema):
     """Limits checked on every sample, and held by the drive as well where it has an object for them.
 
     ``lateness_ms`` ends at half the heartbeat watch of the drive: past that the drive would stop by itself anyway.
+    ``pressure_MPa`` is for benches with a pressure transmitter; ``contact_force_N`` then holds for what follows from
+    the pressure as well.
     """
 
     angle_min_deg: float
@@ -122,6 +127,7 @@ class LimitsSection(Schema):
     encoder_disagreement_deg: Positive
     weight_kg: NonNegative
     contact_force_N: NonNegative
+    pressure_MPa: Positive | None = None
     temperature_C: float = 80.0
     supply_min_V: NonNegative = 0.0
     supply_max_V: Positive = 1000.0
@@ -170,7 +176,7 @@ class Bench(Schema):
 
     ``overdue_calibration`` says what a run does where the day of a calibration has passed, ``prompt_timeout_s`` how
     long an answer of the operator is waited for; null is for ever. ``weights_kg`` are the masses that can be hung
-    on the lever; a planned experiment chooses from them.
+    on the lever; a planned experiment chooses from them. ``pressure`` and ``gas_generator`` are for hot firings.
     """
 
     bench: Literal[1]
@@ -187,6 +193,8 @@ class Bench(Schema):
         Annotated[EncoderSection, Tag("cia406")] | Annotated[Amt21Section, Tag("amt21")],
         Discriminator(_encoder_kind, "encoder_kind", "kind is unknown; known are cia406 (the default) and amt21"),
     ] = EncoderSection()
+    pressure: PressureSection | None = None
+    gas_generator: GasGeneratorSection | None = None
     cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
     limits: LimitsSection
     weights_kg: tuple[Positive, ...] = ()
@@ -216,6 +224,38 @@ class Bench(Schema):
                 bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
                 raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
         return machine
+
+    @field_validator("mock")
+    @classmethod
+    def _burns(cls, machine: constants.Machine | None) -> constants.Machine | None:
+        if machine is None:
+            return machine
+        generator = machine.gas
+        if not generator.pressure_exponent < 1.0:
+            raise ValueError(
+                f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure is steady: below 1"
+            )
+        if not generator.valve.hole_diameter_m < min(generator.valve.plate_width_m, generator.valve.opening_diameter_m):
+            raise ValueError("gas.valve.hole_diameter_m must be below plate_width_m and opening_diameter_m")
+        return machine
+
+    @model_validator(mode="after")
+    def _pressure_is_watched(self) -> Self:
+        if self.pressure is None:
+            return self
+        if isinstance(self.bus, SerialBus):
+            raise ValueError("a pressure transmitter of kind cia404 needs a CAN bus, but bus.interface is epos_serial")
+        if isinstance(self.servo, DbcServoSection) and self.simulated:
+            raise ValueError("beside a simulated servo of kind dbc there is no pressure transmitter; remove `pressure`")
+        if self.gas_generator is None:
+            raise ValueError("`pressure` needs `gas_generator` beside it: the contact force follows from its valve")
+        limit = self.limits.pressure_MPa
+        if limit is None or limit > self.pressure.range_MPa:
+            raise ValueError(
+                f"`pressure` needs limits.pressure_MPa, at most its range_MPa {self.pressure.range_MPa:g} "
+                f"(got {'none' if limit is None else f'{limit:g}'}); set it"
+            )
+        return self
 
     @model_validator(mode="after")
     def _mock_is_described(self) -> Self:
@@ -293,7 +333,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     if isinstance(bench.bus, SerialBus):
         document.require((("bus", "baud"), text) for text in overload(bench.bus, bench.cycle_s))
     elif bench.bus is not None:
-        document.require((("bus", "bitrate"), text) for text in _overload(frames, bench.bus.bitrate, bench.cycle_s))
+        document.require((("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench))
     return document if bench.watched else dataclasses.replace(document, value=_cut(bench))
 
 
@@ -316,9 +356,10 @@ def _cut(bench: Bench) -> Bench:
     return bench.model_copy(update={"limits": bench.limits.model_copy(update=cut)})
 
 
-def _overload(servo: Sequence[tuple[int, int]], bitrate: int, cycle_s: float) -> Iterator[str]:
-    """Yield what is wrong where a control cycle does not fit the bus."""
-    bits = cycle_bits((*servo, *cia406.FRAMES))
+def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:
+    """Yield what is wrong where a control cycle does not fit the bus, with these frames of the drive."""
+    bitrate, cycle_s = bus.bitrate, bench.cycle_s
+    bits = cycle_bits((*servo, *cia406.FRAMES, *(cia404.FRAMES if bench.pressure else ())))
     share = bits / (bitrate * cycle_s)
     if share > ANSWER_SHARE:
         shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))

@@ -10,7 +10,9 @@ from pydantic import AfterValidator, Field, PositiveFloat, field_validator, mode
 
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.ladder import LADDER, NOMINAL, bears_load, rises
+from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
+from rig.campaign_gas import Constant, GasGeneratorSection
 from rig.catalogue import EFFECTS
 from rig.configuration import Document, Loc, Schema, load_located, nearest
 from rig.yaml_tree import Node
@@ -55,16 +57,6 @@ def _not_zero(value: float) -> float:
     return value
 
 
-def _buildable(value: float) -> float:
-    if not 1e-9 < value < 1e9:
-        raise ValueError("outside of 1e-9 to 1e9; no machine is built so, check exponent and unit")
-    return value
-
-
-Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
-"""A constant of a machine, SI."""
-
-
 class BenchSection(Schema):
     """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`."""
 
@@ -77,10 +69,14 @@ class BenchSection(Schema):
     moment_arm: Constant | None = None
     lever_ratio: Constant = 10.0
     gravity: Constant = 9.80665
+    gas_generator: GasGeneratorSection | None = None
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        return Bench(**self.model_dump())
+        constants = self.model_dump(exclude={"gas_generator"})
+        if self.gas_generator is None:
+            return Bench(**constants)
+        return Bench(**constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1))
 
 
 class ModelSection(Schema):
@@ -310,7 +306,7 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     if not channels.keys() & {"angle", "velocity", "motor_angle"}:
         yield ("channels",), "no `angle`, `velocity` or `motor_angle`; map at least one"
     if not channels.keys() & {"torque", "current", "voltage"}:
-        yield ("channels",), "no `torque`, `current` or `voltage`; map at least one"
+        yield from _check_burn(channels, bench)
     elif not channels.keys() & {"torque", "current"}:
         missing = [name for name in ("resistance", "back_emf_constant") if getattr(bench, name) is None]
         if missing:
@@ -323,10 +319,29 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     yield from _check_load(recording, bench)
 
 
+def _check_burn(channels: Mapping[str, ChannelSection], bench: BenchSection) -> Iterator[tuple[Loc, str]]:
+    """Yield what a recording lacks that has no torque: the pressure of a gas generator under a valve of known angle."""
+    if "pressure" not in channels:
+        yield ("channels",), "no `torque`, `current` or `voltage`; map at least one, or `pressure` of a gas generator"
+    elif bench.gas_generator is None:
+        yield (
+            ("channels", "pressure"),
+            "`pressure` without torque, current or voltage needs the constants of its source; add bench.gas_generator"
+            " ({} takes the paper's)",
+        )
+    elif "angle" not in channels:
+        yield ("channels",), "no `angle` of the valve, which makes the throat; map it"
+
+
 def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     loaded = recording.stage == "loaded"
-    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels:
-        yield ("stage",), "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them"
+    hot_fire = "pressure" in recording.channels and bench.gas_generator is not None
+    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels and not hot_fire:
+        yield (
+            ("stage",),
+            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them, or for a hot"
+            " firing `pressure` and bench.gas_generator",
+        )
     if loaded and bench.moment_arm is None:
         yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"
     if not loaded and recording.weight_mass > 0:

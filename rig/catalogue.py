@@ -6,21 +6,9 @@ from collections.abc import Mapping
 
 from identification.diagnosis.entries import ENTRIES
 
-GAS_GENERATOR = (
-    "throat_deposition",
-    "burning_area_change",
-    "erosive_burning",
-    "heat_loss",
-    "leakage",
-)
-"""Effects that a bench with a gas generator may be declared to have; no diagnosis names them."""
-
 CATALOGUE: Mapping[str, tuple[str, ...]] = {
-    **{
-        group: tuple(e.name for e in ENTRIES.values() if e.group == group)
-        for group in dict.fromkeys(e.group for e in ENTRIES.values())
-    },
-    "gas generator": GAS_GENERATOR,
+    group: tuple(e.name for e in ENTRIES.values() if e.group == group)
+    for group in dict.fromkeys(e.group for e in ENTRIES.values())
 }
 """Group to names, in the order of the catalogue."""
 

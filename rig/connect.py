@@ -17,7 +17,7 @@ from drivers.dbc_link import DbcLink
 from drivers.dbc_servo import DbcServo
 from drivers.encoder_link import EncoderLink
 from drivers.epos_serial_link import EposSerialLink
-from drivers.interfaces import Encoder, Link, Servo
+from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.units import EncoderScales, ServoScales
@@ -32,6 +32,8 @@ from rig.serial_bus import Amt21Section, SerialBus, amt21_encoder, epos_link
 _EDS = Path(drivers.mock.__file__).parent
 DRIVE_EDS = _EDS / "drive.eds"
 ENCODER_EDS = _EDS / "encoder.eds"
+TRANSMITTER_EDS = _EDS / "transmitter.eds"
+_TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
 
 _ENCODER_NODES = (2, 3)
 """Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
@@ -45,7 +47,9 @@ Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 
 
 @contextmanager
-def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach | None = None) -> Iterator[Devices]:
+def connect(
+    document: Document[Bench], seed: int, realtime: bool, attach: Attach | None = None, torque_offset: bool = False
+) -> Iterator[Devices]:
     """Open a bench's bus with its devices on it, and close it at the end. Nothing moves.
 
     Args:
@@ -53,6 +57,8 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
         seed: Of the mock bench's noise.
         realtime: Hold the mock bench to real time.
         attach: Tampers with a simulated bench.
+        torque_offset: Map the torque offset of a CANopen drive (60B2h); see
+            :func:`rig.feedforward.require_torque_offset`.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
@@ -75,19 +81,24 @@ def connect(document: Document[Bench], seed: int, realtime: bool, attach: Attach
     else:
         link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
-        drive = link.add_node(bench.servo.node, _eds(document, "servo", DRIVE_EDS))
-        servo = Cia402Servo(drive, link, servo_scales(bench.servo, bench.machine.gear_ratio))
+        drive = link.add_node(bench.servo.node, _eds(document, "servo"))
+        scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+        servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
+    pressure: PressureTransmitter | None = None
+    if bench.pressure is not None and isinstance(link, CanopenLink):
+        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, _eds(document, "pressure")))
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
-        node = link.add_node(bench.encoder.node, _eds(document, "encoder", ENCODER_EDS))
+        node = link.add_node(bench.encoder.node, _eds(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
+    ignite = None if twin is None or pressure is None else twin.machine.ignite
     link.open()
     try:
         pacer = RealClock() if realtime and bench.simulated else None
-        yield Devices(link, servo, encoder, hang, pacer, guard=guard)
+        yield Devices(link, servo, encoder, hang, pacer, guard=guard, pressure=pressure, ignite=ignite)
     finally:
         link.close()
         if guard is not None:
@@ -101,7 +112,7 @@ def _epos(
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
-    eds, node = _eds(document, "servo", DRIVE_EDS), bench.servo.node
+    eds, node = _eds(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine.gear_ratio)
     guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
     link = epos_link(bus, twin, clock, guard)
@@ -119,7 +130,8 @@ def _twin(
         if isinstance(bench.encoder, EncoderSection)
         else _ENCODER_NODES[servo.node == _ENCODER_NODES[0]]
     )
-    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node)
+    transmitter_node = None if bench.pressure is None else bench.pressure.node
+    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node)
     return twin, twin.clock if attach is None else attach(twin)
 
 
@@ -164,13 +176,15 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
     if isinstance(bench.servo, DbcServoSection):
         found["servo.dbc"] = dbc_path(bench.servo, document.path)
     else:
-        found["servo.eds"] = _eds(document, "servo", DRIVE_EDS)
+        found["servo.eds"] = _eds(document, "servo")
     if isinstance(bench.encoder, EncoderSection):
-        found["encoder.eds"] = _eds(document, "encoder", ENCODER_EDS)
+        found["encoder.eds"] = _eds(document, "encoder")
+    if bench.pressure is not None:
+        found["pressure.eds"] = _eds(document, "pressure")
     return found
 
 
-def _eds(document: Document[Bench], section: Literal["servo", "encoder"], simulated: Path) -> Path:
+def _eds(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
     """Return a device's EDS file; the twins' own ship with them, real devices bring theirs."""
     bench = document.value
     named: str | None = getattr(bench, section).eds
@@ -179,7 +193,7 @@ def _eds(document: Document[Bench], section: Literal["servo", "encoder"], simula
     if not bench.simulated:
         text = "missing; a real device needs its manufacturer's EDS file, relative to this file"
         raise InputError(document.problem((section, "eds"), text))
-    return simulated
+    return _TWIN_EDS[section]
 
 
 def servo_scales(servo: ServoSection, gear_ratio: float) -> ServoScales:

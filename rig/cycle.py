@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Protocol
 
 from drivers.clock import NS, Clock
-from drivers.interfaces import Encoder, Link, RawFrame, Servo
+from drivers.interfaces import Encoder, Link, PressureTransmitter, RawFrame, Servo
 from rig.guard import Guard
 from rig.operator import StopButton
 from rig.phases import Phase
@@ -30,6 +31,8 @@ class Devices:
         hang: Puts a mass in kg on a simulated lever; None where a person does.
         pacer: Real clock that holds simulated time back to real time; None to run on the link's clock alone.
         observer: Told the stage's name and every phase as it begins.
+        pressure: The transmitter on the gas generator's chamber; None where there is none.
+        ignite: Lights a simulated gas generator; None where a person does.
         guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
     """
 
@@ -40,6 +43,19 @@ class Devices:
     pacer: Clock | None = None
     observer: Callable[[str, Phase], None] | None = None
     guard: Guard | None = None
+    pressure: PressureTransmitter | None = None
+    ignite: Callable[[], None] | None = None
+
+    def prepare(self, cycle_s: float) -> None:
+        """Check every device against the bench file and map its process data. No power.
+
+        Raises:
+            DeviceError: A device is not what the bench file says, or does not answer.
+        """
+        self.servo.prepare(cycle_s)
+        self.encoder.prepare(cycle_s)
+        if self.pressure is not None:
+            self.pressure.prepare(cycle_s)
 
 
 Progress = Callable[[str, int, Sample], None]
@@ -100,6 +116,7 @@ class Cycle:
         progress: Progress,
     ) -> None:
         self._link, self._servo, self._encoder = devices.link, devices.servo, devices.encoder
+        self._pressure = devices.pressure
         self._clock = devices.link.clock
         self._pacer = devices.pacer
         self._recorder = recorder
@@ -122,6 +139,11 @@ class Cycle:
     def now_ns(self) -> int:
         """Time since the start of the run, ns."""
         return self._clock.now_ns() - self._start_ns
+
+    @property
+    def target(self) -> float:
+        """Joint angle commanded last, rad."""
+        return self._target
 
     @property
     def next_s(self) -> float:
@@ -166,15 +188,22 @@ class Cycle:
             self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
 
     def follow(
-        self, targets: Sequence[float], segment: int, stage: str, keep: Callable[[Sample], object] | None = None
+        self,
+        targets: Iterable[float],
+        segment: int,
+        stage: str,
+        keep: Callable[[Sample], object] | None = None,
+        compensate: Callable[[Sample | None], float] | None = None,
     ) -> None:
         """Command one joint angle in rad a cycle; each sample is judged before the next command goes out.
 
         Args:
-            targets: Joint angles, rad.
+            targets: Joint angles, rad; each is taken after the sample before it was judged and kept.
             segment: Number of the excitation, 0 for none.
             stage: Name for the progress display.
             keep: Called with every sample that passed.
+            compensate: Called before every command with the sample before it (None before the first); returns the
+                torque in N m that the drive is to add until the next. It adds none after the last.
 
         Raises:
             TripError: A sample broke a limit.
@@ -185,6 +214,7 @@ class Cycle:
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
         deadline_ns = self._deadline_ns
+        sample: Sample | None = None
         since = 0
         for target in targets:
             if stop.pressed:
@@ -192,6 +222,8 @@ class Cycle:
             if deadline_ns is not None and self._next_ns > deadline_ns:
                 self._check_time(deadline_ns)
             set_target(target)
+            if compensate is not None:
+                self._servo.set_torque_offset(compensate(sample))
             sample = self._exchange(target, segment)
             trip = judge(sample, self._age_s, self._late_s, limits)
             if trip is not None:
@@ -202,6 +234,8 @@ class Cycle:
             if since == PROGRESS_CYCLES:
                 self._progress(stage, since, sample)
                 since = 0
+        if compensate is not None:
+            self._servo.set_torque_offset(0.0)
 
     def watch(self) -> None:
         """Run one cycle that commands nothing and is not judged, for the time in which the drive brakes by itself.
@@ -239,6 +273,10 @@ class Cycle:
         link.exchange()
         servo, encoder = self._servo.sample(), self._encoder.sample()
         fresh = servo.fresh and encoder.fresh
+        pressure = math.nan
+        if self._pressure is not None:
+            pressure, valid = self._pressure.sample()
+            fresh = fresh and valid
         time_ns = begin_ns - self._start_ns
         sample = Sample(
             time_ns * 1e-9,
@@ -257,6 +295,7 @@ class Cycle:
             servo.statusword,
             segment,
             fresh,
+            pressure,
         )
         if fresh:
             self._fresh_ns = begin_ns

@@ -13,6 +13,8 @@ import numpy as np
 
 from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.gas.burns import bears
+from identification.diagnosis.gas.diagnose import diagnose_gas
 from identification.diagnosis.result import Diagnosis
 from identification.recording import Dataset, RecordingError
 from rig.diagnose_record import diagnosis_record, effects_record
@@ -21,6 +23,9 @@ from rig.model_file import model_of
 from rig.results import Provenance
 from rig.run_record import RUN_FILE
 from rig.sources import load_source
+
+EFFORT = frozenset({"torque", "current", "voltage"})
+"""Channels any of which tells the drive's torque."""
 
 
 @dataclass(frozen=True)
@@ -44,15 +49,18 @@ def diagnose_source(
     bandwidth_Hz: float | None = None,
     progress: Callable[[str, float], None] | None = None,
     refine: bool = False,
+    gas: bool = False,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
 
     Args:
         source: Run folder or campaign file.
         seed: Of the random generator.
-        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings.
+        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its own.
         progress: Called with what is being done and the share that is done.
-        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out.
+        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out; those of a gas
+            generator always are.
+        gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -63,7 +71,12 @@ def diagnose_source(
     dataset = load_source(source)
     described_by = source / RUN_FILE if source.is_dir() else source
     try:
-        found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+        rng = np.random.default_rng(seed)
+        if gas or without_torque(dataset):
+            dataset = burning(dataset)
+            found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
+        else:
+            found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress)
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
@@ -73,6 +86,23 @@ def diagnose_source(
     seconds = time.perf_counter() - started
     found = dataclasses.replace(found, seconds=seconds)
     return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
+
+
+def without_torque(dataset: Dataset) -> bool:
+    """Whether recordings say nothing of the torque, and all of their gas generator."""
+    return all(bears(r) and not r.channels.keys() & EFFORT for r in dataset.recordings)
+
+
+def burning(dataset: Dataset) -> Dataset:
+    """Return the recordings in which a gas generator burns: hot firings, and what has no torque.
+
+    Raises:
+        RecordingError: There are none.
+    """
+    kept = tuple(r for r in dataset.recordings if bears(r) and (r.hot_fire or not r.channels.keys() & EFFORT))
+    if not kept:
+        raise RecordingError("no hot firing with pressure and angle on a bench with bench.gas_generator")
+    return dataclasses.replace(dataset, recordings=kept)
 
 
 def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:

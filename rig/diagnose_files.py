@@ -12,6 +12,7 @@ from identification.diagnosis.result import Verdict
 from rig.bench import Bench
 from rig.diagnose import Outcome
 from rig.errors import InputError
+from rig.gas_model_file import GAS_FILE, gas_text, of_gas
 from rig.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.model_export import PYTHON_FILE, YAML_FILE, python_text, yaml_text
 from rig.model_file import model_of
@@ -46,6 +47,9 @@ def write_beside(folder: Path, source: Path, outcome: Outcome, record: Mapping[s
     Raises:
         OSError: The folder cannot be written.
     """
+    if of_gas(outcome.diagnosis):
+        write_text(folder / GAS_FILE, gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench))
+        return Beside(((GAS_FILE, "the corrected gas generator, as a block of a campaign file"),), ())
     texts: list[tuple[str, str, str]] = []
     notes: list[str] = []
     recordings = outcome.dataset.recordings

@@ -9,7 +9,19 @@ from identification.diagnosis.wording import readable
 from rig.parameter_table import Table
 from rig.tables import number, percent
 
-READABLE = {"rad": "deg", "N m/rad": "N m/deg", "1/rad": "%/deg", "A/s": "mA/min", "N m/s": "N m/h", "N/s": "N/h"}
+READABLE = {
+    "rad": "deg",
+    "N m/rad": "N m/deg",
+    "1/rad": "%/deg",
+    "A/s": "mA/min",
+    "N m/s": "N m/h",
+    "N/s": "N/h",
+    "m/s": "mm/min",
+    "m^2": "mm^2",
+    "1/m": "%/m",
+    "s/m": "%/(m/s)",
+    "W": "kW",
+}
 """Units that are shown instead of those of the records."""
 _SHORT_S = 0.5
 _DEG = math.degrees(1.0)

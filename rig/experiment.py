@@ -77,6 +77,16 @@ def plan_experiment(
     """
     started = time.perf_counter()
     limits = make_plan(sequence, bench).limits
+    sequence.require(
+        (("stages", k, "ramp"), "an experiment is planned from tones; leave this stage out of the sequence")
+        for k, stage in enumerate(sequence.value.stages)
+        if stage.ramp is not None
+    )
+    sequence.require(
+        (("stages", k, "stage"), "an experiment is planned with weights; leave hot firings out of the sequence")
+        for k, stage in enumerate(sequence.value.stages)
+        if stage.stage == "hot_fire"
+    )
     values, source = _nominal_values(nominal_file)
     noise = NOISE_SHARE * bench.value.limits.current_A if current_noise_A is None else current_noise_A
     torque = min(limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A)

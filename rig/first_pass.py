@@ -49,7 +49,11 @@ def plan_passes(section: StageSection, low: FirstPass, limits: Limits, cycle_s: 
 
 
 def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float) -> PlannedPass:
-    """Compute one pass: the same tones about the same centre, smaller and shorter."""
+    """Compute one pass: the same tones about the same centre, smaller and shorter; a ramp at its speed, not as far."""
+    if section.ramp is not None:
+        ramp = section.ramp.model_copy(update={"travel_deg": amplitude * section.ramp.travel_deg})
+        small = section.model_copy(update={"ramp": ramp, "duration_s": ramp.moving_s})
+        return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
     slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
     wanted_s = low.duration_s or slowest_s + section.ramp_in_s + section.ramp_out_s
     duration_s = min(wanted_s, section.duration_s)
@@ -64,7 +68,11 @@ def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: 
             "ramp_out_s": min(section.ramp_out_s, ramp_s),
         }
     )
-    targets = excitation(small, cycle_s)
+    return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
+
+
+def _judged(targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float) -> PlannedPass:
+    """Put the limits of a first pass around its targets."""
     moving = _tighter(limits, low.limit_share)
     return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
 

@@ -94,8 +94,7 @@ def move(
         try:
             if reset_fault and servo.state() is ServoState.FAULT:
                 servo.reset_fault()
-            servo.prepare(bench.cycle_s)
-            devices.encoder.prepare(bench.cycle_s)
+            devices.prepare(bench.cycle_s)
             own = servo.read_limits()
             require_within_own(wanted, own)
             servo.write_limits(wanted)

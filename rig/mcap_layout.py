@@ -70,13 +70,19 @@ _SAMPLE = struct.Struct("<" + "".join(f"{len(tag)}sd" for tag in _TAGS))
 _TEMPLATE: list[bytes | float] = [part for tag in _TAGS for part in (tag, 0.0)]
 SAMPLE_BYTES = _SAMPLE.size
 
-_SAMPLE_DTYPE = np.dtype(
-    [
-        item
-        for tag, name in zip(_TAGS, Sample._fields, strict=True)
-        for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))
-    ]
-)
+_FIRST_FIELDS = 16
+"""Fields of a sample in the oldest recordings; later ones were added behind them."""
+
+
+def _sample_dtype(count: int) -> np.dtype[np.void]:
+    """Return the layout of a sample of the first ``count`` fields."""
+    named = zip(_TAGS[:count], Sample._fields[:count], strict=True)
+    return np.dtype([item for tag, name in named for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))])
+
+
+_DTYPES = {dtype.itemsize: dtype for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))}
+SAMPLE_SIZES = frozenset(_DTYPES)
+"""Bytes of a sample as this program or an older one wrote it."""
 
 
 def encode_sample(sample: Sample) -> bytes:
@@ -86,14 +92,22 @@ def encode_sample(sample: Sample) -> bytes:
     return _SAMPLE.pack(*parts)
 
 
-def decode_samples(messages: bytes) -> dict[str, NDArray[np.float64]]:
-    """Unpack concatenated samples into one array a field, shape (n,).
+def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
+    """Unpack concatenated samples into one array a field, shape (n,); NaN for fields that they do not have.
+
+    Args:
+        messages: The samples.
+        size: Bytes of one, of :data:`SAMPLE_SIZES`.
 
     Raises:
         ValueError: The length is not a whole number of samples.
     """
-    rows = np.frombuffer(messages, _SAMPLE_DTYPE)
-    return {name: np.ascontiguousarray(rows[name], dtype=np.float64) for name in Sample._fields}
+    rows = np.frombuffer(messages, _DTYPES[size])
+    held = _DTYPES[size].names or ()
+    return {
+        name: np.ascontiguousarray(rows[name], dtype=np.float64) if name in held else np.full(len(rows), np.nan)
+        for name in Sample._fields
+    }
 
 
 _frame_structs: dict[int, struct.Struct] = {}

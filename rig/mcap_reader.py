@@ -12,7 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
-from rig.mcap_layout import EVENT_TOPIC, SAMPLE_BYTES, SAMPLE_TOPIC, TOPICS, decode_samples
+from rig.mcap_layout import EVENT_TOPIC, SAMPLE_BYTES, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
 from rig.mcap_records import (
     HEADER,
     DamageError,
@@ -79,7 +79,7 @@ def read_run(path: Path) -> Log:
     reading.read()
     messages = reading.messages
     return Log(
-        samples=decode_samples(b"".join(m.data for m in messages[SAMPLE_TOPIC])),
+        samples=reading.samples(),
         events=tuple(json.loads(m.data) for m in messages[EVENT_TOPIC]),
         messages=messages,
         attachments=reading.attachments,
@@ -94,6 +94,7 @@ class _Reading:
     def __init__(self, data: bytes) -> None:
         self._data = data
         self._latest_ns = 0
+        self._sample_bytes = 0
         self._damage: list[tuple[str, int]] = []
         self.messages: dict[str, list[Message]] = {topic: [] for topic in TOPICS}
         self.attachments: dict[str, bytes] = {}
@@ -118,11 +119,15 @@ class _Reading:
                 offset = sound
         self._note(offset, None, "the end of the recording was never written")
 
+    def samples(self) -> dict[str, NDArray[np.float64]]:
+        """Return the samples, one array a field."""
+        return decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]), self._sample_bytes or SAMPLE_BYTES)
+
     def damage(self) -> str | None:
         """Return what is damaged in words, with the number of samples that are left."""
         if not self._damage:
             return None
-        times = decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]))["time"]
+        times = self.samples()["time"]
         told = [words + _lost(times, before) for words, before in self._damage[:_TOLD]]
         if len(self._damage) > _TOLD:
             told.append(f"and {len(self._damage) - _TOLD} more places")
@@ -161,7 +166,7 @@ class _Reading:
             DamageError: The chunk is another program's, or from another time.
         """
         taken: list[tuple[str, Message]] = []
-        latest_ns = self._latest_ns
+        latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
         offset = 0
         while offset < len(records):
             opcode, length = HEADER.unpack_from(records, offset)
@@ -172,15 +177,19 @@ class _Reading:
                 if not 1 <= number <= len(TOPICS):
                     raise DamageError(f"a message on channel {number}: another program's recording")
                 topic = TOPICS[number - 1]
-                if topic == SAMPLE_TOPIC and len(content) != SAMPLE_BYTES:
-                    text = f"a sample of {len(content)} bytes, expected {SAMPLE_BYTES}: another program's recording"
-                    raise DamageError(text)
+                if topic == SAMPLE_TOPIC:
+                    expected = {sample_bytes} if sample_bytes else SAMPLE_SIZES
+                    if len(content) not in expected:
+                        sizes = " or ".join(map(str, sorted(expected)))
+                        text = f"a sample of {len(content)} bytes, expected {sizes}: another program's recording"
+                        raise DamageError(text)
+                    sample_bytes = len(content)
                 if time_ns < latest_ns:
                     raise DamageError("a chunk that is older than the one before it")
                 latest_ns = time_ns
                 taken.append((topic, Message(time_ns, content)))
             offset = end
-        self._latest_ns = latest_ns
+        self._latest_ns, self._sample_bytes = latest_ns, sample_bytes
         for topic, message in taken:
             self.messages[topic].append(message)
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.corrected.model import COORDINATES, CorrectedModel
 from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.gas.rows import PRESSURE
 from identification.diagnosis.result import Curve
 from rig.diagnose_record import DIAGNOSE_SCHEMA
 from rig.errors import InputError
@@ -49,8 +50,11 @@ def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = 
         place: Of the record, for messages.
 
     Raises:
-        InputError: A value is missing or not a number, or an effect has other parameters than the catalogue's.
+        InputError: A value is missing or not a number, an effect has other parameters than the catalogue's, or the
+            diagnosis is one of a gas generator.
     """
+    if record.get("fit", {}).get("equation") == PRESSURE:
+        raise InputError(f"{place}: a diagnosis of a gas generator says nothing of the torque; give one of the motion")
     given = record.get("fitted") or record.get("parameters") or {}
     parameters = {}
     for name, entry in given.items():

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -14,7 +13,10 @@ from drivers.interfaces import ServoLimits
 from rig.bench import Bench
 from rig.configuration import Document
 from rig.errors import InputError
+from rig.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
 from rig.first_pass import PlannedPass, plan_passes
+from rig.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
+from rig.run_record import Load, Role
 from rig.safety import Limits
 from rig.sequence import Array, FirstPass, Sequence, StageSection, excitation
 
@@ -47,11 +49,13 @@ TIME_LIMIT_SHARE = 1.5
 class PlannedStage:
     """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
 
-    ``first_passes`` go before it, in order, until one has moved the joint.
+    ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques that the drive adds
+    during the excitation, None where it adds none. With a ``flow`` a controller moves the valve, and ``targets`` are
+    where it should come to be. ``contact_force_N`` is the greatest.
     """
 
     name: str
-    stage: Literal["unloaded", "loaded"]
+    stage: Load
     weight_kg: float
     contact_force_N: float
     targets: Array
@@ -62,6 +66,9 @@ class PlannedStage:
     peak_angle_rad: float
     time_limit_s: float
     first_passes: tuple[PlannedPass, ...] = ()
+    offsets: Offsets | None = None
+    flow: FlowPlan | None = None
+    role: Role = "fit"
 
 
 @dataclass(frozen=True)
@@ -100,23 +107,35 @@ def _under_power_s(stage: PlannedStage, passes: int = 1) -> float:
     return before + stage.repeats * (stage.duration_s + stage.settle_s) + HOLD_S
 
 
-def make_plan(sequence: Document[Sequence], bench: Document[Bench], first_pass: bool | None = None) -> Plan:
+def make_plan(
+    sequence: Document[Sequence],
+    bench: Document[Bench],
+    first_pass: bool | None = None,
+    feedforward: Feedforward | None = None,
+) -> Plan:
     """Compute all targets and check them against the bench.
 
     Args:
         sequence: What to do.
         bench: On which bench.
         first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
+        feedforward: What is known of the bench, for torque that the drive adds during the excitations; None for none.
 
     Raises:
-        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all.
+        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all. Or
+            the drive cannot add torque, or too little is known of the bench for it.
     """
+    if feedforward is not None:
+        require_torque_offset(bench)
     values, problems = _tighten(sequence, bench.value)
     limits = _limits(values, bench.value)
     stages = []
     low = _first_pass(sequence.value, bench.value, first_pass)
     for index, section in enumerate(sequence.value.stages):
         stage = _plan_stage(section, bench.value, limits, low)
+        if feedforward is not None and len(stage.targets) and stage.flow is None:
+            offsets = stage_offsets(feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque)
+            stage = dataclasses.replace(stage, offsets=offsets)
         stages.append(stage)
         problems.extend(
             sequence.problem(("stages", index, *key), text, value)
@@ -148,27 +167,41 @@ def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPa
 
 
 def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstPass | None) -> PlannedStage:
-    targets = excitation(section, bench.cycle_s)
+    flow = plan_flow(section, bench, limits.speed)
+    targets = excitation(section, bench.cycle_s) if flow is None else flow.angles
     steps = np.diff(targets)
     stage = PlannedStage(
         name=section.name,
         stage=section.stage,
         weight_kg=section.weight_kg,
-        contact_force_N=bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2,
+        contact_force_N=_contact_force(section, targets, bench),
         targets=targets,
         repeats=section.repeats,
         settle_s=section.settle_s,
         duration_s=len(targets) * bench.cycle_s,
-        peak_speed_rad_s=float(np.max(np.abs(steps), initial=0.0)) / bench.cycle_s,
+        peak_speed_rad_s=min(float(np.max(np.abs(steps), initial=0.0)), math.inf if flow is None else flow.law.step)
+        / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
-        first_passes=() if low is None else plan_passes(section, low, limits, bench.cycle_s),
+        # What a hot firing presses with is measured, and its friction says nothing of a mass.
+        first_passes=()
+        if low is None or section.stage == "hot_fire"
+        else plan_passes(section, low, limits, bench.cycle_s),
+        flow=flow,
+        role=section.role,
     )
     across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
     passes = len(stage.first_passes)
     moves_s = across_s * (stage.repeats + passes)
     longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
     return dataclasses.replace(stage, time_limit_s=longest_s)
+
+
+def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float:
+    """Return the greatest contact force of a stage, N."""
+    if section.stage == "hot_fire":
+        return expected_force(targets, bench)
+    return bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2
 
 
 _Objection = tuple[tuple[str | int, ...], str, object]
@@ -179,34 +212,47 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
     if len(stage.targets) < 2:
         yield ("duration_s",), f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms", section.duration_s
         return
+    yield from hot_objections(section, stage.targets, bench)
     if section.time_limit_s is not None and section.time_limit_s < _under_power_s(stage):
         text = f"below the {_under_power_s(stage):.4g} s that this stage takes by itself; raise it"
         yield ("time_limit_s",), text, section.time_limit_s
     if section.weight_kg > bench.limits.weight_kg:
         text = f"above the bench limit weight_kg {bench.limits.weight_kg:g} kg; use less weight"
         yield ("weight_kg",), text, section.weight_kg
-    if stage.contact_force_N > bench.limits.contact_force_N:
+    if section.stage != "hot_fire" and stage.contact_force_N > bench.limits.contact_force_N:
         yield (
             ("weight_kg",),
             f"contact force {stage.contact_force_N:.0f} N is above the bench limit contact_force_N "
             f"{bench.limits.contact_force_N:g} N; use less weight",
             section.weight_kg,
         )
+    way: tuple[str, ...]
+    pace: tuple[str, ...]
+    way, pace, slower = ("tones",), ("tones",), "reduce amplitude or frequency, or lengthen the ramps"
+    if section.ramp is not None:
+        way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
+    elif section.flow is not None:
+        way = ("flow", "steps")
     for extreme in (float(stage.targets.min()), float(stage.targets.max())):
         if not limits.angle_min <= extreme <= limits.angle_max:
             yield (
-                ("tones",),
+                way,
                 f"the joint would go to {math.degrees(extreme):.4g} deg, outside {math.degrees(limits.angle_min):.4g} "
-                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitudes or move center_deg",
+                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or move center_deg",
                 math.degrees(extreme),
             )
     if stage.peak_speed_rad_s > limits.speed:
         yield (
-            ("tones",),
+            pace,
             f"peak speed {math.degrees(stage.peak_speed_rad_s):.4g} deg/s is above the limit "
-            f"{math.degrees(limits.speed):.4g} deg/s; reduce amplitude or frequency, or lengthen the ramps",
+            f"{math.degrees(limits.speed):.4g} deg/s; {slower}",
             math.degrees(stage.peak_speed_rad_s),
         )
+    if stage.offsets is not None and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque:
+        text = (
+            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m {limits.torque:g} N m; use less weight"
+        )
+        yield ("weight_kg",), text, section.weight_kg
     fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
     for index, tone in enumerate(section.tones):
         if tone.frequency_Hz > fastest:
@@ -250,6 +296,7 @@ def _limits(values: dict[str, float], bench: Bench) -> Limits:
         lateness=values["lateness_ms"] * 1e-3,
         torque_per_ampere=bench.machine.torque_constant_N_m_A * bench.machine.gear_ratio,
         gear_ratio=bench.machine.gear_ratio,
+        gas=gas_limits(bench),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from rig.plan import Plan, PlannedStage
+from rig.safety import GasLimits
 from rig.tables import table
 
 
@@ -39,17 +40,34 @@ def describe(plan: Plan) -> str:
             ["encoder against drive", f"{math.degrees(limits.encoder_disagreement):g}", "deg"],
             ["motor temperature", f"{limits.temperature:g}", "deg C"],
             ["DC link", f"{limits.supply_min:g} to {limits.supply_max:g}", "V"],
+            *(_gas_rows(limits.gas) if limits.gas else []),
             ["sample age", f"{limits.sample_age * 1e3:g}", "ms"],
             ["lateness of a cycle", f"{limits.lateness * 1e3:g}", "ms"],
         ],
     )
     head = f"{plan.name}: {plan.duration_s:.1f} s at {1.0 / plan.cycle_s:g} Hz, and moves to the start"
-    passes = "\n".join(_first_pass(stage) for stage in plan.stages)
+    passes = "\n".join(line for stage in plan.stages for line in (_first_pass(stage), *_feedforward(stage)))
     return f"{head}\n\n{stages}\n\n{passes}\n\n{held}"
+
+
+def _gas_rows(limits: GasLimits) -> list[list[str]]:
+    return [
+        ["chamber pressure", f"{limits.pressure * 1e-6:g}", "MPa"],
+        ["contact force", f"{limits.contact_force:g}", "N"],
+    ]
+
+
+def _feedforward(stage: PlannedStage) -> list[str]:
+    if stage.offsets is None:
+        return []
+    peak, damping = max(abs(stage.offsets.torque)), max(stage.offsets.damping)
+    return [f"{stage.name}: feed-forward up to {peak:.3g} N m, damping {damping:.3g} N m s/rad"]
 
 
 def _first_pass(stage: PlannedStage) -> str:
     bound = f"at most {stage.time_limit_s:.1f} s under power"
+    if stage.stage == "hot_fire":
+        return f"{stage.name}: {bound}; the gas generator loads the valve, no weight is hung"
     if not stage.first_passes:
         return f"{stage.name}: {bound}; no first pass at low amplitude, so the weight is not checked before the stage"
     low, *larger = stage.first_passes

@@ -62,6 +62,19 @@ def load_reference(path: Path, bench: Bench) -> Reference:
     Raises:
         InputError: It cannot be read, is no such result, or leaves open a parameter that the check needs.
     """
+    raw = read_identification(path)
+    try:
+        return _reference(path, raw, bench)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+
+
+def read_identification(path: Path) -> dict[str, Any]:
+    """Read the result file of ``rig identify`` on a rotary bench.
+
+    Raises:
+        InputError: It cannot be read, or is no such result.
+    """
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -71,15 +84,14 @@ def load_reference(path: Path, bench: Bench) -> Reference:
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: a result of `rig identify` ({IDENTIFY_SCHEMA}) is needed (got {found!r})")
-    try:
-        return _reference(path, raw, bench)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    if "motion" not in raw:
+        raise InputError(f"{path}: damaged: no 'motion'; run `rig identify` again")
+    if raw["motion"] != "rotary":
+        raise InputError(f"{path}: motion: a rotary bench is needed (got {raw['motion']!r})")
+    return raw
 
 
 def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
-    if raw["motion"] != "rotary":
-        raise InputError(f"{path}: motion: a rotary bench is needed (got {raw['motion']!r})")
     found = raw["parameters"]
     problems = [
         f"{path}: parameters.{name}: not identified; the weight check needs a run with stages unloaded and loaded"

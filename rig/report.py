@@ -116,7 +116,9 @@ def _shown(traces: Sequence[Trace]) -> list[Trace]:
 
 
 def _stribeck(result: Identification, recordings: Mapping[str, Recording]) -> Picture:
-    moments = {name: r.contact_force * (r.bench.moment_arm or 0.0) for name, r in recordings.items()}
+    moments = {
+        name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0) for name, r in recordings.items()
+    }
     return Picture.of(
         f"stribeck_{result.method}",
         f"Friction against speed, measured and fitted by the {result.method} method",
@@ -204,7 +206,7 @@ def _recording_table(recordings: Sequence[Recording]) -> Table:
             r.name,
             r.role,
             r.stage,
-            f"{number(r.weight_mass)} kg",
+            "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg",
             str(len(r.time)),
             f"{number(1.0 / r.period, 4)} Hz",
             "; ".join(r.notes) or "none",

@@ -16,7 +16,7 @@ from rig.mcap_reader import Log, NotARecordingError, read_run
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
-from rig.run_file import read_record
+from rig.run_file import read_record, recorded_bench
 from rig.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, StageRecord
 from rig.weight_check import Weighing
 
@@ -24,7 +24,7 @@ _CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage"
 
 
 class RunFolder:
-    """A run folder being written; a :class:`rig.sequencer.Journal`.
+    """A run folder being written; a :class:`rig.journal.Journal`.
 
     Args:
         path: The folder.
@@ -98,12 +98,12 @@ def part_file(number: int) -> str:
 
 def stage_records(plan: Plan) -> list[StageRecord]:
     """Return the stages of a plan as they stand before the run."""
-    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets)) for s in plan.stages]
+    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role) for s in plan.stages]
 
 
 def bench_constants(bench: Bench) -> BenchConstants:
     """Return what an identification needs to know of a bench."""
-    m = bench.machine
+    m, generator = bench.machine, bench.gas_generator
     return BenchConstants(
         motion="rotary",
         torque_constant=m.torque_constant_N_m_A,
@@ -114,6 +114,7 @@ def bench_constants(bench: Bench) -> BenchConstants:
         moment_arm=m.moment_arm_m,
         lever_ratio=m.lever_ratio,
         gravity=m.gravity_m_s2,
+        gas_generator=None if generator is None else generator.generator(m.moment_arm_m),
     )
 
 
@@ -149,7 +150,7 @@ def load_run(folder: Path) -> Dataset:
         # A recording that cannot be read at all is the better explanation.
         read_log(folder / RECORDING_FILE)
         raise InputError(f"{folder}: no stage was finished (state {record.state}: {record.message or 'writer died'})")
-    bench = BenchConstants(**record.bench)
+    bench = recorded_bench(record)
     recordings: list[Recording] = []
     for number in sorted({segment.part for segment in finished}):
         part = record.parts[number - 1]
@@ -189,6 +190,8 @@ def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Pa
     stale = mine & (log.samples["fresh"] == 0)
     used = mine & ~stale
     channels: dict[str, Array] = {name: log.samples[name][used] for name in _CHANNELS}
+    if segment.stage == "hot_fire":
+        channels["pressure"] = log.samples["pressure"][used]
     # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
     device_time = log.samples["device_time"][used]
     notes = []
@@ -206,8 +209,9 @@ def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Pa
         name=segment.name,
         channels=channels,
         bench=bench,
-        stage="loaded" if segment.stage == "loaded" else "unloaded",
+        stage="unloaded" if segment.stage == "unloaded" else "loaded",
         weight_mass=segment.weight_kg,
+        role=segment.role,
         averaged=frozenset({"current", "voltage"}),
         source=str(path),
         sha256=digest,

@@ -11,6 +11,8 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
+from identification.model.gas_generator import GasGenerator
+from identification.model.valve import ValveGeometry
 from identification.recording import Bench as BenchConstants
 from rig.configuration import Loc, explain_json, place_json
 from rig.errors import InputError
@@ -33,6 +35,8 @@ class _Constants(BenchConstants):
     __pydantic_config__ = STRICT
 
 
+_ADDED = {"gas_generator": None}
+"""Constants that runs of an older program do not state: they had no hot firings."""
 _PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
 _BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
 _MUST_HOLD = {
@@ -74,7 +78,9 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete the record of a program that did not know of a second recording of one run."""
+    """Complete the record of a program that knew of no hot firings, or of no second recording of one run."""
+    if isinstance(raw.get("bench"), dict):
+        raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
     if "parts" in raw or not isinstance(raw.get("stages"), list):
         return raw
     part = {"operator": None, **{key: raw[key] for key in _PART_KEYS if key in raw}, "file": RECORDING_FILE}
@@ -85,6 +91,13 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
             name = str(segment.get("name")).partition("[")[0]
             segment["stage_index"] = names.index(name) if name in names else len(names)
     return {**raw, "parts": [part]}
+
+
+def recorded_bench(record: RunRecord) -> BenchConstants:
+    """Return the constants of the bench that a run was made on; ``record`` was read with :func:`read_record`."""
+    burns = record.bench["gas_generator"]
+    rebuilt = None if burns is None else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])})
+    return BenchConstants(**{**record.bench, "gas_generator": rebuilt})
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:

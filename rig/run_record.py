@@ -13,11 +13,14 @@ RUN_FILE = "run.json"
 RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
+FEEDFORWARD_INPUT = "feedforward.json"
+"""The identification that the drive's torque offsets were computed from, under the inputs and as attachment."""
 DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 """How a record is read back; it is built without being checked."""
-Load = Literal["unloaded", "loaded"]
+Load = Literal["unloaded", "loaded", "hot_fire"]
+Role = Literal["fit", "validate"]
 
 
 @dataclass
@@ -33,12 +36,21 @@ class StageRecord:
     samples: int
     state: Literal["planned", "running", "done"] = "planned"
     confirmed_kg: float | None = None
+    role: Role = "fit"
 
     def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
         """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
         name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
         return SegmentRecord(
-            index, name, self.stage, self.weight_kg, start, self.samples, stage_index=stage_index, part=part
+            index,
+            name,
+            self.stage,
+            self.weight_kg,
+            start,
+            self.samples,
+            stage_index=stage_index,
+            part=part,
+            role=self.role,
         )
 
 
@@ -65,6 +77,7 @@ class SegmentRecord:
     stage_index: int = 0
     part: int = 1
     kept: bool = True
+    role: Role = "fit"
 
 
 @dataclass

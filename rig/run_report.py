@@ -87,7 +87,7 @@ def _provenance(record: RunRecord) -> Iterator[tuple[str, str]]:
         yield f"{part.file}: operator", part.operator or "not given"
         yield f"{part.file}: seed", str(part.seed)
         yield f"{part.file}: versions", ", ".join(f"{name} {value}" for name, value in part.versions.items())
-        for role in ("servo", "encoder"):
+        for role in ("servo", "encoder", "pressure"):
             who = part.devices.get(role)
             if who is None:
                 continue

@@ -6,6 +6,7 @@ Pure functions and one latch. This is a stop function in software, not an emerge
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 
@@ -30,6 +31,8 @@ class Check(Enum):
     DISAGREEMENT = "encoder against drive"
     TEMPERATURE = "motor temperature"
     SUPPLY = "DC link voltage"
+    PRESSURE = "chamber pressure"
+    CONTACT_FORCE = "contact force"
     LATENESS = "lateness of the control cycle"
     STAGE_TIME = "time under power in this stage"
 
@@ -46,16 +49,31 @@ _REMEDY = {
     Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
     Check.TEMPERATURE: "let the motor cool, then run again",
     Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run again",
+    Check.PRESSURE: "look for a clogged throat or a valve that closed too far, and let the generator burn out",
+    Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator burn out",
     Check.LATENESS: "close what else runs on this computer, or lower cycle_Hz, then run again",
     Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
 }
 
 
 @dataclass(frozen=True, slots=True)
+class GasLimits:
+    """Limits on the gas generator: chamber pressure, Pa, and the contact force that follows from it, N (eq. 10).
+
+    ``back_pressure`` is p_c0, Pa; ``area`` gives A_s, m^2, at a joint angle in rad.
+    """
+
+    pressure: float
+    contact_force: float
+    back_pressure: float
+    area: Callable[[float], float]
+
+
+@dataclass(frozen=True, slots=True)
 class Limits:
     """Limits in SI units at the joint, with the two constants that the checks need.
 
-    ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i.
+    ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without pressure transmitter.
     """
 
     angle_min: float
@@ -72,6 +90,7 @@ class Limits:
     lateness: float
     torque_per_ampere: float
     gear_ratio: float
+    gas: GasLimits | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,6 +168,16 @@ def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | Non
     if not limits.supply_min <= supply <= limits.supply_max:
         bound = limits.supply_min if supply < limits.supply_min else limits.supply_max
         return Trip(Check.SUPPLY, supply, bound, "V", time)
+    return None if limits.gas is None else _check_gas(sample, limits.gas)
+
+
+def _check_gas(sample: Sample, limits: GasLimits) -> Trip | None:
+    pressure = sample.pressure
+    if not pressure <= limits.pressure:
+        return Trip(Check.PRESSURE, pressure, limits.pressure, "Pa", sample.time)
+    force = (pressure - limits.back_pressure) * limits.area(sample.angle)
+    if not force <= limits.contact_force:
+        return Trip(Check.CONTACT_FORCE, force, limits.contact_force, "N", sample.time)
     return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -30,6 +31,7 @@ class Sample(NamedTuple):
         statusword: Object 6041h.
         segment: 0 outside an excitation, else the 1-based number of the stage repeat.
         fresh: Whether every part of the answer arrived this cycle; if not, the values are the last good ones.
+        pressure: In the gas generator's chamber, Pa; NaN on a bench without a transmitter.
     """
 
     time: float
@@ -48,6 +50,7 @@ class Sample(NamedTuple):
     statusword: int
     segment: int
     fresh: bool
+    pressure: float = math.nan
 
 
 UNITS: Mapping[str, str] = {
@@ -67,4 +70,5 @@ UNITS: Mapping[str, str] = {
     "statusword": "1",
     "segment": "1",
     "fresh": "1",
+    "pressure": "Pa",
 }

@@ -12,6 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from rig.bench import NonNegative, Positive
 from rig.configuration import Document, Schema, load_located
+from rig.flow import FlowSection
 from rig.packaged import resolve
 
 Array = NDArray[np.float64]
@@ -25,17 +26,40 @@ class Tone(Schema):
     phase_deg: float = 0.0
 
 
-class StageSection(Schema):
-    """One stage: a weight on the lever and an excitation of the joint.
+class Ramp(Schema):
+    """A slow ramp: ``travel_deg`` away from the centre (its sign is the direction) at constant speed, and back.
 
-    The ramps lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before each repeat.
+    The joint is commanded to rest ``rest_s`` at the far end, and for what is left of ``duration_s`` at the centre.
+    """
+
+    travel_deg: float
+    speed_deg_s: Positive
+    rest_s: NonNegative = 1.0
+
+    @property
+    def moving_s(self) -> float:
+        """Time to the far end and back with the rest there, s."""
+        return 2.0 * abs(self.travel_deg) / self.speed_deg_s + self.rest_s
+
+
+class StageSection(Schema):
+    """One stage: what loads the valve, and an excitation of the joint, by ``tones`` or by one ``ramp``.
+
+    In a ``hot_fire`` stage a gas generator loads the valve, and ``flow`` may take the place of an excitation: the valve
+    then goes where a controller wants it.
+
+    The ramps in and out of the tones lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before
+    each repeat.
     ``time_limit_s`` is the longest the drive may be under power in this stage; a bound from the plan unless given.
+    ``role: validate`` sets its recordings aside: identification fits them not, and scores them once at the end.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
-    stage: Literal["unloaded", "loaded"]
+    stage: Literal["unloaded", "loaded", "hot_fire"]
     weight_kg: NonNegative = 0.0
-    tones: Annotated[tuple[Tone, ...], Field(min_length=1)]
+    tones: tuple[Tone, ...] = ()
+    ramp: Ramp | None = None
+    flow: FlowSection | None = None
     duration_s: Annotated[float, Field(gt=0, le=3600)]
     ramp_in_s: NonNegative = 1.0
     ramp_out_s: NonNegative = 1.0
@@ -43,10 +67,27 @@ class StageSection(Schema):
     center_deg: float = 0.0
     settle_s: Annotated[float, Field(ge=0, le=600)] = 0.2
     time_limit_s: Positive | None = None
+    role: Literal["fit", "validate"] = "fit"
+
+    @model_validator(mode="after")
+    def _one_excitation(self) -> Self:
+        if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
+            raise ValueError("a stage needs tones, a ramp or a flow, and only one of them")
+        if self.flow is not None and self.stage != "hot_fire":
+            raise ValueError(f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire")
+        if self.ramp is None:
+            return self
+        if given := self.model_fields_set & {"ramp_in_s", "ramp_out_s"}:
+            raise ValueError(f"{' and '.join(sorted(given))} fade tones in and out; a ramp has none: leave it out")
+        if self.ramp.moving_s > self.duration_s:
+            raise ValueError(
+                f"the ramp takes {self.ramp.moving_s:g} s, longer than duration_s {self.duration_s:g} s; lengthen it"
+            )
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.ramp_in_s + self.ramp_out_s > self.duration_s:
+        if self.tones and self.ramp_in_s + self.ramp_out_s > self.duration_s:
             raise ValueError(
                 f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than duration_s "
                 f"{self.duration_s:g} s; the ramps lie inside the duration"
@@ -55,6 +96,10 @@ class StageSection(Schema):
             raise ValueError(f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use stage: loaded")
         if self.stage == "loaded" and self.weight_kg == 0:
             raise ValueError("a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever")
+        if self.stage == "hot_fire" and self.weight_kg != 0:
+            raise ValueError(
+                f"the gas generator loads a hot firing, no weight, but weight_kg is {self.weight_kg:g}; remove it"
+            )
         return self
 
 
@@ -110,6 +155,19 @@ class Sequence(Schema):
             raise ValueError(f"stage names must differ; {', '.join(repeated)} is used more than once")
         return stages
 
+    @model_validator(mode="after")
+    def _something_is_fitted(self) -> Self:
+        fitted = [stage.stage != "unloaded" for stage in self.stages if stage.role == "fit"]
+        if not fitted:
+            raise ValueError("every stage has role validate; at least one must have role fit")
+        aside = [stage.name for stage in self.stages if stage.role == "validate" and stage.stage != "unloaded"]
+        if aside and not any(fitted):
+            raise ValueError(
+                f"{', '.join(aside)} is loaded and set aside, but no loaded stage is fitted, so that its working load "
+                "would be unknown; give one role fit"
+            )
+        return self
+
 
 def load_sequence(name: str | Path) -> Document[Sequence]:
     """Read a sequence by path, or by the bare name of a packaged one (``figure10``).
@@ -126,7 +184,9 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
     Returns:
         Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the time k ``cycle_s``.
     """
-    t = np.arange(round(stage.duration_s / cycle_s)) * cycle_s
+    t = np.asarray(np.arange(round(stage.duration_s / cycle_s)) * cycle_s, dtype=np.float64)
+    if stage.ramp is not None:
+        return math.radians(stage.center_deg) + _there_and_back(stage.ramp, t)
     swing = np.zeros_like(t)
     for tone in stage.tones:
         phase = 2.0 * math.pi * tone.frequency_Hz * t + math.radians(tone.phase_deg)
@@ -134,6 +194,13 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
     rise = raised_cosine(t, stage.ramp_in_s)
     fall = raised_cosine(stage.duration_s - t, stage.ramp_out_s)
     return math.radians(stage.center_deg) + rise * fall * swing
+
+
+def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
+    """Return the angle from the centre, rad, shape of ``t``."""
+    away_s = abs(ramp.travel_deg) / ramp.speed_deg_s
+    share = np.minimum(t, away_s) - np.clip(t - away_s - ramp.rest_s, 0.0, away_s)
+    return np.asarray(math.copysign(math.radians(ramp.speed_deg_s), ramp.travel_deg) * share)
 
 
 def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Array:

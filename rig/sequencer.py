@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import Enum
-from typing import Protocol
 
 from drivers.errors import DeviceError, DriveFault, StateError
 from drivers.interfaces import ServoLimits, ServoState
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
+from rig.feedforward import Compensator
+from rig.flow_control import Regulator
+from rig.hot_fire import hot_fire_words
+from rig.journal import Journal
 from rig.operator import Operator, OperatorStopError, StopButton, Verb
 from rig.phases import Event, Phase, next_phase
 from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
@@ -20,7 +23,7 @@ from rig.sample import Sample
 from rig.scale import Scale, measured_level
 from rig.sequence import approach
 from rig.teardown import SafeState, give_back, make_safe
-from rig.weight_check import Verdict, Weighing
+from rig.weight_check import Verdict
 
 
 class Ending(Enum):
@@ -44,34 +47,6 @@ class Outcome:
 
 class WeightError(Exception):
     """The friction of a stage is not that of the confirmed mass."""
-
-
-class Journal(Protocol):
-    """Keeps the state of the run on disk."""
-
-    def stage_started(self, index: int) -> None:
-        """Stage ``index`` begins."""
-        ...
-
-    def stage_finished(self, index: int) -> None:
-        """Stage ``index`` is complete and de-energised."""
-        ...
-
-    def weight_confirmed(self, index: int, weight_kg: float) -> None:
-        """The operator confirmed a mass for stage ``index``."""
-        ...
-
-    def weighed(self, weighing: Weighing) -> None:
-        """The weight of a stage was checked."""
-        ...
-
-    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
-        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of the recording."""
-        ...
-
-    def segment_finished(self, segment: int, time: float) -> None:
-        """It is complete."""
-        ...
 
 
 RESET_HINT = "; once its cause is removed, --reset-fault clears it"
@@ -232,6 +207,9 @@ class Sequencer:
         self._recorder.event(
             self._cycle.now_ns, "prompt", stage=stage.name, index=self._stage_index, weight_kg=stage.weight_kg
         )
+        hot = stage.stage == "hot_fire"
+        if hot:
+            self._operator.tell(hot_fire_words(stage.name, devices.ignite is not None))
         with self._stop.interruptible():
             confirmed = self._operator.confirm_weight(stage.name, stage.weight_kg)
         if isinstance(confirmed, Verb):
@@ -246,6 +224,9 @@ class Sequencer:
             self._operator.tell("the drive was in fault; the fault is cleared, and the drive is still off")
         if devices.hang is not None:
             devices.hang(self._operator.hangs(stage.name, stage.weight_kg))
+        if hot and devices.ignite is not None:
+            devices.ignite()
+            self._recorder.event(self._cycle.now_ns, "ignition", stage=stage.name)
         return Event.DONE
 
     def _go_back(self) -> Event:
@@ -258,8 +239,7 @@ class Sequencer:
 
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
-        devices.servo.prepare(plan.cycle_s)
-        devices.encoder.prepare(plan.cycle_s)
+        devices.prepare(plan.cycle_s)
         if self._own_limits is None:
             own = devices.servo.read_limits()
             require_within_own(plan.servo_limits, own)
@@ -335,7 +315,13 @@ class Sequencer:
         start = {"stage": self._stage.name, "index": self._stage_index, "repeat": self._repeat + 1}
         self._recorder.event(self._cycle.now_ns, "segment", number=self._segment, **start)
         self._journal.segment_started(self._stage_index, self._repeat + 1, self._segment, self._cycle.next_s)
-        self._follow(self._stage.targets.tolist(), self._segment)
+        if self._stage.flow is None:
+            self._follow(self._stage.targets.tolist(), self._segment, compensate=self._compensator())
+        else:
+            flow = self._stage.flow
+            regulator = Regulator(flow.law, flow.pressures.tolist(), self._target)
+            self._cycle.follow(regulator.targets(), self._segment, self._stage.name, regulator.see)
+            self._target = self._cycle.target
         self._journal.segment_finished(self._segment, self._cycle.next_s)
         return Event.DONE
 
@@ -347,6 +333,8 @@ class Sequencer:
     def _release(self) -> Event:
         self._devices.servo.disable()
         self._cycle.end()
+        if self._stage.stage == "hot_fire" and self._devices.hang is not None:
+            self._devices.hang(0.0)
         self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
         self._recorder.event(self._cycle.now_ns, "stage end", stage=self._stage.name)
         self._journal.stage_finished(self._stage_index)
@@ -373,7 +361,17 @@ class Sequencer:
     def _rest(self, duration_s: float) -> None:
         self._follow([self._target] * round(duration_s / self._plan.cycle_s))
 
-    def _follow(self, targets: list[float], segment: int = 0, keep: Callable[[Sample], object] | None = None) -> None:
-        self._cycle.follow(targets, segment, self._stage.name, keep)
+    def _compensator(self) -> Compensator | None:
+        offsets, plan = self._stage.offsets, self._plan
+        return None if offsets is None else Compensator(offsets, plan.limits.gear_ratio, plan.cycle_s)
+
+    def _follow(
+        self,
+        targets: list[float],
+        segment: int = 0,
+        keep: Callable[[Sample], object] | None = None,
+        compensate: Compensator | None = None,
+    ) -> None:
+        self._cycle.follow(targets, segment, self._stage.name, keep, compensate)
         if targets:
             self._target = targets[-1]

@@ -16,6 +16,7 @@ from rig.calibration import calibration_records, overdue
 from rig.configuration import Document
 from rig.connect import device_files
 from rig.cycle import Cycle, Devices, Progress
+from rig.feedforward import Feedforward
 from rig.operator import Operator, StopButton
 from rig.plan import Plan
 from rig.provenance import sha256, sha256_file, utc_now, versions
@@ -23,7 +24,7 @@ from rig.recorder import Recorder, open_recorder
 from rig.redact import redacted
 from rig.reference import Reference
 from rig.run import RunFolder, bench_constants, first_unfinished, part_file, stage_records
-from rig.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT, PartRecord, RunRecord
+from rig.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT, PartRecord, RunRecord
 from rig.scale import Scale
 from rig.sequence import Sequence
 from rig.sequencer import Ending, Outcome, Sequencer
@@ -31,6 +32,8 @@ from rig.serial_bus import GUARDED, NO_WATCHDOG
 
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
+DEVICES = ("servo", "encoder", "pressure")
+"""Roles that devices have; not every bench has all."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +48,7 @@ class Inputs:
         operator: Who runs it, as given.
         reference: An accepted identification of the bench, to check the weights by.
         reset_fault: Whether a fault that the drive is in may be cleared.
+        feedforward: What the torque that the drive adds is computed from; None where it adds none.
     """
 
     bench: Document[Bench]
@@ -54,6 +58,7 @@ class Inputs:
     operator: str | None = None
     reference: Reference | None = None
     reset_fault: bool = False
+    feedforward: Feedforward | None = None
 
     def files(self) -> dict[str, bytes]:
         """Return the content of both files under the names of their attachments."""
@@ -79,13 +84,20 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
             name: {"file": str(path), "sha256": sha256(content)}
             for (name, content), path in zip(inputs.files().items(), paths, strict=True)
         }
-        | {name: {"file": str(path), "sha256": sha256_file(path)} for name, path in device_files(inputs.bench).items()},
+        | {name: {"file": str(path), "sha256": sha256_file(path)} for name, path in device_files(inputs.bench).items()}
+        | _feedforward_entry(inputs.feedforward),
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
         operator=inputs.operator,
         calibrations=calibrations,
         warnings=[f"{warning}; the results rest on it" for warning in overdue(calibrations)],
     )
+
+
+def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
+    if feedforward is None:
+        return {}
+    return {FEEDFORWARD_INPUT: {"file": feedforward.source, "sha256": feedforward.sha256}}
 
 
 def execute(
@@ -188,11 +200,14 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
     Raises:
         DeviceError: A device does not answer.
     """
-    return {
+    told = {
         "servo": dataclasses.asdict(devices.servo.identity()),
         "encoder": dataclasses.asdict(devices.encoder.identity()),
         "limits": dataclasses.asdict(devices.servo.read_limits()),
     }
+    if devices.pressure is not None:
+        told["pressure"] = dataclasses.asdict(devices.pressure.identity())
+    return told
 
 
 def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]) -> None:
@@ -202,12 +217,15 @@ def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dic
     recorder.metadata("run", {**run, "part": str(len(record.parts))})
     recorder.metadata("versions", part.versions)
     recorder.metadata("sha256", {name: entry["sha256"] for name, entry in record.inputs.items()})
-    for role in ("servo", "encoder"):
-        recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
+    for role in DEVICES:
+        if role in identities:
+            recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
     if record.calibrations:
         recorder.metadata("calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations})
     for name, content in inputs.files().items():
         recorder.attach(name, MEDIA_YAML, redacted(content) if name == BENCH_ATTACHMENT else content)
+    if inputs.feedforward is not None:
+        recorder.attach(FEEDFORWARD_INPUT, MEDIA_JSON, Path(inputs.feedforward.source).read_bytes())
     recorder.attach("devices.json", MEDIA_JSON, json.dumps(identities, indent=1).encode())
     recorder.attach("run.json", MEDIA_JSON, json.dumps(dataclasses.asdict(record)).encode())
 

@@ -95,7 +95,7 @@ def write(folder: Path, source: Path, found: Simulation, json_file: Path | None)
     bench, said = _bench(source, found)
     notes += said
     page = render(
-        "paper.html.j2",
+        "sections.html.j2",
         title=f"Simulation of {source.resolve().stem}",
         subtitle=f"Model: {', '.join(dict.fromkeys(str(one.file) for one in found.predictions))}",
         notes=notes,

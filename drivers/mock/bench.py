@@ -15,16 +15,19 @@ from drivers.mock.plant import constants
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.sampler import Sampler
 from drivers.mock.serial_line import SimulatedLine
+from drivers.mock.transmitter import SimulatedTransmitter
 
 DRIVE_NODE: Final = 1
 ENCODER_NODE: Final = 2
+TRANSMITTER_NODE: Final = 4
 
 
 @dataclass(frozen=True)
 class SimulatedBench:
     """The parts of one simulated bench.
 
-    ``lines`` are the serial lines of ``drive`` and ``encoder``, where it has any.
+    ``lines`` are the serial lines of ``drive`` and ``encoder``, where it has any; ``transmitter`` measures the chamber
+    pressure, where one is fitted.
     """
 
     clock: SimulatedClock
@@ -33,6 +36,7 @@ class SimulatedBench:
     drive: SimulatedDrive
     encoder: SimulatedEncoder
     sampler: Sampler
+    transmitter: SimulatedTransmitter | None = None
     lines: dict[str, SimulatedLine] = field(default_factory=dict)
 
 
@@ -42,6 +46,7 @@ def simulated_bench(
     bitrate: int = 1_000_000,
     drive_node: int = DRIVE_NODE,
     encoder_node: int = ENCODER_NODE,
+    transmitter_node: int | None = None,
 ) -> SimulatedBench:
     """Build and boot a bench. The same seed gives the same bytes on the bus.
 
@@ -51,11 +56,12 @@ def simulated_bench(
         bitrate: Of the bus, bit/s.
         drive_node: CANopen node identifier of the drive.
         encoder_node: CANopen node identifier of the encoder.
+        transmitter_node: That of a pressure transmitter; None for a bench without one.
 
     Returns:
-        The bench, at rest at angle 0, power off, both devices in PRE-OPERATIONAL once their boot-up frames have gone.
+        The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up frames have gone.
     """
-    noise, offsets = np.random.default_rng(seed).spawn(2)
+    noise, offsets, pressure = np.random.default_rng(seed).spawn(3)
     clock = SimulatedClock()
     bus = SimulatedBus(clock, bitrate)
     plant = SimulatedMachine(machine, noise)
@@ -64,4 +70,8 @@ def simulated_bench(
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
     drive.boot()
     encoder.boot()
-    return SimulatedBench(clock, bus, plant, drive, encoder, sampler)
+    transmitter = None
+    if transmitter_node is not None:
+        transmitter = SimulatedTransmitter(bus, clock, transmitter_node, sampler, pressure)
+        transmitter.boot()
+    return SimulatedBench(clock, bus, plant, drive, encoder, sampler, transmitter)

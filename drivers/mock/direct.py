@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from drivers.mock.drive import RATED_CURRENT_MA, encoder_resolution
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
 SLOW_EVERY = 10
 """Cycles between two frames that carry supply voltage and temperature, as the host asks of the drive."""
@@ -24,7 +25,8 @@ class Samples(NamedTuple):
     """A recording as the host's drivers would give it, SI units, arrays of shape (n,).
 
     ``velocity`` is the drive's estimate at the joint; ``angle`` is the joint encoder's, ``motor_angle`` the motor's.
-    ``current`` and ``voltage`` are means over the cycle that ends at the sample.
+    ``current`` and ``voltage`` are means over the cycle that ends at the sample. ``pressure`` is that beyond the valve
+    while no gas generator burns.
     """
 
     time: Channel
@@ -36,9 +38,16 @@ class Samples(NamedTuple):
     voltage: Channel
     supply_voltage: Channel
     temperature: Channel
+    pressure: Channel
 
 
-def record(machine: SimulatedMachine, command_rad: Channel, cycle_s: float = 0.001, slow_phase: int = 0) -> Samples:
+def record(
+    machine: SimulatedMachine,
+    command_rad: Channel,
+    cycle_s: float = 0.001,
+    slow_phase: int = 0,
+    pressure_rng: np.random.Generator | None = None,
+) -> Samples:
     """Have a powered machine follow one joint angle a cycle, from where it stands.
 
     Args:
@@ -46,6 +55,7 @@ def record(machine: SimulatedMachine, command_rad: Channel, cycle_s: float = 0.0
         command_rad: Joint angle sent with each SYNC, shape (n,).
         cycle_s: Control cycle, s; a whole number of loop periods.
         slow_phase: Cycles since the last frame with supply voltage and temperature.
+        pressure_rng: Of the pressure transmitter's noise; None for one without.
 
     Raises:
         ValueError: The cycle is no whole number of loop periods.
@@ -68,6 +78,7 @@ def record(machine: SimulatedMachine, command_rad: Channel, cycle_s: float = 0.0
         _int16(latches.voltage_V * 1e2) * 0.01,
         np.rint(latches.supply_V * 1e3)[held] * 1e-3,
         np.rint(machine.temperature(latches.run_s) * 1e1)[held] * 0.1,
+        transmitted(machine.constants.gas.transmitter, latches.pressure_Pa, pressure_rng)[0] * PRESSURE_UNIT_PA,
     )
 
 

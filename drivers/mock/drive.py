@@ -44,6 +44,7 @@ _TARGET: Final = key(0x607A)
 _TARGET_MIN: Final = key(0x607D, 1)
 _TARGET_MAX: Final = key(0x607D, 2)
 _MAX_SPEED: Final = key(0x607F)
+_TORQUE_OFFSET: Final = key(0x60B2)
 _FOLLOWING: Final = key(0x60F4)
 
 _WINDOW_OFF: Final = 0xFFFFFFFF
@@ -72,7 +73,9 @@ class SimulatedDrive(SimulatedNode):
     """A position servo in cyclic synchronous position mode.
 
     Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared); 6078h is the mean
-    current since the last SYNC, per mille of 6075h. The power stage is on only in the states of :data:`POWERED`.
+    current since the last SYNC, per mille of 6075h. The torque offset 60B2h, per mille of 6076h, is added to what the
+    position loop asks for while targets are followed, and to no ramp. The power stage is on only in the states of
+    :data:`POWERED`.
 
     Attributes:
         power_state: State of the power drive system.
@@ -273,6 +276,8 @@ class SimulatedDrive(SimulatedNode):
             self._flags &= ~_INTERNAL_LIMIT
         self._demand = target
         self._machine.track(target, self._period_ns)
+        # Rated torque is that of the rated current, so one per mille of either is the same current.
+        self._machine.feed(values[_TORQUE_OFFSET] / self._per_mille_A)
 
     def _show_status(self) -> None:
         word = self.power_state | self._flags | _VOLTAGE_ENABLED
@@ -286,7 +291,7 @@ class SimulatedDrive(SimulatedNode):
         return int(min(0xFFFF, self._machine.constants.loops.current_limit_A * self._per_mille_A))
 
     def _limit_current(self) -> None:
-        # Rated torque is that of the rated current, so one per mille of either is the same current.
+        # Per mille of rated torque and of rated current are the same here, as above.
         self._current_limit = min(self._values[_MAX_TORQUE], self._values[_MAX_CURRENT])
         self._machine.limit_current(self._current_limit / self._per_mille_A)
 

@@ -17,14 +17,17 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Entry:
-    """One row of the catalogue, in words; how it is computed stands in :mod:`identification.diagnosis.terms`.
+    """One row of the catalogue, in words.
+
+    How it is computed stands in :mod:`identification.diagnosis.terms`, for the gas generator in
+    :mod:`identification.diagnosis.gas.terms`.
 
     Attributes:
         name: Stable name.
-        group: motor, transmission, friction, device or sensing.
+        group: motor, transmission, friction, device, sensing or gas generator.
         equation: Governing equation.
         assumption: What of the paper it breaks.
-        shows_in: Equation in which it shows: ``torque``, ``transmission``, ``voltage`` or ``breakaway``.
+        shows_in: Equation in which it shows: ``torque``, ``transmission``, ``voltage``, ``breakaway`` or ``pressure``.
         coordinate: Coordinate or regime where it shows.
         parameters: With units and plausible ranges.
         look_alikes: Names of the nearest ones.

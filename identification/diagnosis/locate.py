@@ -37,7 +37,9 @@ def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.
         if any(coordinate.values(v) is None for v in equation.views):
             continue
         values = equation.rows(partial(_known, coordinate))[:, 0]
-        made = _map(equation, coordinate, values, before, after, block, stack.blocks, rng)
+        linear = equation.views[0].recording.bench.motion == "linear"
+        unit = LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit
+        made = mapped(equation, coordinate.name, unit, values, before, after, block, stack.blocks, rng)
         if made is not None:
             found.append(made)
     return tuple(sorted(found, key=lambda m: -m.share))
@@ -56,16 +58,21 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
     )
     if found is None:
         return Location("recording", "1", (), 0.0, names)
+    return Location(found.coordinate, found.unit, ranges(found), found.share, names)
+
+
+def ranges(found: Map) -> tuple[tuple[float, float], ...]:
+    """Return the stretches of a map's coordinate in which the mismatch is beyond its band."""
     outside = (found.low > 0.0) | (found.high < 0.0)
     half = 0.5 * np.gradient(found.centre) if len(found.centre) > 1 else np.zeros(1)
-    ranges: list[tuple[float, float]] = []
+    stretches: list[tuple[float, float]] = []
     for k in np.flatnonzero(outside):
         low, high = float(found.centre[k] - half[k]), float(found.centre[k] + half[k])
-        if ranges and k > 0 and outside[k - 1]:
-            ranges[-1] = (ranges[-1][0], high)
+        if stretches and k > 0 and outside[k - 1]:
+            stretches[-1] = (stretches[-1][0], high)
         else:
-            ranges.append((low, high))
-    return Location(found.coordinate, found.unit, tuple(ranges), found.share, names)
+            stretches.append((low, high))
+    return tuple(stretches)
 
 
 def curve(found: Map) -> Curve:
@@ -78,9 +85,10 @@ def _known(coordinate: Coordinate, view: View) -> Array:
     return np.zeros(len(view.time)) if values is None else values
 
 
-def _map(
+def mapped(
     equation: Equation,
-    coordinate: Coordinate,
+    coordinate: str,
+    unit: str,
     values: Array,
     before: Array,
     after: Array,
@@ -88,6 +96,19 @@ def _map(
     blocks: int,
     rng: np.random.Generator,
 ) -> Map | None:
+    """Return the mismatch over one coordinate with simultaneous bands; None where that has too few values.
+
+    Args:
+        equation: Whose mismatch.
+        coordinate: Its name.
+        unit: Of its values.
+        values: Of each row, shape (n,).
+        before: Mismatch before correction, shape (n,).
+        after: The same after, shape (n,).
+        block: Of each row, shape (n,).
+        blocks: How many there are.
+        rng: For the bands.
+    """
     grid = edges(values, BINS)
     if len(grid) < 3:
         levels = np.unique(values)
@@ -107,14 +128,13 @@ def _map(
     spread[spread == 0.0] = 1e-300
     drawn = np.abs(rng.choice((-1.0, 1.0), size=(DRAWS, blocks)) @ sums) / spread
     wide = float(np.quantile(np.max(drawn, axis=1), CONFIDENCE)) * spread
-    linear = equation.views[0].recording.bench.motion == "linear"
     power = float(before @ before)
     chance = float(np.sum(count * spread**2))
     share = max(0.0, float(np.sum(count * mean**2)) - chance) / power if power > 0.0 else 0.0
     return Map(
         equation=equation.name,
-        coordinate=coordinate.name,
-        unit=LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit,
+        coordinate=coordinate,
+        unit=unit,
         residual_unit=equation.unit,
         centre=centre,
         mean=mean,

@@ -182,12 +182,12 @@ def generic(stack: Stack) -> Iterator[Candidate]:
                 yield candidate
 
 
-def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generator) -> float:
+def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generator, least: float = LEAST_SHARE) -> float:
     """Return the p-value of the most surprising of all candidates that matter, by flipping signs of whole blocks.
 
     The same flips serve all candidates, so that what they share counts once and how many there are is allowed for.
-    One that explains less than :data:`LEAST_SHARE` of the noise is no finding however sure: it is left out of what is
-    seen, and stays among what might have been.
+    One that explains less than ``least`` of the noise is no finding however sure: it is left out of what is seen, and
+    stays among what might have been.
     """
     if not candidates:
         return 1.0
@@ -195,7 +195,7 @@ def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generato
     seen = -np.inf
     drawn = np.full(DRAWS, -np.inf)
     for candidate in candidates:
-        if candidate.share > LEAST_SHARE:
+        if candidate.share > least:
             seen = max(seen, candidate.surprise)
         drawn = np.maximum(drawn, surprise(flipped(candidate, flips), candidate.blocks.shape[1]))
     return float((1 + np.sum(drawn >= seen)) / (1 + DRAWS))

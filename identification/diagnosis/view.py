@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import ndimage
 
+from identification.contact_force import contact_moment
 from identification.prepare import (
     POSITION_BANDWIDTH,
     ampere_torque,
@@ -200,7 +201,7 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         raw_torque=np.asarray(drive + known),
         twist=_twist(recording, grid, cutoff, valve_side),
         known=known,
-        moment=_moment(recording, grid),
+        moment=contact_moment(recording, grid, angle),
         sense=sense,
         still=still,
         rest_time=_held(rest, still),
@@ -241,19 +242,6 @@ def _known(recording: Recording, angle: Array, acceleration: Array) -> Array:
         return np.zeros(len(angle))
     weight = pendulum.mass * recording.bench.gravity * pendulum.length
     return np.asarray(-weight * np.sin(angle - pendulum.zero) - pendulum.mass * pendulum.length**2 * acceleration)
-
-
-def _moment(recording: Recording, grid: Array) -> Array:
-    if "load_force" in recording.channels:
-        force = resample(recording.time, recording.channels["load_force"], grid)
-    else:
-        force = np.full(len(grid), recording.contact_force)
-    arm = recording.bench.moment_arm
-    if arm is None:
-        if np.any(force != 0.0):
-            raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
-        return np.zeros(len(grid))
-    return np.asarray(force * arm)
 
 
 def _channel(recording: Recording, name: str, grid: Array) -> Array | None:

@@ -27,6 +27,11 @@ _FACTORS: Mapping[tuple[str, str], float] = {
     ("A/s", "mA/min"): 6e4,
     ("N m/s", "N m/h"): 3600.0,
     ("N/s", "N/h"): 3600.0,
+    ("m/s", "mm/min"): 6e4,
+    ("m^2", "mm^2"): 1e6,
+    ("1/m", "%/m"): 100.0,
+    ("s/m", "%/(m/s)"): 100.0,
+    ("W", "kW"): 1e-3,
 }
 _SIZE = "abs "
 _CHOICE = "?"

@@ -85,7 +85,8 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
         p = problem.start.copy()
         if rise in problem.free:
             limits = [
-                (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0)) / (m.moment[0] if loaded else 1.0)
+                (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0))
+                / (float(np.median(m.breakaway_moment)) if loaded else 1.0)
                 for m, peak in zip(problem.motions, peaks, strict=True)
             ]
             p[rise] = float(np.median(limits)) - p[coulomb]

@@ -179,6 +179,6 @@ class Problem:
         self.begins = self.times(x)
 
 
-def static_limit(p: Array, m: Motion) -> float:
-    """Return Ms + F_P L1 mu_s, N m."""
-    return float(p[kernel.MC] + p[kernel.DM] + m.moment[0] * (p[kernel.MU_C] + p[kernel.DMU]))
+def static_limit(p: Array, m: Motion) -> Array:
+    """Return Ms + F_P L1 mu_s at each breakaway, N m, shape (m,)."""
+    return np.asarray(p[kernel.MC] + p[kernel.DM] + m.breakaway_moment * (p[kernel.MU_C] + p[kernel.DMU]))

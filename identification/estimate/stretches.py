@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.contact_force import contact_moment
 from identification.estimate import innovations as kernel
 from identification.prepare import drive_torque, joint_angle, resting
-from identification.recording import Array, Recording, RecordingError
+from identification.recording import Array, Recording
 from identification.signals import BoolArray, quantum
 
 LEAD = 12
@@ -32,7 +33,7 @@ class Motion:
         angle: rad, as the encoder counted.
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Its slope within that period, N m/s.
-        moment: F_P L1, N m.
+        moment: Mean F_P L1 over that period, N m.
         table: Stretches for the kernel, shape (m, 4).
         seen: First sample of each stretch that has visibly moved, shape (m,).
         steps: Integration steps per sample.
@@ -58,14 +59,23 @@ class Motion:
         """Return the torque at any time, linear between the centres of the periods it was averaged over, N m."""
         return np.interp(when, self.time - 0.5 * self.recording.period, self.torque)
 
-    def static_crossing(self, static: float) -> Array:
-        """Return when each stretch's torque first reaches ``static``, at the latest when it has visibly moved, s."""
+    @property
+    def breakaway_moment(self) -> Array:
+        """F_P L1 where each stretch begins to move, N m, shape (m,)."""
+        return self.moment[self.seen.astype(np.int64)]
+
+    def static_crossing(self, static: Array | float) -> Array:
+        """Return when each stretch's torque first reaches ``static``, at the latest when it has visibly moved, s.
+
+        ``static`` is one level for all, N m, or one for each, shape (m,).
+        """
         half = 0.5 * self.recording.period
         out = np.empty(len(self.table))
+        levels = np.broadcast_to(static, out.shape)
         for j, (first, _, side, _) in enumerate(self.table):
             window = slice(int(first) - 1, int(self.seen[j]) + 2)
             when = self.time[window] - half
-            excess = side * self.torque[window] - static
+            excess = side * self.torque[window] - levels[j]
             above = np.flatnonzero(excess >= 0.0)
             if above.size == 0:
                 out[j] = when[1 + int(np.argmax(excess[1:]))]
@@ -122,16 +132,14 @@ def motion(recording: Recording) -> Motion | None:
         steps[max(first, last - FINE_SAMPLES) : last] = FINE_STEPS
     slow = np.abs(velocity) < 0.3 * float(np.max(np.abs(velocity)))
     steps[slow] = FINE_STEPS
-    arm = recording.bench.moment_arm
-    if arm is None and recording.contact_force != 0.0:
-        raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
+    moment = contact_moment(recording, at, angle)
     return Motion(
         recording=recording,
         time=at,
         angle=angle,
         torque=np.ascontiguousarray(torque),
         slope=np.gradient(torque, at),
-        moment=np.full(len(at), recording.contact_force * (arm or 0.0)),
+        moment=0.5 * (moment + np.concatenate((moment[:1], moment[:-1]))),
         table=table,
         seen=seen,
         steps=steps,

@@ -29,6 +29,7 @@ _POINTS_PER_LOAD = 1500
 _LEAST_PERCENT = 1e-6  # deviations below this are rounding
 _FEW_TIMES = 3.0  # a cost that falls less than this is drawn on a linear scale
 _LINEAR_PERCENT = 10.0  # deviations beyond this are drawn on a logarithmic scale where some are far off
+_VARYING = math.inf  # contact moment of a load that varies
 LABELS = {
     "Mc": r"$M_c$",
     "Ms": r"$M_s$",
@@ -43,12 +44,12 @@ LABELS = {
 _STAGE_TITLES = {"unloaded": "system load", "loaded": "working load"}
 
 
-def stribeck(result: Identification, moments: Mapping[str, float]) -> Figure:
+def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Figure:
     """Friction torque against speed, measured and fitted, one colour per load (eq. 9 and 13).
 
     Args:
         result: The fit.
-        moments: Recording to its contact moment F_P L1, N m.
+        moments: Recording to its contact moment F_P L1, N m; None where that varies, and no curve belongs to it.
     """
     rotary = result.motion == "rotary"
     unit = result.torque_unit
@@ -57,15 +58,19 @@ def stribeck(result: Identification, moments: Mapping[str, float]) -> Figure:
     values = result.values()
     by_load: dict[float, list[Trace]] = {}
     for trace in result.traces:
-        by_load.setdefault(round(moments.get(trace.recording, 0.0), 6), []).append(trace)
+        known = moments.get(trace.recording, 0.0)
+        by_load.setdefault(_VARYING if known is None else round(known, 6), []).append(trace)
     for color, (moment, traces) in zip(CYCLE * len(by_load), sorted(by_load.items()), strict=False):
-        name = "unloaded" if moment == 0.0 else f"$F_P L_1$ = {moment:.4g} N m"
+        names = {0.0: "unloaded", _VARYING: "hot firing"}
+        name = names.get(moment, f"$F_P L_1$ = {moment:.4g} N m")
         speeds = np.concatenate([t.velocity[moving(t)] for t in traces])
         torques = np.concatenate([t.friction[moving(t)] for t in traces])
         few = thinned(len(speeds), _POINTS_PER_LOAD)
         axis.plot(speeds[few], torques[few], ".", color=color, markersize=5.0, alpha=0.3, label=f"measured, {name}")
         top = float(np.max(np.abs(speeds), initial=0.0))
-        curve = _curve(np.linspace(top / 2000.0, top, 2000), moment, values, result.alpha) if top > 0.0 else None
+        curve = None
+        if top > 0.0 and moment != _VARYING:
+            curve = _curve(np.linspace(top / 2000.0, top, 2000), moment, values, result.alpha)
         if curve is not None:
             axis.plot(*curve, color=BLACK, linewidth=1.1, label=label)
         else:

@@ -14,7 +14,13 @@ from identification.plots.style import BLACK, BLUE, GREY, SKY, VERMILION, figure
 
 _COLUMNS = 2
 _MOST_MAPS = 8
-_DEG = math.degrees(1.0)
+_DRAWN = {
+    "rad": (math.degrees(1.0), "deg"),
+    "Pa": (1e-3, "kPa"),
+    "m^2": (1e6, "mm^2"),
+    "m^2/s": (1e6, "mm^2/s"),
+}
+"""Unit of a record to factor and unit to draw with."""
 
 
 def maps(shown: Sequence[Map]) -> Figure:
@@ -110,8 +116,8 @@ def _map(axis: Axes, one: Map) -> None:
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:
-    """Return (factor, unit) to draw with: angles in degrees."""
-    return (_DEG, "deg") if unit == "rad" else (1.0, unit)
+    """Return (factor, unit) to draw with."""
+    return _DRAWN.get(unit, (1.0, unit))
 
 
 def _labelled(coordinate: str, unit: str) -> str:
@@ -119,4 +125,4 @@ def _labelled(coordinate: str, unit: str) -> str:
 
 
 def _quantity(equation: str) -> str:
-    return {"transmission": "angle", "voltage": "voltage"}.get(equation, "torque")
+    return {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}.get(equation, "torque")

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.contact_force import contact_moment
 from identification.prepare import ampere_torque, joint_angle
 from identification.recording import Array, Controller, Recording, RecordingError
 from identification.simulate import kernel
@@ -132,13 +133,13 @@ def inputs_of(recording: Recording) -> Inputs:
         if "supply_voltage" not in channels:
             raise RecordingError(f"{recording.name}: a controller with output 'duty' needs a `supply_voltage` channel")
         scale = channels["supply_voltage"]
-    force = channels.get("load_force", np.full(n, recording.contact_force))
+    angle = joint_angle(recording)
     return Inputs(
         time=recording.time,
         command=channels["command"],
         scale=scale,
         added=channels.get("feedforward", np.zeros(n)),
-        moment=force * (recording.bench.moment_arm or 0.0),
+        moment=contact_moment(recording, recording.time, np.zeros(n) if angle is None else angle),
     )
 
 

@@ -21,7 +21,7 @@ from rig.places import require_file, write_asked
 from rig.plan import bench_limits, servo_limits
 from rig.provenance import sha256_file, utc_now, versions
 from rig.serial_bus import NO_WATCHDOG
-from rig.session import describe_devices
+from rig.session import DEVICES, describe_devices
 from rig.tables import table
 
 SCHEMA = "loadrig.check/1"
@@ -105,7 +105,7 @@ def describe(findings: dict[str, Any]) -> str:
                 who["hardware_version"],
                 who["software_version"],
             ]
-            for role, who in (("servo", findings["servo"]), ("encoder", findings["encoder"]))
+            for role, who in ((role, findings[role]) for role in DEVICES if role in findings)
         ],
     )
     held = findings["limits"]

@@ -21,6 +21,11 @@ import click
     help="Refit the nominal parameters by prediction errors, with what was found taken out; slow, and needed where the "
     "corrected model is to be simulated.",
 )
+@click.option(
+    "--gas",
+    is_flag=True,
+    help="Diagnose the gas generator, from pressure and valve angle; needed only where there is torque as well.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random generator.")
 @click.option(
     "--out",
@@ -31,7 +36,7 @@ import click
     "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
 )
 def command(
-    source: Path, bandwidth: float | None, refine: bool, seed: int, out: Path | None, json_file: Path | None
+    source: Path, bandwidth: float | None, refine: bool, gas: bool, seed: int, out: Path | None, json_file: Path | None
 ) -> None:
     """Say what physics is missing from the model of SOURCE, a run folder or a campaign file.
 
@@ -43,6 +48,7 @@ def command(
     Example:
       rig diagnose runs/demo
       rig diagnose bench.yaml --bandwidth 30 --json result.json
+      rig diagnose runs/hot --gas
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
@@ -54,7 +60,7 @@ def command(
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
-        outcome = diagnose_source(source, seed, bandwidth, bar, refine)
+        outcome = diagnose_source(source, seed, bandwidth, bar, refine, gas)
         bar("writing the report", 1.0)
         report, beside = write(folder, source, outcome, json_file)
     click.echo(text(outcome))

@@ -25,12 +25,13 @@ import click
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of draws and diagnosis.")
+@click.option("--gas", is_flag=True, help="Rigs that hide something in their gas generator; pressure and angle alone.")
 @click.option("--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each.")
 @click.option(
     "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
 )
 def command(
-    rigs: int, source: Path | None, out: Path, jobs: int, seed: int, keep: bool, json_file: Path | None
+    rigs: int, source: Path | None, out: Path, jobs: int, seed: int, gas: bool, keep: bool, json_file: Path | None
 ) -> None:
     """Prove the diagnosis blind: draw rigs that hide physics, seal the truth, diagnose, unseal, score.
 
@@ -39,6 +40,7 @@ def command(
     \b
     Example:
       rig prove --rigs 24 --jobs 2 --out proof
+      rig prove --gas --rigs 100 --out gas-proof
       rig prove --from sealed-by-others --json proof.json
     """
     # Imported late: --help must not wait for the numerics.
@@ -47,6 +49,7 @@ def command(
     from rig.errors import InputError
     from rig.places import require_file, require_folder
     from rig.prove import output
+    from rig.prove.family import GAS, MOTION
     from rig.prove.run import PROOF_FILE, begin, work
     from rig.results import Provenance
     from rig.tables import table
@@ -55,7 +58,7 @@ def command(
     require_file(json_file, "--json")
     started = time.perf_counter()
     try:
-        proof = begin(out, rigs, seed, source)
+        proof = begin(out, rigs, seed, source, GAS if gas else MOTION)
         for sealed in proof.seals:
             click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
         with ShareBar() as bar:

@@ -11,6 +11,7 @@ from rig.aftermath import conclude
 from rig.calibration import require_current
 from rig.connect import connect
 from rig.errors import InputError
+from rig.feedforward import load_feedforward
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
 from rig.places import require_file
 from rig.plan import make_plan
@@ -19,6 +20,7 @@ from rig.provenance import utc_now
 from rig.reference import load_reference
 from rig.resume import prepare, stopped_words
 from rig.run import bench_constants
+from rig.run_record import FEEDFORWARD_INPUT
 from rig.session import Inputs, execute
 
 
@@ -73,13 +75,20 @@ def command(
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
+    told = record.inputs.get(FEEDFORWARD_INPUT)
+    feedforward = None if told is None else load_feedforward(Path(told["file"]), constants)
     # Each recording has noise of its own.
     seed = record.seed + len(record.parts)
+    reset = reset_fault or resumed.died
     inputs = Inputs(
-        resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference, reset_fault or resumed.died
+        resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference, reset, feedforward
     )
-    plan = make_plan(resumed.sequence, resumed.bench, True if first_pass is None and identification else first_pass)
-    with connect(resumed.bench, seed, record.realtime) as devices, StopButton() as stop:
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
+    with (
+        connect(resumed.bench, seed, record.realtime, torque_offset=feedforward is not None) as devices,
+        StopButton() as stop,
+    ):
         operator = AutomaticOperator() if yes else ConsoleOperator(resumed.bench.value.prompt_timeout_s)
         with RunProgress(plan.cycle_s, plan.duration_s) as progress:
             try:

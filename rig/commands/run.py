@@ -12,6 +12,7 @@ from rig.bench import load_bench
 from rig.calibration import require_current
 from rig.cli import DONE
 from rig.connect import connect
+from rig.feedforward import load_feedforward
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
@@ -47,6 +48,12 @@ from rig.session import Inputs, execute
     help="Accepted result of `rig identify --json` on this bench; the weights are checked by it.",
 )
 @click.option(
+    "--feedforward",
+    "feedforward_file",
+    type=click.Path(path_type=Path),
+    help="Result of `rig identify --json` on this bench: the drive adds the friction and inertia torque it predicts.",
+)
+@click.option(
     "--first-pass/--no-first-pass",
     default=None,
     help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
@@ -72,6 +79,7 @@ def command(
     fault_file: Path | None,
     operator_name: str | None,
     identification: Path | None,
+    feedforward_file: Path | None,
     first_pass: bool | None,
     reset_fault: bool,
     prompt_timeout_s: float | None,
@@ -90,23 +98,28 @@ def command(
     Example:
       rig run figure10 --dry-run
       rig run figure10 --yes --out runs/demo
+      rig run slow_ramp --yes --feedforward runs/demo/identify.json --out runs/compensated
     """
     require_file(json_file, "--json")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
-    plan = make_plan(sequence_file, bench_file, True if first_pass is None and identification else first_pass)
+    constants = bench_constants(bench_file.value)
+    feedforward = None if feedforward_file is None else load_feedforward(feedforward_file, constants)
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(sequence_file, bench_file, low, feedforward)
     if dry_run:
         click.echo(describe(plan))
         return DONE
     path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
     require_current(bench_file, utc_now().date())
-    constants = bench_constants(bench_file.value)
     reference = None if identification is None else load_reference(identification, constants)
-    inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault)
+    inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
     with (
-        connect(bench_file, seed, realtime, None if saboteur is None else saboteur.attach) as devices,
+        connect(
+            bench_file, seed, realtime, None if saboteur is None else saboteur.attach, feedforward is not None
+        ) as devices,
         StopButton() as stop,
     ):
         create_folder(path)

@@ -36,6 +36,8 @@ _GRAVITY_SHARE = 0.1
 """Of the rigs that could have either load; so that the kind of load tells nothing."""
 
 Effects = dict[str, dict[str, float]]
+Assigned = tuple[Kind, tuple[str, ...]]
+"""Kind of a rig and the names of what it hides."""
 
 
 class Rig(NamedTuple):
@@ -56,16 +58,16 @@ class Rig(NamedTuple):
     gravity: bool = False
 
 
-def assignment(rigs: int, seed: int) -> list[tuple[Kind, tuple[str, ...]]]:
+def assignment(rigs: int, seed: int) -> list[Assigned]:
     """Return kind and effect names of each rig, in an order that tells nothing.
 
     Single effects go round the whole catalogue, and those outside it round theirs; pairs are drawn.
     """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs)
-    singles = _round(list(SIZES), counts["one"], rng)
-    strangers = _round(list(OUTSIDE_SIZES), counts["outside"], rng)
-    drawn: list[tuple[Kind, tuple[str, ...]]] = [("nothing", ())] * counts["nothing"]
+    singles = in_turn(list(SIZES), counts["one"], rng)
+    strangers = in_turn(list(OUTSIDE_SIZES), counts["outside"], rng)
+    drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]
     drawn += [("one", (name,)) for name in singles]
     drawn += [("outside", (name,)) for name in strangers]
     names = list(SIZES)
@@ -82,10 +84,10 @@ def _pair(names: list[str], rng: np.random.Generator) -> tuple[str, str]:
             return first, second
 
 
-def apportion(rigs: int) -> dict[Kind, int]:
+def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, int]:
     """Return how many rigs there are of each kind (largest remainders)."""
-    total = sum(SHARES.values())
-    exact = {kind: rigs * share / total for kind, share in SHARES.items()}
+    total = sum(shares.values())
+    exact = {kind: rigs * share / total for kind, share in shares.items()}
     counts = {kind: math.floor(value) for kind, value in exact.items()}
     left = sorted(exact, key=lambda kind: counts[kind] - exact[kind])
     for kind in left[: rigs - sum(counts.values())]:
@@ -93,7 +95,8 @@ def apportion(rigs: int) -> dict[Kind, int]:
     return counts
 
 
-def _round(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
+def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
+    """Return names in rounds of random order, so that none comes twice more than another."""
     order: list[str] = []
     while len(order) < count:
         order += [names[k] for k in rng.permutation(len(names))]

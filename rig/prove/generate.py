@@ -11,7 +11,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import click
 
@@ -48,15 +48,10 @@ def place(out: Path, number: int, digest: str = "") -> Sealed:
 def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
     """Write down and seal what a rig hides; nothing is simulated yet.
 
-    The salt of the seal is no part of what a seed repeats: the truth must not be guessed from the digest.
-
     Raises:
         OSError: It cannot be written.
     """
-    where = place(out, number)
-    where.truth.parent.mkdir(parents=True, exist_ok=True)
     truth = {
-        "rig": number,
         "kind": rig.kind,
         "effects": as_recorded(rig.machine.effects),
         "parameters": true_parameters(rig.machine),
@@ -65,7 +60,20 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
         "gravity": rig.gravity,
         "seed": rig.seed,
     }
-    return where._replace(digest=seal(where.truth, truth, secrets.token_hex(16)))
+    return seal_truth(out, number, truth)
+
+
+def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
+    """Write down and seal the truth of one rig.
+
+    The salt of the seal is no part of what a seed repeats: the truth must not be guessed from the digest.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    where = place(out, number)
+    where.truth.parent.mkdir(parents=True, exist_ok=True)
+    return where._replace(digest=seal(where.truth, {"rig": number, **truth}, secrets.token_hex(16)))
 
 
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:

@@ -16,8 +16,8 @@ import numpy as np
 
 from rig.errors import InputError
 from rig.places import write_json
-from rig.prove.draw import assignment, draw
-from rig.prove.generate import Sealed, place, seal_rig, simulate_rig
+from rig.prove.family import FAMILIES, MOTION
+from rig.prove.generate import Sealed, place
 from rig.prove.row import row_of
 from rig.prove.seal import unseal
 from rig.provenance import sha256_file
@@ -37,19 +37,21 @@ class Proof(NamedTuple):
         source: Where sealed campaigns of someone else are; None where rigs are drawn here.
         seed: Of draws and diagnosis.
         seals: Every rig, its truth sealed.
+        family: Of the rigs, out of :data:`rig.prove.family.FAMILIES`.
     """
 
     out: Path
     source: Path | None
     seed: int
     seals: tuple[Sealed, ...]
+    family: str = MOTION
 
     def row_file(self, number: int) -> Path:
         """Return where a rig's row is kept."""
         return self.out / ROWS / f"{number:04d}.json"
 
 
-def begin(out: Path, rigs: int, seed: int, source: Path | None) -> Proof:
+def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MOTION) -> Proof:
     """Seal all rigs, or go on with a proof that was begun in this folder with the same settings.
 
     Raises:
@@ -57,6 +59,8 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None) -> Proof:
         OSError: It cannot be written.
     """
     settings = {"rigs": rigs, "seed": seed, "from": None if source is None else str(source.resolve())}
+    if family != MOTION:
+        settings["family"] = family
     file = out / PROOF_FILE
     if file.is_file():
         begun = json.loads(file.read_text(encoding="utf-8"))
@@ -65,18 +69,19 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None) -> Proof:
                 f"{out}: holds a proof with other settings, {begun['settings']}; give --out another folder"
             )
         home = source or out
-        return Proof(out, source, seed, tuple(place(home, int(n), d) for n, d in begun["seals"].items()))
+        return Proof(out, source, seed, tuple(place(home, int(n), d) for n, d in begun["seals"].items()), family)
     for name in (ROWS, "diagnoses"):
         (out / name).mkdir(parents=True, exist_ok=True)
     if source is None:
-        drawn = enumerate(assignment(rigs, seed), start=1)
-        seals = tuple(seal_rig(out, n, draw(kind, names, (seed, n))) for n, (kind, names) in drawn)
+        made = FAMILIES[family]
+        drawn = enumerate(made.assignment(rigs, seed), start=1)
+        seals = tuple(made.seal(out, n, assigned, (seed, n)) for n, assigned in drawn)
     else:
         seals = tuple(_given(source))[:rigs]
         if not seals:
             raise InputError(f"{source}: no rig-NNNN/campaign.yaml with a sealed/NNNN.json; give --from such a folder")
     write_json(file, {"settings": settings, "seals": {str(s.number): s.digest for s in seals}})
-    return Proof(out, source, seed, seals)
+    return Proof(out, source, seed, seals, family)
 
 
 def _given(source: Path) -> Iterator[Sealed]:
@@ -129,8 +134,9 @@ def prove_rig(sealed: Sealed, proof: Proof, diagnose: Diagnose, keep: bool) -> i
     """Take one rig from its seal to its row; return its number. The truth is opened after the diagnosis."""
     strengths: dict[str, float] = {}
     if proof.source is None:
-        kind, names = assignment(len(proof.seals), proof.seed)[sealed.number - 1]
-        strengths = simulate_rig(sealed, draw(kind, names, (proof.seed, sealed.number)))
+        family = FAMILIES[proof.family]
+        assigned = family.assignment(len(proof.seals), proof.seed)[sealed.number - 1]
+        strengths = family.simulate(sealed, assigned, (proof.seed, sealed.number))
     else:
         beside = sealed.truth.with_suffix(".strength.json")
         if beside.is_file():

@@ -57,13 +57,14 @@ def make_host(
     bitrate: int = 1_000_000,
     cycle_s: float = CYCLE_S,
     python_can: bool = False,
+    torque_offset: bool = False,
 ) -> Host:
     """Return an open link to a booted bench, natively or through python-can; nothing is prepared."""
     bench = simulated_bench(machine or Machine(), seed, bitrate)
     port = PythonCanPort(bench.bus, bench.clock) if python_can else bench.bus
     link = CanopenLink(bench.clock, lambda: port, "simulated bus")
     drive = link.add_node(DRIVE_NODE, DRIVE_EDS)
-    servo = Cia402Servo(drive, link, scales)
+    servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     resolution = bench.machine.constants.sensing.joint_counts_per_turn or EXACT_COUNTS
     encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(resolution))
     link.open()

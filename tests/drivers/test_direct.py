@@ -22,15 +22,23 @@ HIDING = {
 }
 
 
+def load(machine: SimulatedMachine, weight: float | None) -> None:
+    """Hang a weight, or light the gas generator."""
+    if weight is None:
+        machine.ignite()
+    else:
+        machine.hang(weight)
+
+
 @pytest.mark.parametrize("effects", [{}, HIDING], ids=["nominal", "hiding"])
-@pytest.mark.parametrize("weight", [0.0, 30.6])
-def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, float]], weight: float) -> None:
+@pytest.mark.parametrize("weight", [0.0, 30.6, None], ids=["unloaded", "30.6 kg", "hot firing"])
+def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, float]], weight: float | None) -> None:
     constants = replace(Machine(), effects=effects, warming_K=900.0, warming_s=50.0)
     cycles = 1500
     command = 0.2 * (1.0 - np.cos(2.0 * np.pi * np.arange(cycles) * CYCLE_S))
     host = make_host(SEED, constants)
     machine, sampler = host.bench.machine, host.bench.sampler
-    machine.hang(weight)
+    load(machine, weight)
     switched: list[int] = []
     switch = machine.power
 
@@ -59,7 +67,7 @@ def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, 
     bus = np.array(rows).T
     phase = (9 - np.flatnonzero(np.diff(bus[6]))[0]) % 10
     twin = SimulatedMachine(constants, np.random.default_rng(SEED).spawn(2)[0])
-    twin.hang(weight)
+    load(twin, weight)
     twin.advance(switched[0])
     twin.power(True)
     twin.advance(latched_ns[0] - 1_000_000 - switched[0])
@@ -68,6 +76,7 @@ def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, 
     assert np.ptp(fast.angle) > 0.35
     assert np.ptp(fast.temperature) > 10.0
     np.testing.assert_array_equal(np.array([fast.motor_angle, fast.angle, fast.velocity]), bus[:3])
+    assert twin.truth() == machine.truth()
     # The means of the first cycle began with another latch, and the slow frame before it is not known here.
     np.testing.assert_array_equal(np.array([fast.current, fast.voltage])[:, 1:], bus[3:5, 1:])
     np.testing.assert_array_equal(np.array([fast.supply_voltage, fast.temperature])[:, 10:], bus[5:, 10:])

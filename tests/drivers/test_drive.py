@@ -328,7 +328,7 @@ class RampMachine:
     def latch(self) -> Reading:
         mean = (self.now + self.since) / 2e6
         self.since = self.now
-        return Reading(0, 0, 0.0, mean, 2 * mean, 60.0, 25.0, 0.0)
+        return Reading(0, 0, 0.0, mean, 2 * mean, 60.0, 25.0, 0.0, 0.0)
 
 
 def test_looking_in_between_does_not_disturb_the_mean() -> None:

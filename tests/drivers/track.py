@@ -38,7 +38,7 @@ class Track:
             self.machine.follow(path[k : k + 20])
             truth, seen = self.machine.truth(), self.machine.latch()
             rows.append(
-                (*truth, seen.motor_counts * 1e-6, seen.joint_counts * self.machine.joint_count_rad, *seen[3:6])
+                (*truth[:4], seen.motor_counts * 1e-6, seen.joint_counts * self.machine.joint_count_rad, *seen[3:6])
             )
         (
             self.angle,

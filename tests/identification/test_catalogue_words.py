@@ -13,6 +13,7 @@ from identification.diagnosis.catalogue import Entry
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.entries.device import DEVICE
 from identification.diagnosis.entries.friction import FRICTION
+from identification.diagnosis.entries.gas import GAS
 from identification.diagnosis.entries.motor import MOTOR
 from identification.diagnosis.entries.sensing import SENSING
 from identification.diagnosis.entries.transmission import TRANSMISSION
@@ -28,6 +29,7 @@ GROUPS = {
     "device": "gravity_imbalance return_spring end_stop load_exponent load_position_dependence wrong_weight load_swing "
     "load_inertia lever_pivot_friction load_dependent_friction",
     "sensing": "time_skew transport_delay current_offset current_drift encoder_eccentricity encoder_slip",
+    "gas generator": "throat_deposition burning_area_change erosive_burning heat_loss leakage",
 }
 """The catalogue as the specification prints it."""
 
@@ -42,14 +44,14 @@ def middle(entry: Entry) -> dict[str, Estimate]:
 
 
 def test_every_name_of_the_specification_stands_in_the_catalogue_once_and_no_other() -> None:
-    rows = (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)
+    rows = (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING, *GAS)
     assert [(e.group, e.name) for e in rows] == [(g, name) for g, names in GROUPS.items() for name in names.split()]
     assert len(ENTRIES) == len(rows)
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
 def test_an_entry_is_whole(entry: Entry) -> None:
-    assert entry.shows_in in ("torque", "transmission", "voltage", "breakaway")
+    assert entry.shows_in in ("torque", "transmission", "voltage", "breakaway", "pressure")
     assert entry.look_alikes, "an effect without a look-alike needs no experiment"
     assert entry.name not in entry.look_alikes
     assert set(entry.look_alikes) <= set(ENTRIES)

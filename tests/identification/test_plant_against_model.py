@@ -1,15 +1,24 @@
-"""The one test where the simulated machine and the fitted model meet: they agree on the nominal case."""
+"""The one test where the simulated machine and the fitted model meet: they agree on the nominal case.
+
+And, with more room, on what the gas generator may hide.
+"""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from drivers.mock.plant.constants import Joint
+from drivers.mock.plant.constants import Joint, Machine
 from drivers.mock.plant.friction import friction
+from drivers.mock.plant.gas_direct import burn, throat_area
 from drivers.mock.plant.machine import friction_vector
 from identification.estimate import innovations
+from identification.model import gas_kernel as kernel
 from identification.model.friction import load_coefficient, system_friction
+from identification.model.gas_generator import GasGenerator, constants, pressure_history, throat_derivatives
+from identification.model.valve import throat_area as believed_throat
 
 from .synthetic import TRUTH
 
@@ -41,3 +50,44 @@ def test_the_filters_compiled_friction_is_the_same(force: float) -> None:
     for speed in np.geomspace(1e-5, 2.0, 40):
         value, slope = innovations._friction(speed, force * 0.095, 2.0, 0.0, p)
         assert (value, slope) == pytest.approx(friction(speed, friction_vector(Joint(), force)), rel=1e-12)
+
+
+TIME = np.arange(0.0, 8.0, 0.005)
+SWING = np.radians(15.0 - 13.0 * np.cos(2.0 * np.pi * 0.4 * TIME))
+
+
+@pytest.mark.parametrize("equation", [7, 8])
+def test_a_burn_under_a_swinging_valve(equation: int) -> None:
+    g = GasGenerator()
+    plant = Machine()
+    plant = replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT, equation=equation))
+    true = burn(plant, SWING, 0.005, steps=20)
+    believed = pressure_history(TIME, SWING, g, exact=equation == 7)
+    assert believed.pressure == pytest.approx(true.pressure_Pa, rel=2e-4)
+    assert g.V_0 + g.A_b * believed.web == pytest.approx(true.free_volume_m3, rel=1e-5)
+    assert believed_throat(SWING) == pytest.approx(throat_area(plant, SWING), rel=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("name", "sizes", "within"),
+    [
+        ("throat_deposition", {"rate_m_s": (kernel.LAYER_RATE, 3e-5)}, 2e-4),
+        ("burning_area_change", {"taper_per_m": (kernel.TAPER, -0.4)}, 2e-4),
+        ("erosive_burning", {"coefficient_s_m": (kernel.EROSION, 0.03)}, 4e-4),
+        ("heat_loss", {"heat_flow_W": (kernel.HEAT_FLOW, 1e5), "time_s": (kernel.HEAT_TIME, 5.0)}, 2e-3),
+        ("leakage", {"area_m2": (kernel.LEAK, 2e-5)}, 2e-4),
+    ],
+)
+def test_what_the_gas_generator_hides(name: str, sizes: dict[str, tuple[int, float]], within: float) -> None:
+    g = GasGenerator()
+    plant = Machine(effects={name: {key: size for key, (_, size) in sizes.items()}})
+    true = burn(replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT)), SWING, 0.005, steps=20)
+    missing = np.zeros(kernel.MISSING_SIZE)
+    for slot, size in sizes.values():
+        missing[slot] = size
+    out = np.empty((3, len(TIME)))
+    start = constants(g, {}, float(true.pressure_Pa[0]), g.V_0)
+    kernel.march(TIME, throat_derivatives(SWING, g.valve), start, missing, out)
+    assert out[0] == pytest.approx(true.pressure_Pa, rel=within)
+    plain = burn(replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT), effects={}), SWING, 0.005, steps=20)
+    assert np.max(np.abs(plain.pressure_Pa / true.pressure_Pa - 1.0)) > 10.0 * within

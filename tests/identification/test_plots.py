@@ -100,3 +100,11 @@ def test_the_fitted_curve_is_the_friction_law() -> None:
 def test_a_parameter_without_a_value_is_shown_in_words() -> None:
     axis = fit_plots.intervals([result()]).axes[0]
     assert [t.get_text().strip() for t in axis.texts] == ["not identifiable"]
+
+
+def test_where_the_load_varies_there_is_no_curve_of_one_load() -> None:
+    axis = fit_plots.stribeck(result(), {"run": None}).axes[0]
+    labels = [str(line.get_label()) for line in axis.lines]
+    assert "measured, hot firing" in labels
+    (fitted,) = [line for line in axis.lines if line.get_label() == "fitted"]
+    assert fitted.get_linestyle() == "None"

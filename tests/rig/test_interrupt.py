@@ -29,9 +29,9 @@ def announce(phase, event):
     print("phase", following.value, flush=True)
     return following
 
-def count(self, targets, segment, stage, keep=None):
+def count(self, targets, segment, *rest):
     self._progress = lambda stage, cycles, sample: print("cycles", segment, flush=True)
-    follow(self, targets, segment, stage, keep)
+    follow(self, targets, segment, *rest)
 
 def brake(self):
     quick_stop(self)

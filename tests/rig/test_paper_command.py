@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 
 from identification.recording import Dataset
-from rig import paper
+from rig import paper, paper_study
 from rig.cli import status
 from rig.paper import TABLE_1, TABLE_2
+from rig.paper_figures import valve
 
 
 @pytest.fixture(scope="module")
@@ -24,6 +25,7 @@ def folder(cases: tuple[Dataset, dict[str, float]], tmp_path_factory: pytest.Tem
     path = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "simulate_cases", lambda: cases)
+        patch.setattr(paper_study, "study", lambda seed, progress: [valve.exhibit()])
         assert status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")]) == 0
     return path
 
@@ -39,13 +41,16 @@ def test_json_follows_the_contract(folder: Path) -> None:
             assert set(entry["seeds"]) == {"0", "1"}
     for files in record["figures"].values():
         assert all((folder / file).is_file() for file in files)
-    assert {"fig_12", "fig_13"} <= set(record["figures"])
+        assert sorted(Path(file).suffix for file in files) == [".csv", ".png"]
+    assert {"fig_3", "fig_12", "fig_13", "errors", "stribeck"} <= set(record["figures"])
+    assert "fig_3" in record["findings"]
+    assert any("C_r" in line for line in record["chosen"])
 
 
 def test_printed_and_simulated_omega_sf_are_both_shown(folder: Path) -> None:
     entry = json.loads((folder / "paper.json").read_text())["tables"]["paper"]["omega_sf"]
     assert (entry["true"], entry["printed_true"]) == (0.0557, 0.0577)
-    page = (folder / "report.html").read_text()
+    page = (folder / "paper.html").read_text()
     assert "0.0557" in page
     assert "0.0577" in page
 
@@ -65,7 +70,7 @@ def test_the_default_method_beats_the_printed_errors(folder: Path) -> None:
 
 
 def test_the_page_is_self_contained(folder: Path) -> None:
-    page = (folder / "report.html").read_text()
+    page = (folder / "paper.html").read_text()
     assert not re.search(r"https?://|<script|<link", page)
     assert page.count("data:image/png;base64,") == page.count("<img") >= 6
 

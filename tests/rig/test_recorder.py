@@ -18,6 +18,7 @@ from mcap.reader import make_reader
 
 from drivers.interfaces import RawFrame
 from rig.mcap_layout import (
+    SAMPLE_SIZES,
     SAMPLE_TOPIC,
     decode_frames,
     decode_samples,
@@ -36,6 +37,7 @@ samples = st.builds(
     statusword=st.integers(0, 0xFFFF),
     segment=st.integers(0, 1000),
     fresh=st.booleans(),
+    pressure=numbers,
 )
 frames = st.lists(
     st.builds(
@@ -50,7 +52,8 @@ frames = st.lists(
 
 
 def row(k: int) -> Sample:
-    return Sample(*(k * 0.001 + n for n in range(13)), statusword=0x27, segment=1, fresh=True)  # type: ignore[misc]
+    values = (k * 0.001 + n for n in range(13))
+    return Sample(*values, statusword=0x27, segment=1, fresh=True, pressure=4e6 + k)  # type: ignore[misc]
 
 
 def write(path: Path, count: int) -> Path:
@@ -74,6 +77,30 @@ def test_samples_round_trip(rows: list[Sample]) -> None:
     columns = decode_samples(b"".join(map(encode_sample, rows)))
     for name, column in columns.items():
         np.testing.assert_array_equal(column, [float(getattr(r, name)) for r in rows])
+
+
+def test_samples_of_an_older_program_are_read(tmp_path: Path) -> None:
+    """Recordings made before there was a pressure have 16 fields a sample."""
+    recorder = open_recorder(tmp_path / "old.mcap")
+    for k in range(3):
+        recorder.copy(SAMPLE_TOPIC, k * 1_000_000, encode_sample(row(k))[: min(SAMPLE_SIZES)])
+    recorder.close()
+    log = read_run(tmp_path / "old.mcap")
+    assert log.damage is None
+    np.testing.assert_allclose(log.samples["time"], [0.0, 0.001, 0.002])
+    np.testing.assert_array_equal(log.samples["fresh"], 1.0)
+    assert np.all(np.isnan(log.samples["pressure"]))
+    assert len(SAMPLE_SIZES) == len(Sample._fields) - 15
+
+
+def test_samples_of_two_sizes_are_damage(tmp_path: Path) -> None:
+    recorder = open_recorder(tmp_path / "mixed.mcap")
+    recorder.copy(SAMPLE_TOPIC, 0, encode_sample(row(0))[: min(SAMPLE_SIZES)])
+    recorder.sample(1_000_000, row(1), [])
+    recorder.close()
+    damage = read_run(tmp_path / "mixed.mcap").damage
+    assert damage is not None
+    assert f"expected {min(SAMPLE_SIZES)}" in damage
 
 
 @given(frames)

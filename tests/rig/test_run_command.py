@@ -450,7 +450,7 @@ def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) 
     code = (
         "import sys, rig.cli, rig.connect, drivers.mock.bench as mock;"
         "made = mock.simulated_bench;"
-        "rig.connect.simulated_bench = lambda m, s, b, d, e: made(m, s, b, 1, e);"
+        "rig.connect.simulated_bench = lambda m, s, b, d, e, p: made(m, s, b, 1, e);"
         "sys.exit(rig.cli.status(sys.argv[1:]))"
     )
     options = ["--verbose"] if verbose else []

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.safety import Check, Latch, Limits, Trip, check, check_stage_time
+from rig.safety import Check, GasLimits, Latch, Limits, Trip, check, check_stage_time
 from rig.sample import Sample
 
 LIMITS = Limits(
@@ -167,6 +167,47 @@ def test_of_two_broken_limits_the_cause_is_named(order: tuple[Check, Check], cha
     assert trip.check is order[0]
 
 
+HOT = dataclasses.replace(
+    LIMITS,
+    gas=GasLimits(pressure=6e6, contact_force=4000.0, back_pressure=0.5e6, area=lambda angle: 8e-4 - 1e-3 * angle),
+)
+"""At 0.1 rad the area is 7e-4 m^2, and 4000 N are 6.214 MPa; at 0 rad they are 5.5 MPa."""
+
+
+@pytest.mark.parametrize(
+    ("kind", "inside", "outside", "limit"),
+    [
+        (Check.PRESSURE, {"pressure": 6e6}, {"pressure": above(6e6)}, 6e6),
+        (Check.CONTACT_FORCE, {"pressure": 5.5e6, "angle": 0.0}, {"pressure": 5.5e6 + 1.0, "angle": 0.0}, 4000.0),
+    ],
+)
+def test_both_sides_of_the_gas_limits(
+    kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float
+) -> None:
+    assert check(sample(**inside), 0.0, 0.0, HOT) is None
+    trip = check(sample(**outside), 0.0, 0.0, HOT)
+    assert trip is not None
+    assert (trip.check, trip.limit, trip.time) == (kind, limit, 1.25)
+    assert trip.unit == {Check.PRESSURE: "Pa", Check.CONTACT_FORCE: "N"}[kind]
+    assert trip.value > limit
+    # The same sample means nothing to a bench without a transmitter.
+    assert check(sample(**outside), 0.0, 0.0, LIMITS) is None
+
+
+def test_a_transmitter_that_says_nothing_trips() -> None:
+    trip = check(sample(pressure=math.nan), 0.0, 0.0, HOT)
+    assert trip is not None
+    assert trip.check is Check.PRESSURE
+
+
+def test_a_force_that_is_no_number_trips() -> None:
+    assert HOT.gas is not None
+    blind = dataclasses.replace(HOT, gas=dataclasses.replace(HOT.gas, area=lambda _angle: math.nan))
+    trip = check(sample(pressure=1e6), 0.0, 0.0, blind)
+    assert trip is not None
+    assert trip.check is Check.CONTACT_FORCE
+
+
 def test_messages_in_full() -> None:
     speed = Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)
     assert speed.message == (
@@ -197,6 +238,14 @@ WORDS = {
     Check.SUPPLY: (
         "DC link voltage",
         "check the supply and, where the drive feeds back, its brake resistor, then run again",
+    ),
+    Check.PRESSURE: (
+        "chamber pressure",
+        "look for a clogged throat or a valve that closed too far, and let the generator burn out",
+    ),
+    Check.CONTACT_FORCE: (
+        "contact force",
+        "look at the pressure, or open the valve further, and let the generator burn out",
     ),
     Check.LATENESS: (
         "lateness of the control cycle",

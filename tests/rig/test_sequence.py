@@ -16,7 +16,7 @@ from rig.bench import load_bench
 from rig.errors import InputError
 from rig.packaged import names, resolve
 from rig.plan import Plan, make_plan
-from rig.sequence import StageSection, Tone, approach, excitation, load_sequence
+from rig.sequence import Ramp, StageSection, Tone, approach, excitation, load_sequence
 
 HEAD = "sequence: 1\nname: s\nstages:\n"
 GOOD = "tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 2"
@@ -105,6 +105,26 @@ def test_an_excitation_starts_and_ends_at_rest_on_its_centre(stage: StageSection
 
 
 @settings(deadline=None)
+@given(
+    st.floats(0.05, 10), st.floats(0.1, 20) | st.floats(-20, -0.1), st.floats(0, 2), st.floats(-5, 5), st.floats(0, 3)
+)
+def test_a_ramp_goes_there_and_back_at_its_speed(
+    speed: float, travel: float, rest: float, center: float, left: float
+) -> None:
+    ramp = Ramp(travel_deg=travel, speed_deg_s=speed, rest_s=rest)
+    stage = StageSection(
+        name="s", stage="unloaded", ramp=ramp, center_deg=center, duration_s=min(ramp.moving_s + left, 3600.0)
+    )
+    away = np.degrees(excitation(stage, 0.01)) - center
+    assert away[0] == pytest.approx(0.0, abs=1e-9)
+    assert away[-1] == pytest.approx(0.0, abs=0.016 * speed)
+    assert away[np.argmax(np.abs(away))] == pytest.approx(travel, abs=0.011 * speed)
+    steps = np.diff(away) / 0.01
+    assert np.abs(steps).max() <= speed * (1 + 1e-6)
+    assert np.count_nonzero(np.abs(steps) > 0.999 * speed) * 0.01 == pytest.approx(2 * abs(travel) / speed, abs=0.05)
+
+
+@settings(deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.05, 2.0))
 def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float, speed: float) -> None:
     path = np.concatenate([[start], approach(start, end, speed, 0.001)])
@@ -131,6 +151,17 @@ def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float,
         ("{name: a, stage: unloaded, weight_kg: 3, TONES}", ["an unloaded stage has no weight"]),
         ("{name: a, stage: loaded, TONES}", ["a loaded stage needs weight_kg above 0"]),
         ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
+        ("{name: a, stage: unloaded, duration_s: 3}", ["needs tones, a ramp or a flow"]),
+        ("{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}", ["only one of them"]),
+        ("{name: a, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 2}, duration_s: 5}", ["ramp takes 6 s"]),
+        (
+            "{name: a, stage: unloaded, ramp: {travel_deg: 1, speed_deg_s: 1}, duration_s: 5, ramp_in_s: 1}",
+            ["ramp_in_s fade tones"],
+        ),
+        (
+            "{name: a, stage: unloaded, ramp: {travel_deg: -31, speed_deg_s: 125}, duration_s: 5}",
+            ["ramp.travel_deg: the joint would go to -31 deg", "ramp.speed_deg_s: peak speed 125 deg/s"],
+        ),
     ],
 )
 def test_asking_for_too_much(tmp_path: Path, stage: str, expected: list[str]) -> None:
@@ -202,10 +233,13 @@ def test_mock_without_a_machine_is_refused(tmp_path: Path) -> None:
 
 def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> None:
     """A default that changes in the plant must not silently change a packaged bench."""
-    text = resolve("practical", "benches").read_text()
-    for record in (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine):
-        for item in dataclasses.fields(record):
-            assert f"{item.name}:" in text
+    records = (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine)
+    gas = (constants.GasGenerator, constants.Valve, constants.Transmitter)
+    for name, written, left_out in (("practical", records, {"gas"}), ("practical_hot", (*records, *gas), set())):
+        text = resolve(name, "benches").read_text()
+        for record in written:
+            for item in dataclasses.fields(record):
+                assert f"{item.name}:" in text or item.name in left_out
 
 
 def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:
@@ -234,3 +268,11 @@ def test_a_cycle_must_fit_the_bus(tmp_path: Path, bitrate: int, rate: int, fits:
         InputError, match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500"
     ):
         load_bench(path)
+
+
+def test_something_must_be_fitted(tmp_path: Path) -> None:
+    aside = f"{HEAD}  - {{name: a, stage: unloaded, role: validate, {GOOD}}}\n"
+    with pytest.raises(InputError, match="every stage has role validate"):
+        plan_of(tmp_path / "s.yaml", aside)
+    plan = plan_of(tmp_path / "s.yaml", f"{aside}  - {{name: b, stage: unloaded, {GOOD}}}\n")
+    assert [stage.role for stage in plan.stages] == ["validate", "fit"]

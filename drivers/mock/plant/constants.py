@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,48 @@ class Sensing:
 
 
 @dataclass(frozen=True)
+class Valve:
+    """The gate of Fig. 3: a plate with a hole, swinging in its own plane on radius L1 over an opening."""
+
+    hole_diameter_m: float = 0.025
+    opening_diameter_m: float = 0.040
+    plate_width_m: float = 0.054
+
+
+@dataclass(frozen=True)
+class Transmitter:
+    """The pressure transmitter on the chamber: rms noise of one sample, and the pressure it measures up to; chosen."""
+
+    noise_Pa: float = 1500.0
+    range_Pa: float = 10e6
+
+
+@dataclass(frozen=True)
+class GasGenerator:
+    """Gas generator, eq. 2 to 8: end burning at r = a p^n, choked outflow p A_t / C_r, ideal gas at one temperature.
+
+    The paper gives the first five values; the others are chosen. With these the minimum throat settles at 4.4 MPa, the
+    full one at 0.6 MPa, and the contact force of the closed valve is 3.0 kN, that of Case 2.
+    ``burning_rate_mm_s`` is a, in mm/s at 1 MPa. ``energy_J_kg`` is R_g T_g, (0.658 C_r)^2 at a specific-heat ratio of
+    1.25. ``equation`` is 7 (exact, conserves mass) or 8 (gas density neglected beside the propellant's). Pressure
+    and contact force are renewed every ``loops_per_step`` periods of the drive's loops.
+    """
+
+    propellant_density_kg_m3: float = 1630.0
+    burning_rate_mm_s: float = 6.3
+    pressure_exponent: float = 0.53
+    chamber_diameter_m: float = 0.350
+    valve: Valve = field(default_factory=Valve)
+    characteristic_velocity_m_s: float = 1000.0  # chosen
+    energy_J_kg: float = 432964.0  # chosen
+    free_volume_m3: float = 0.010  # chosen
+    back_pressure_Pa: float = 0.5e6  # chosen
+    transmitter: Transmitter = field(default_factory=Transmitter)
+    equation: Literal[7, 8] = 7
+    loops_per_step: int = 2
+
+
+@dataclass(frozen=True)
 class Machine:
     """Everything that defines one simulated bench. ``steps_per_loop`` integration steps make one drive-loop period.
 
@@ -94,6 +137,7 @@ class Machine:
     joint: Joint = field(default_factory=Joint)
     loops: Loops = field(default_factory=Loops)
     sensing: Sensing = field(default_factory=Sensing)
+    gas: GasGenerator = field(default_factory=GasGenerator)
     steps_per_loop: int = 2
     supply_V: float = 60.0
     temperature_C: float = 25.0

@@ -26,8 +26,9 @@ from drivers.mock.plant.friction import friction, step_velocity
     SUM_NOISE,  # A, sum of the sensor noise since the last latch
     SUM_LOOPS,  # loops since the last latch
     FRICTION_WORK,  # J, dissipated since the start
+    OFFSET,  # A, added to the current that the loops ask for
     STATE_SIZE,
-) = range(18)
+) = range(19)
 OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 # Drive and motor vector.
@@ -55,7 +56,7 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Run position P and velocity PI once; return the current asked for, A, within its limit."""
+    """Run position P and velocity PI once; return the current asked for with its offset, A, within its limit."""
     measured = s[THETA]
     if d[COUNT] > 0.0:
         measured = math.floor(measured / d[COUNT]) * d[COUNT]
@@ -73,10 +74,10 @@ def current_command(s: Vector, d: Vector) -> float:
     error = s[TARGET] - measured
     limit = d[CURRENT_LIMIT]
     if d[VELOCITY_GAIN] == 0.0:
-        return float(min(max(d[POSITION_GAIN] * error / d[TORQUE_PER_AMPERE], -limit), limit))
+        return float(min(max(d[POSITION_GAIN] * error / d[TORQUE_PER_AMPERE] + s[OFFSET], -limit), limit))
     velocity_error = d[POSITION_GAIN] * error + d[FEEDFORWARD] * speed - s[VELOCITY_ESTIMATE]
     integral = s[VELOCITY_INTEGRAL] + d[VELOCITY_INTEGRAL_GAIN] * d[LOOP_S] * velocity_error
-    wanted = d[VELOCITY_GAIN] * (velocity_error + integral) / d[TORQUE_PER_AMPERE]
+    wanted = d[VELOCITY_GAIN] * (velocity_error + integral) / d[TORQUE_PER_AMPERE] + s[OFFSET]
     if abs(wanted) <= limit or wanted * velocity_error < 0.0:  # anti-windup: integrate only out of the limit
         s[VELOCITY_INTEGRAL] = integral
     return float(min(max(wanted, -limit), limit))

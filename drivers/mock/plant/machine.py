@@ -9,12 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant import constants, friction, loops
+from drivers.mock.plant import constants, friction, gas, loops
+from drivers.mock.plant.burning import advance_loaded, felt_force
 from drivers.mock.plant.effects import state as extra
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.kernel import advance_hiding
 from drivers.mock.plant.effects.pack import bare_vector, effect_vector
+from drivers.mock.plant.gas_pack import gas_vector, lit, unlit
 from drivers.mock.plant.record import (
+    CHAMBER_PRESSURE,
     FOLLOWING,
     JOINT_SEEN,
     LATCHED,
@@ -29,7 +31,6 @@ from drivers.mock.plant.record import (
 )
 
 _NOISE_BLOCK = 1 << 16
-_REFERENCE_FORCE_N = 3000.0
 _REFERENCE_MASS_KG = 30.6
 _NO_PATH = np.zeros(0)
 
@@ -48,6 +49,7 @@ class Reading(NamedTuple):
     supply_V: float
     temperature_C: float
     following_error_counts: float
+    pressure_Pa: float
 
 
 class Truth(NamedTuple):
@@ -57,6 +59,8 @@ class Truth(NamedTuple):
     velocity_rad_s: float
     current_A: float
     friction_work_J: float
+    pressure_Pa: float
+    contact_force_N: float
 
 
 def friction_vector(joint: constants.Joint, contact_force_N: float) -> NDArray[np.float64]:
@@ -125,6 +129,8 @@ class SimulatedMachine:
         self._x = np.zeros(extra.EXTRA_SIZE)
         self._x[extra.SUPPLY] = machine.supply_V
         self._histories = np.zeros((2, extra.HISTORY))
+        self._g = gas_vector(machine)
+        self._y = unlit(machine)
         self._label_kg = 0.0
         self._force_N: float | None = None
         self._fixed_inertia = 0.0
@@ -135,12 +141,23 @@ class SimulatedMachine:
     def hang(self, mass_kg: float) -> None:
         """Hang a total of ``mass_kg``, as its label says, on the lever: contact force (L3/L4) m_w g (eq. 17)."""
         self._label_kg, self._force_N = mass_kg, None
+        self._y = unlit(self.constants)
         self._load()
 
     def press(self, contact_force_N: float) -> None:
         """Press on the valve with this contact force F_P (eq. 13)."""
         self._force_N = contact_force_N
+        self._y = unlit(self.constants)
         self._load()
+
+    def ignite(self) -> None:
+        """Light the gas generator instead of a weight; it burns steadily at once, and until something else presses."""
+        self._label_kg, self._force_N = 0.0, None
+        self._y = lit(self.constants, self._g, self._angle())
+        self._load()
+
+    def _angle(self) -> float:
+        return float(self._x[extra.JOINT] if self._e.size else self._s[loops.THETA])
 
     def fix_weight(self, mass_kg: float, length_m: float, zero_rad: float) -> None:
         """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m l^2."""
@@ -160,17 +177,16 @@ class SimulatedMachine:
         joint, e = self.constants.joint, self._e
         per_kg = joint.lever_ratio * joint.gravity_m_s2
         force = joint.lever_ratio * self._label_kg * joint.gravity_m_s2 if self._force_N is None else self._force_N
+        force += float(self._y[gas.FORCE])
         if not e.size:
             self._p = friction_vector(joint, force)
             return
         coming = self._x[extra.RECORDING] + (self._s[loops.MODE] == loops.OFF)
-        if e[table.WEIGHT_RECORDING] == coming and self._force_N is None:
+        if e[table.WEIGHT_RECORDING] == coming and self._force_N is None and not self._y[gas.MASS]:
             force = per_kg * e[table.WEIGHT_MASS]
-        felt = force
-        if e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
-            felt = _REFERENCE_FORCE_N * (force / _REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT]
-        self._p = friction_vector(joint, float(felt))
-        self._p[friction.INERTIA] += e[table.LOAD_INERTIA] * force / per_kg / _REFERENCE_MASS_KG + self._fixed_inertia
+        self._p = friction_vector(joint, felt_force(force, e))
+        hanging = 0.0 if self._y[gas.MASS] > 0.0 else force / per_kg
+        self._p[friction.INERTIA] += e[table.LOAD_INERTIA] * hanging / _REFERENCE_MASS_KG + self._fixed_inertia
         if e[table.STRIBECK_ALPHA] > 0.0:
             self._p[friction.ALPHA] = e[table.STRIBECK_ALPHA]
         if self._s[loops.OMEGA] == 0.0:
@@ -194,6 +210,7 @@ class SimulatedMachine:
             self._load()
         elif not on:
             s[loops.MODE] = loops.OFF
+            s[loops.OFFSET] = 0.0
 
     def rest(self, seconds: float) -> None:
         """Let time pass with the power off and the joint at rest: what is warm cools, the campaign goes on."""
@@ -212,6 +229,11 @@ class SimulatedMachine:
         s[loops.TARGET_LEFT] = left
         s[loops.TARGET_STEP] = (target_counts * self.motor_count_rad - s[loops.TARGET]) / left
 
+    def feed(self, current_A: float) -> None:
+        """Add this current to what the loops ask for, from now on and while the machine tracks."""
+        if self._s[loops.MODE] == loops.TRACK:
+            self._s[loops.OFFSET] = current_A
+
     def brake(self, deceleration_rad_s2: float) -> None:
         """Ramp the commanded joint speed to zero at this deceleration and hold there (quick stop)."""
         s = self._s
@@ -220,6 +242,7 @@ class SimulatedMachine:
         if s[loops.MODE] == loops.TRACK and s[loops.TARGET_LEFT] <= 0.0:
             s[loops.TARGET_STEP] = 0.0
         s[loops.MODE] = loops.BRAKE
+        s[loops.OFFSET] = 0.0
         s[loops.BRAKE_STEP] = deceleration_rad_s2 * self._d[loops.LOOP_S]
 
     def advance(self, duration_ns: int) -> None:
@@ -249,11 +272,8 @@ class SimulatedMachine:
             n = min(count, _NOISE_BLOCK - self._noise_at)
             noise = self._noise[self._noise_at : self._noise_at + n]
             part = path[done : done + n]
-            if self._e.size:
-                advance_hiding(n, self._s, self._x, self._histories, self._d, self._p, self._e, noise, part)
-            else:
-                loops.advance(n, self._s, self._d, self._p, noise, part)
-                self._x[extra.RUN] += n * self._d[loops.LOOP_S]
+            x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
+            advance_loaded(n, self._s, x, histories, d, p, e, self._y, self._g, noise, part)
             self._noise_at += n
             done += n
             count -= n
@@ -269,7 +289,7 @@ class SimulatedMachine:
         targets = target_counts * self.motor_count_rad
         x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
         noise = self._take_noise(per_cycle * len(targets))
-        record_cycles(per_cycle, self._s, x, histories, d, p, e, noise, targets, _NO_PATH, out)
+        record_cycles(per_cycle, self._s, x, histories, d, p, e, self._y, self._g, noise, targets, _NO_PATH, out)
         return Latches(
             np.floor(out[:, ROTOR] / self.motor_count_rad),
             np.floor(out[:, JOINT_SEEN] / self.joint_count_rad),
@@ -279,6 +299,7 @@ class SimulatedMachine:
             out[:, LINK_VOLTAGE],
             out[:, FOLLOWING],
             out[:, RUN_TIME],
+            out[:, CHAMBER_PRESSURE],
         )
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
@@ -319,6 +340,7 @@ class SimulatedMachine:
             float(self._x[extra.SUPPLY]),
             float(self.temperature(self._x[extra.RUN : extra.RUN + 1])[0]),
             following,
+            float(self._y[gas.PRESSURE]),
         )
 
     def temperature(self, run_s: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -328,6 +350,6 @@ class SimulatedMachine:
 
     def truth(self) -> Truth:
         """Return the exact state."""
-        s = self._s
-        angle = self._x[extra.JOINT] if self._e.size else s[loops.THETA]
-        return Truth(float(angle), float(s[loops.OMEGA]), float(s[loops.CURRENT]), float(s[loops.FRICTION_WORK]))
+        s, y = self._s, self._y
+        motion = self._angle(), float(s[loops.OMEGA]), float(s[loops.CURRENT]), float(s[loops.FRICTION_WORK])
+        return Truth(*motion, float(y[gas.PRESSURE]), float(self._p[friction.MOMENT] / self._g[gas.ARM]))

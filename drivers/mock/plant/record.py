@@ -7,10 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.mock.plant.burning import advance_loaded
 from drivers.mock.plant.compiled import Vector, compiled
-from drivers.mock.plant.effects.kernel import advance_hiding
 from drivers.mock.plant.effects.sensing import Histories
 from drivers.mock.plant.effects.state import RUN, SEEN, SUPPLY
+from drivers.mock.plant.gas import PRESSURE
 from drivers.mock.plant.loops import (
     LOOP_S,
     MEASURED,
@@ -23,11 +24,21 @@ from drivers.mock.plant.loops import (
     TARGET_STEP,
     THETA,
     VELOCITY_ESTIMATE,
-    advance,
 )
 
 # Columns of what is latched.
-ROTOR, JOINT_SEEN, SPEED, MEAN_CURRENT, MEAN_VOLTAGE, LINK_VOLTAGE, FOLLOWING, RUN_TIME, LATCHED = range(9)
+(
+    ROTOR,
+    JOINT_SEEN,
+    SPEED,
+    MEAN_CURRENT,
+    MEAN_VOLTAGE,
+    LINK_VOLTAGE,
+    FOLLOWING,
+    RUN_TIME,
+    CHAMBER_PRESSURE,
+    LATCHED,
+) = range(10)
 
 _NO_PATH = np.zeros(0)
 
@@ -36,6 +47,7 @@ class Latches(NamedTuple):
     """What drive and joint encoder see at each SYNC, before their own units; every array has shape (n,).
 
     ``current_A`` and ``voltage_V`` are means over the cycle that ends there; ``run_s`` is the machine's running time.
+    ``pressure_Pa`` is exact, and that beyond the valve while no gas generator burns.
     """
 
     motor_counts: NDArray[np.float64]
@@ -46,6 +58,7 @@ class Latches(NamedTuple):
     supply_V: NDArray[np.float64]
     following_rad: NDArray[np.float64]
     run_s: NDArray[np.float64]
+    pressure_Pa: NDArray[np.float64]
 
 
 @compiled
@@ -57,6 +70,8 @@ def record_cycles(
     d: Vector,
     p: Vector,
     e: Vector,
+    y: Vector,
+    g: Vector,
     noise: Vector,
     targets: Vector,
     no_path: Vector,
@@ -68,12 +83,7 @@ def record_cycles(
     """
     for k in range(len(targets)):
         part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]
-        if len(e) > 0:
-            advance_hiding(loops_per_cycle, s, x, histories, d, p, e, part, no_path)
-        else:
-            advance(loops_per_cycle, s, d, p, part, no_path)
-            x[RUN] += loops_per_cycle * d[LOOP_S]
-            x[SEEN] = s[THETA]
+        advance_loaded(loops_per_cycle, s, x, histories, d, p, e, y, g, part, no_path)
         n = s[SUM_LOOPS]
         seconds = n * d[LOOP_S]
         row = out[k]
@@ -85,6 +95,7 @@ def record_cycles(
         row[LINK_VOLTAGE] = x[SUPPLY]
         row[FOLLOWING] = s[TARGET] - s[MEASURED]
         row[RUN_TIME] = x[RUN]
+        row[CHAMBER_PRESSURE] = y[PRESSURE]
         s[SUM_CURRENT] = s[SUM_VOLTAGE] = s[SUM_NOISE] = s[SUM_LOOPS] = 0.0
         s[TARGET_LEFT] = loops_per_cycle
         s[TARGET_STEP] = (targets[k] - s[TARGET]) / loops_per_cycle

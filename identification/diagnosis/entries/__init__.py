@@ -7,9 +7,10 @@ from collections.abc import Mapping
 from identification.diagnosis.catalogue import Entry
 from identification.diagnosis.entries.device import DEVICE
 from identification.diagnosis.entries.friction import FRICTION
+from identification.diagnosis.entries.gas import GAS
 from identification.diagnosis.entries.motor import MOTOR
 from identification.diagnosis.entries.sensing import SENSING
 from identification.diagnosis.entries.transmission import TRANSMISSION
 
-ENTRIES: Mapping[str, Entry] = {e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)}
+ENTRIES: Mapping[str, Entry] = {e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING, *GAS)}
 """Name to entry, in the order of the catalogue."""

@@ -9,6 +9,7 @@ import pytest
 
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import EQUATIONS, equations
+from identification.diagnosis.gas.terms import GAS_TERMS
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.stack import Stack, stacked
 from identification.diagnosis.terms import TERMS
@@ -38,7 +39,11 @@ def bench() -> tuple[Context, Stack]:
 
 
 def test_entries_and_terms_are_of_the_same_effects() -> None:
-    assert sorted(t.name for t in TERMS) == sorted(ENTRIES)
+    of_motion = [e.name for e in ENTRIES.values() if e.shows_in != "pressure"]
+    assert sorted(t.name for t in TERMS) == sorted(of_motion)
+    of_gas = [e for e in ENTRIES.values() if e.shows_in == "pressure"]
+    assert [t.name for t in GAS_TERMS] == [e.name for e in of_gas]
+    assert [list(t.sizes) for t in GAS_TERMS] == [[q.name for q in e.parameters] for e in of_gas]
 
 
 @pytest.mark.parametrize("term", TERMS, ids=lambda t: t.name)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.plant import constants
+from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.kernel import CONSTANTS_AT
 from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.effects.shaft import DAMPING_RATIO, stiffness_of
@@ -25,15 +26,18 @@ from drivers.mock.plant.effects.table import CATALOGUE, Parameter
 
 Effects = Mapping[str, Mapping[str, float]]
 KNOWN: Mapping[str, Mapping[str, Parameter]] = {**CATALOGUE, **OUTSIDE}
+GAS_KNOWN: Mapping[str, Mapping[str, Parameter]] = {**GAS_CATALOGUE, **GAS_OUTSIDE}
+"""Those of the gas generator; their slots are in its own vector."""
+_EVERY = {**KNOWN, **GAS_KNOWN}
 _TWO_MASS = frozenset({"backlash", "compliance", "coupling_hysteresis"})
 
 
 def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
     """Yield what is wrong with effects as asked for, each a path of names and a message."""
     for name, given in effects.items():
-        parameters = KNOWN.get(name)
+        parameters = _EVERY.get(name)
         if parameters is None:
-            yield (name,), f"no such effect; known are {', '.join(KNOWN)}"
+            yield (name,), f"no such effect; known are {', '.join(_EVERY)}"
             continue
         for missing in parameters.keys() - given.keys():
             yield (name,), f"{missing} is missing; {name} needs {', '.join(parameters)}"
@@ -45,18 +49,18 @@ def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
 
 
 def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
-    """Pack a machine's effects; empty where it hides nothing.
+    """Pack a machine's effects; empty where it hides nothing, but for its gas generator.
 
     Raises:
         ValueError: An effect or parameter is unknown or out of range, or no inertia is left for the joint beside that
             of the rotor.
     """
-    effects = machine.effects
-    if not effects:
-        return np.zeros(0)
-    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(effects)]
+    wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects)]
     if wrong or (text := too_light(machine)):
         raise ValueError("; ".join(wrong) or text)
+    effects = {name: given for name, given in machine.effects.items() if name in KNOWN}
+    if not effects:
+        return np.zeros(0)
     e = bare_vector(machine)
     for name, given in effects.items():
         for key, value in given.items():

@@ -1,0 +1,85 @@
+"""A pressure transmitter behind the CiA 404 profile for measuring devices."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from drivers.errors import ConfigurationError
+from drivers.interfaces import Identity, PressureSample, PressureTransmitter
+from drivers.objects import PdoLayout, ProcessChannel, read_identity
+
+FRAMES: Final = ((5, 1),)
+"""As for the drive."""
+PASCALS: Final = {0x22: 1.0, 0x4E: 1e5, 0xAB: 6894.757293168}
+"""Unit codes of CiA 303-2 (bits 16 to 23 of 6131h): pascal, bar, psi."""
+
+_PRESSURE: Final = 1
+_UNIT_TOLERANCE: Final = 1e-6
+
+
+class Cia404Transmitter(PressureTransmitter):
+    """A transmitter that answers every SYNC with process value (9130h) and status (6150h) of its first input.
+
+    Args:
+        channel: The device.
+        unit_Pa: One unit of its process value, from the bench file, Pa.
+    """
+
+    def __init__(self, channel: ProcessChannel, unit_Pa: float) -> None:
+        self._channel = channel
+        self._unit_Pa = unit_Pa
+
+    def identity(self) -> Identity:
+        """Read who it is."""
+        return read_identity(self._channel)
+
+    def prepare(self, cycle_s: float) -> None:
+        """Hold the unit against 6131h and 6132h, check the status and map process data.
+
+        Raises:
+            ConfigurationError: The unit is not that of the bench file or not one of pressure, or the device says that
+                its value is not valid.
+        """
+        channel = self._channel
+        found = unit_of(channel.read(0x6131, 1), channel.read(0x6132, 1))
+        if found is None:
+            raise ConfigurationError(
+                f"{channel.label}: 6131h says {channel.read(0x6131, 1):08X}h, which is no unit of pressure known here; "
+                "set the transmitter to bar or Pa"
+            )
+        if abs(found - self._unit_Pa) > _UNIT_TOLERANCE * self._unit_Pa:
+            raise ConfigurationError(
+                f"{channel.label}: 6131h and 6132h make {found:g} Pa a unit, the bench file {self._unit_Pa:g} Pa; "
+                "correct unit_Pa, or check that this is the right transmitter"
+            )
+        if status := channel.read(0x6150, 1):
+            raise ConfigurationError(f"{channel.label}: {status_words(status)} (6150h); check the sensor and its range")
+        # A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the cycle is
+        # over; pressure hardly changes meanwhile.
+        channel.map_process_data([], [PdoLayout(_PRESSURE, ((0x9130, 1), (0x6150, 1)), slack=1)], cycle_s)
+
+    def sample(self) -> PressureSample:
+        """Return the sample of the last exchange; one that the device calls invalid is not fresh."""
+        value, status = self._channel.latest(_PRESSURE)
+        return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
+
+
+def unit_of(code: int, digits: int) -> float | None:
+    """Return one unit of an integer process value in Pa, or None where it is no pressure.
+
+    Args:
+        code: 6131h: decimal prefix (bits 24 to 31, an exponent), unit, and no denominator.
+        digits: 6132h: decimal digits.
+    """
+    pascals = PASCALS.get(code >> 16 & 0xFF)
+    if pascals is None or code & 0xFFFF:
+        return None
+    prefix = code >> 24 & 0xFF
+    return float(pascals * 10.0 ** ((prefix - 256 if prefix > 127 else prefix) - digits))
+
+
+def status_words(status: int) -> str:
+    """Return what 6150h says of the process value."""
+    bits = {0x01: "not valid", 0x02: "above its range", 0x04: "below its range"}
+    said = [words for bit, words in bits.items() if status & bit]
+    return f"the pressure is {' and '.join(said) or f'of status {status:02X}h'}"

@@ -1,0 +1,67 @@
+"""The machine under whatever loads it: nominal or hiding, under a weight or under a burning gas generator (Fig. 5, 11).
+
+While it burns, valve angle and pressure make the contact force of eq. 10, that makes the friction the valve moves
+against, and where the valve goes the pressure follows.
+"""
+
+from __future__ import annotations
+
+from drivers.mock.plant.compiled import Vector, compiled
+from drivers.mock.plant.effects import table
+from drivers.mock.plant.effects.kernel import advance_hiding
+from drivers.mock.plant.effects.sensing import Histories
+from drivers.mock.plant.effects.state import JOINT, RUN, SEEN
+from drivers.mock.plant.friction import MOMENT
+from drivers.mock.plant.gas import ARM, FORCE, LOOPS_PER_STEP, MASS, PENDING, step_gas
+from drivers.mock.plant.loops import LOOP_S, THETA, advance
+
+REFERENCE_FORCE_N = 3000.0
+"""Contact force at which ``load_exponent`` changes nothing."""
+
+
+@compiled
+def felt_force(force: float, e: Vector) -> float:
+    """Return the force that makes friction, N, where that is not proportional to the load."""
+    if len(e) > 0 and e[table.LOAD_EXPONENT] > 0.0 and force > 0.0:
+        return float(REFERENCE_FORCE_N * (force / REFERENCE_FORCE_N) ** e[table.LOAD_EXPONENT])
+    return force
+
+
+@compiled
+def advance_loaded(
+    loops: int,
+    s: Vector,
+    x: Vector,
+    histories: Histories,
+    d: Vector,
+    p: Vector,
+    e: Vector,
+    y: Vector,
+    g: Vector,
+    noise: Vector,
+    path: Vector,
+) -> None:
+    """Advance ``loops`` drive-loop periods; arguments as of the two kernels, ``y`` and ``g`` of the gas generator.
+
+    The force is that at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100 microseconds. Steps are
+    counted from ignition, so that it does not matter in what pieces time passes.
+    """
+    burns = y[MASS] > 0.0
+    done = 0
+    while done < loops:
+        n = min(int(g[LOOPS_PER_STEP] - y[PENDING]), loops - done) if burns else loops
+        if burns:
+            p[MOMENT] = felt_force(y[FORCE], e) * g[ARM]
+        part = path[done : done + n]
+        if len(e) > 0:
+            advance_hiding(n, s, x, histories, d, p, e, noise[done : done + n], part)
+        else:
+            advance(n, s, d, p, noise[done : done + n], part)
+            x[RUN] += n * d[LOOP_S]
+            x[SEEN] = s[THETA]
+        done += n
+        if burns:
+            y[PENDING] += n
+            if y[PENDING] >= g[LOOPS_PER_STEP]:
+                step_gas(y, g, x[JOINT] if len(e) > 0 else s[THETA], y[PENDING] * d[LOOP_S])
+                y[PENDING] = 0.0

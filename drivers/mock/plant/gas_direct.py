@@ -1,0 +1,85 @@
+"""The gas generator alone: the valve's angle in, pressure and masses out, without motor, drive or bus."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.mock.plant import constants
+from drivers.mock.plant.compiled import Vector, compiled
+from drivers.mock.plant.gas import BURNT, FORCE, GAS_SIZE, MASS, OUTFLOW, PRESSURE, THROAT, VOLUME, step_gas
+from drivers.mock.plant.gas_pack import gas_vector, lit, steady_pressures, valve_throat
+
+Array = NDArray[np.float64]
+
+
+class Burn(NamedTuple):
+    """A burn at the times of its angles; arrays of shape (n,). Burnt and outflow count from the first sample."""
+
+    pressure_Pa: Array
+    throat_m2: Array
+    impacted_m2: Array
+    contact_force_N: Array
+    free_volume_m3: Array
+    stored_kg: Array
+    burnt_kg: Array
+    outflow_kg: Array
+
+
+def burn(
+    machine: constants.Machine,
+    angle_rad: Array,
+    period_s: float,
+    steps: int = 1,
+    pressure_Pa: float | None = None,
+) -> Burn:
+    """Burn while the valve follows a history of angles, linear between samples.
+
+    Args:
+        machine: Whose gas generator.
+        angle_rad: Of the valve, rad, shape (n,).
+        period_s: Between samples, s.
+        steps: Integration steps per sample.
+        pressure_Pa: Pressure to start from; None for the steady one at the first angle.
+    """
+    g = gas_vector(machine)
+    y = lit(machine, g, float(angle_rad[0]), pressure_Pa)
+    out = np.zeros((len(angle_rad), GAS_SIZE))
+    _follow(y, g, np.ascontiguousarray(angle_rad, dtype=np.float64), period_s, steps, out)
+    return Burn(
+        out[:, PRESSURE],
+        out[:, THROAT],
+        impacted_area(machine, angle_rad),
+        out[:, FORCE],
+        out[:, VOLUME],
+        out[:, MASS],
+        out[:, BURNT],
+        out[:, OUTFLOW],
+    )
+
+
+def throat_area(machine: constants.Machine, angle_rad: Array) -> Array:
+    """Return the effective throat area A_t at each valve angle, m^2, shape (n,)."""
+    return valve_throat(gas_vector(machine), np.ascontiguousarray(angle_rad, dtype=np.float64))
+
+
+def impacted_area(machine: constants.Machine, angle_rad: Array) -> Array:
+    """Return the impacted area A_s = pi D^2/4 - A_t at each valve angle, m^2, shape (n,)."""
+    opening = 0.25 * np.pi * machine.gas.valve.opening_diameter_m**2
+    return np.asarray(opening - throat_area(machine, angle_rad))
+
+
+def steady_pressure(machine: constants.Machine, angle_rad: Array) -> Array:
+    """Return the pressure of steady burning at each valve angle, Pa, shape (n,)."""
+    return steady_pressures(gas_vector(machine), throat_area(machine, angle_rad))
+
+
+@compiled
+def _follow(y: Vector, g: Vector, angle: Vector, period: float, steps: int, out: NDArray[np.float64]) -> None:
+    out[0] = y
+    for k in range(1, len(angle)):
+        for j in range(1, steps + 1):
+            step_gas(y, g, angle[k - 1] + (angle[k] - angle[k - 1]) * j / steps, period / steps)
+        out[k] = y

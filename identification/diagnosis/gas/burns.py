@@ -1,0 +1,130 @@
+"""What a diagnosis of the gas generator sees of a recording: pressure, and the throat that the valve's angle makes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.model.gas_generator import GasGenerator, throat_derivatives
+from identification.model.valve import ValveGeometry, throat_area
+from identification.recording import Array, Recording, RecordingError
+
+ROW_S = 0.005
+"""Samples closer than this are averaged to rows; the chamber takes ten times as long to empty."""
+LEAST_ROWS = 50
+_FIRST_ROWS = 4
+_TURN, _SIZE = math.radians(0.05), 2.5e-5
+"""rad and m: steps of derivatives, about what valve and encoder are off by."""
+_SPREAD_PER_MAD = 1.4826
+_THIRD_DIFFERENCE = math.sqrt(20.0)
+"""Deviation of a third difference over that of white noise."""
+
+
+@dataclass(frozen=True)
+class Burn:
+    """One recording as rows; throat and pressure are means over the same samples.
+
+    Attributes:
+        recording: It came from.
+        index: Its place among those under diagnosis.
+        time: Since its first sample, s, shape (n,).
+        areas: A_t and its derivatives by the thickness of a deposit, shape (3, n).
+        shifts: Derivatives of A_t by angle, d, D and b, shape (4, n).
+        angle: rad, shape (n,).
+        pressure: Pa, shape (n,).
+    """
+
+    recording: Recording
+    index: int
+    time: Array
+    areas: Array
+    shifts: Array
+    angle: Array
+    pressure: Array
+
+    @property
+    def first_pressure(self) -> float:
+        """Mean of the first rows, Pa: where a fit begins."""
+        return float(np.mean(self.pressure[:_FIRST_ROWS]))
+
+    @property
+    def opening_rate(self) -> Array:
+        """dA_t/dt, m^2/s, shape (n,)."""
+        return np.asarray(np.gradient(self.areas[0], self.time))
+
+
+def bears(recording: Recording) -> bool:
+    """Whether a recording shows its gas generator: its constants, its pressure and the valve's angle."""
+    return recording.bench.gas_generator is not None and {"pressure", "angle"} <= recording.channels.keys()
+
+
+def burns(recordings: Sequence[Recording]) -> tuple[Burn, ...]:
+    """Return recordings as rows.
+
+    Raises:
+        RecordingError: A recording has no pressure or angle, is too short, or its pressure falls to zero.
+    """
+    return tuple(_burn(recording, index) for index, recording in enumerate(recordings))
+
+
+def generator(burn: Burn) -> GasGenerator:
+    """Return the constants believed of a burn's gas generator."""
+    found = burn.recording.bench.gas_generator
+    assert found is not None
+    return found
+
+
+def noise(burns: Sequence[Burn]) -> float:
+    """Return the scatter of the pressure from row to row, Pa: median of third differences, no less than the quantum's.
+
+    Raises:
+        RecordingError: The pressure does not change at all.
+    """
+    differences = np.concatenate([np.diff(b.pressure, n=3) for b in burns])
+    scatter = _SPREAD_PER_MAD * float(np.median(np.abs(differences))) / _THIRD_DIFFERENCE
+    steps = np.diff(np.unique(np.concatenate([b.pressure for b in burns])))
+    if not steps.size:
+        raise RecordingError(f"{burns[0].recording.name}: pressure is constant; the transducer was not read")
+    return max(scatter, float(np.min(steps)) / math.sqrt(12.0))
+
+
+def _burn(recording: Recording, index: int) -> Burn:
+    missing = {"pressure", "angle"} - recording.channels.keys()
+    g = recording.bench.gas_generator
+    if missing or g is None:
+        what = " and ".join(sorted(missing)) or "bench.gas_generator"
+        raise RecordingError(f"{recording.name}: no {what}; a gas generator is diagnosed from pressure and valve angle")
+    per_row = max(1, round(ROW_S / recording.period))
+    count = len(recording.time) // per_row
+    if count < LEAST_ROWS:
+        raise RecordingError(
+            f"{recording.name}: {len(recording.time)} samples make {count} rows of {ROW_S * 1e3:g} ms; at least "
+            f"{LEAST_ROWS} are needed"
+        )
+
+    def mean(values: Array) -> Array:
+        return np.asarray(values[..., : count * per_row].reshape(*values.shape[:-1], count, per_row).mean(axis=-1))
+
+    time, angle, pressure = (mean(recording.channels[name]) for name in ("time", "angle", "pressure"))
+    lowest = float(np.min(pressure))
+    if not lowest > 0.0:
+        raise RecordingError(
+            f"{recording.name}: pressure falls to {lowest:g} Pa; give it absolute, in Pa, and only while it burns"
+        )
+    measured = recording.channels["angle"]
+    areas, shifts = mean(throat_derivatives(measured, g.valve)), mean(throat_shifts(measured, g.valve))
+    return Burn(recording, index, time - float(recording.time[0]), areas, shifts, angle, pressure)
+
+
+def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
+    """Return the derivatives of A_t by angle (m^2/rad), d, D and b (m), by central differences, shape (4, n)."""
+    by_angle = throat_area(angle + _TURN, valve) - throat_area(angle - _TURN, valve)
+    by_size = [
+        throat_area(angle, replace(valve, **{name: value + _SIZE}))
+        - throat_area(angle, replace(valve, **{name: value - _SIZE}))
+        for name, value in (("d", valve.d), ("D", valve.D), ("b", valve.b))
+    ]
+    return np.stack([by_angle / (2.0 * _TURN), *(change / (2.0 * _SIZE) for change in by_size)])

@@ -1,0 +1,70 @@
+"""What a diagnosis of the gas generator takes as believed, and how far each of it may be off.
+
+All of it is fitted beside whatever is missing, each held to its belief by its tolerance: else a throat two hundredths
+of a millimetre wider than drawn would be taken for missing physics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from identification.model.gas_generator import GasGenerator
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One number that all burns share.
+
+    Attributes:
+        unit: SI.
+        tolerance: One standard deviation of what is believed: a share where ``relative``, else in its unit.
+        relative: Whether it is varied as a logarithm.
+    """
+
+    unit: str
+    tolerance: float
+    relative: bool = False
+
+    def moved(self, value: float, steps: float) -> float:
+        """Return a value ``steps`` tolerances away."""
+        return value * math.exp(self.tolerance * steps) if self.relative else value + self.tolerance * steps
+
+    def steps(self, believed: float, value: float) -> float:
+        """Return how many tolerances a value is off; the inverse of :meth:`moved`."""
+        return (math.log(value / believed) if self.relative else value - believed) / self.tolerance
+
+
+CONSTANTS: Mapping[str, Constant] = {
+    "a": Constant("m/s", 0.1, relative=True),  # at 1 MPa; a propellant's lots differ
+    "n": Constant("1", 0.03),  # what a strand burner leaves open
+    "C_r": Constant("m/s", 0.05, relative=True),
+    "d": Constant("m", 2.5e-5),
+    "D": Constant("m", 2.5e-5),
+    "b": Constant("m", 2.5e-5),
+    "angle_zero": Constant("rad", math.radians(0.05)),  # true angle less measured
+    "pressure_zero": Constant("Pa", 3e3),  # measured pressure less true, of a transducer tared before ignition
+    "delay": Constant("s", 1e-3),  # of pressure behind angle
+}
+"""Name to tolerance, in the order in which they are fitted."""
+PROPELLANT = ("a", "n", "C_r")
+"""Those that no drawing and no calibration gives."""
+VOLUME = Constant("m^3", 0.3, relative=True)
+"""Free volume at the first row of each burn: what igniter and grain have left."""
+PRESSURE = Constant("Pa", 0.01, relative=True)
+"""Unit in which the pressure at the first row is fitted; it is not held to anything."""
+
+
+_SENSORS = ("angle_zero", "pressure_zero", "delay")
+
+
+def beliefs(g: GasGenerator) -> dict[str, float]:
+    """Return what is believed of a gas generator and its sensors, by the names of :data:`CONSTANTS`."""
+    return {
+        **{name: getattr(g, name) for name in PROPELLANT},
+        "d": g.valve.d,
+        "D": g.valve.D,
+        "b": g.valve.b,
+        **dict.fromkeys(_SENSORS, 0.0),
+    }

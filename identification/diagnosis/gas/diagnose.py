@@ -1,0 +1,278 @@
+"""From burns to a verdict on the gas generator: noise, is anything missing, where, which effect, the proof.
+
+Recordings set aside (role ``validate``) are touched once, at the end.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.gas.burns import Burn, burns, noise
+from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
+from identification.diagnosis.gas.fit import Fitted, believed, fit
+from identification.diagnosis.gas.rows import COORDINATES, PRESSURE, UNIT, coordinates, padded
+from identification.diagnosis.gas.search import GasSearch, Progress, Rivalry, Taken, search
+from identification.diagnosis.gas.terms import GasEffect
+from identification.diagnosis.locate import OWN_RECORDING, curve, mapped, ranges
+from identification.diagnosis.result import (
+    Diagnosis,
+    Effect,
+    Estimate,
+    Fit,
+    Location,
+    Map,
+    ResidualTrace,
+    Rival,
+    Shift,
+    Verdict,
+)
+from identification.diagnosis.search import LEVEL, probability
+from identification.diagnosis.wording import finding, title
+from identification.estimate.uncertainty import CONFIDENCE
+from identification.recording import Dataset, RecordingError
+
+ADEQUATE = 0.9
+"""Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis, where more
+than noise is left. The balance of the gas has no friction's fine print, so that the right name explains nearly all."""
+_MOST_SURE = 0.99
+UNSEEN = 1.5
+"""Error on recordings set aside over the noise, from which the reader is told."""
+STRAINED = 3.0
+"""Tolerances by which a constant has to be off to be worth a look."""
+
+
+def diagnose_gas(
+    dataset: Dataset, *, rng: np.random.Generator | None = None, progress: Progress | None = None
+) -> Diagnosis:
+    """Say whether physics is missing from the gas generator of these recordings, where, and which.
+
+    What is believed of propellant, valve and sensors is fitted beside whatever is missing, within tolerances
+    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording.
+
+    Args:
+        dataset: Recordings with pressure and valve angle, each from its ignition; those with role ``validate`` are
+            scored once, at the end.
+        rng: Of the tests by sign flips.
+        progress: Called with what is being done and the share done.
+
+    Raises:
+        RecordingError: A recording cannot be used.
+    """
+    started = perf_counter()
+    tell: Progress = progress or (lambda _stage, _share: None)
+    chance = rng or np.random.default_rng(0)
+    if not dataset.part("fit"):
+        raise RecordingError("no recording with role fit")
+    here, aside = burns(dataset.part("fit")), burns(dataset.part("validate"))
+    found = search(here, noise(here), chance, tell)
+    tell("locating", 0.95)
+    drawn = _maps(found, chance)
+    where = _location(found, drawn[0]) if drawn else None
+    verdict = _verdict(found)
+    effects = _effects(found, where) if where and verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    scored = found.final if effects else found.baseline
+    held = (_started(found.baseline, aside, found.sigma), _started(scored, aside, found.sigma)) if aside else None
+    main = _fit(found, scored, held)
+    return Diagnosis(
+        verdict=verdict,
+        statement=_statement(verdict, effects, main, where, found.p_value),
+        effects=effects,
+        fit=main,
+        fits=(main,),
+        parameters=_constants(scored),
+        parameter_shift={
+            name: Shift(before, _constants(scored)[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
+            for name, before in _constants(found.baseline).items()
+        },
+        p_value=found.p_value,
+        location=None if verdict is Verdict.NOTHING_MISSING else where,
+        curve=curve(drawn[0]) if verdict is Verdict.OUTSIDE_CATALOGUE and drawn else None,
+        maps=drawn,
+        steps=found.steps,
+        traces=(
+            *_traces(found.burns, found.baseline, scored, found.sigma),
+            *(_traces(aside, held[0], held[1], found.sigma) if held else ()),
+        ),
+        warnings=_warnings(dataset, found, main),
+        seconds=perf_counter() - started,
+    )
+
+
+def _verdict(found: GasSearch) -> Verdict:
+    if found.p_value > LEVEL:
+        return Verdict.NOTHING_MISSING
+    if not found.taken or _explained(found) < ADEQUATE:
+        return Verdict.OUTSIDE_CATALOGUE
+    return Verdict.AMBIGUOUS if any(r.open for t in found.taken for r in t.rivals) else Verdict.NAMED
+
+
+def _explained(found: GasSearch) -> float:
+    """Return the share of the mismatch beyond the noise that the effects explain; all where nothing else is left."""
+    if found.p_after > LEVEL:
+        return 1.0
+    before, after = (float(np.mean(f.residual**2)) for f in (found.baseline, found.final))
+    return min(1.0, max(0.0, (before - max(after, 1.0)) / max(before - 1.0, 1e-12)))
+
+
+def _effects(found: GasSearch, where: Location) -> tuple[Effect, ...]:
+    sizes = intervals(found)
+    taken = {t.name: t for t in found.taken}
+    return tuple(
+        _effect(effect, taken[effect.term.name], size, where, _explained(found))
+        for effect, size in zip(found.final.model.effects, sizes, strict=True)
+    )
+
+
+def _effect(
+    effect: GasEffect, taken: Taken, sizes: Mapping[str, Estimate], where: Location, explained: float
+) -> Effect:
+    entry = ENTRIES[effect.term.name]
+    sure = min([probability(r.preference) for r in taken.rivals], default=_MOST_SURE)
+    return Effect(
+        name=entry.name,
+        alias_group=(entry.name, *(r.name for r in taken.rivals if r.open)),
+        confidence=min(_MOST_SURE, sure) * (0.5 + 0.5 * explained),
+        statement=finding(entry, sizes, where.recordings),
+        assumption_broken=entry.assumption,
+        where=where,
+        parameters=sizes,
+        rivals=tuple(_rival(r) for r in taken.rivals),
+        separating_experiment=entry.experiment,
+    )
+
+
+def _rival(rivalry: Rivalry) -> Rival:
+    why = "" if rivalry.open else f"its error is larger by {rivalry.preference:.1f} standard errors"
+    return Rival(rivalry.name, min(1.0 - probability(rivalry.preference), 0.5), why)
+
+
+def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
+    """Return each effect's parameters with 90 % intervals, clustered by blocks (Liang and Zeger, Biometrika 73, 13)."""
+    final, stack = found.final, found.stack
+    scale = np.linalg.norm(final.tangent, axis=0) + final.held
+    tangent = final.tangent / scale
+    bread = np.linalg.pinv(tangent.T @ tangent + np.diag((final.held / scale) ** 2), hermitian=True)
+    sums = stack.sums(padded(stack, tangent * final.residual[:, None]))
+    sums[-1] = final.held / scale * final.pull
+    count = final.tangent.shape[1]
+    freedom = max(stack.blocks - count, 3)
+    covariance = bread @ (sums.T @ sums) @ bread * stack.blocks / freedom / np.outer(scale, scale)
+    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, freedom)) * np.sqrt(np.diag(covariance))
+    at = count - sum(len(e.term.sizes) for e in final.model.effects)
+    out = []
+    for effect in final.model.effects:
+        units = {q.name: q.unit for q in ENTRIES[effect.term.name].parameters}
+        sizes = {}
+        for name, size in effect.term.sizes.items():
+            value, half = effect.parameters[name], float(wide[at])
+            if size.trials:
+                low, high = value * math.exp(-half), value * math.exp(min(half, 50.0))
+            else:
+                low, high = value - size.scale * half, value + size.scale * half
+            sizes[name] = Estimate(value, low, high, units[name])
+            at += 1
+        out.append(sizes)
+    return out
+
+
+def _constants(fitted: Fitted) -> dict[str, float]:
+    """Return what all burns share, and the mean of their free volumes."""
+    volumes = [s.volume for s in fitted.model.starts]
+    return {**fitted.model.constants, "V_0": float(np.mean(volumes))}
+
+
+def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
+    before, after = (found.sigma * f.residual for f in (found.baseline, found.final))
+    units = {c.name: c.unit for c in COORDINATES}
+    stack, equation = found.stack, found.stack.equations[0]
+    drawn = [
+        mapped(equation, name, units[name], values, before, after, stack.block[: len(values)], stack.blocks, rng)
+        for name, values in coordinates(found.burns, found.baseline)
+    ]
+    return tuple(sorted((m for m in drawn if m is not None), key=lambda m: -m.share))
+
+
+def _location(found: GasSearch, best: Map) -> Location:
+    edges = np.cumsum([len(b.time) for b in found.burns])[:-1]
+    powers = [float(np.mean(part**2)) for part in np.split(found.baseline.residual, edges)]
+    names = tuple(b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > OWN_RECORDING)
+    return Location(best.coordinate, best.unit, ranges(best), best.share, names)
+
+
+def _fit(found: GasSearch, scored: Fitted, held: tuple[Fitted, Fitted] | None) -> Fit:
+    step = min(float(np.median(np.diff(b.time))) for b in found.burns)
+    return Fit(
+        equation=PRESSURE,
+        unit=UNIT,
+        bandwidth_Hz=0.5 / step,
+        baseline_rms=_rms(found.baseline, found.sigma),
+        final_rms=_rms(scored, found.sigma),
+        noise_floor_rms=found.sigma,
+        validate_baseline_rms=_rms(held[0], found.sigma) if held else None,
+        validate_final_rms=_rms(held[1], found.sigma) if held else None,
+    )
+
+
+def _rms(fitted: Fitted, sigma: float) -> float:
+    return sigma * math.sqrt(float(np.mean(fitted.residual**2)))
+
+
+def _started(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
+    """Return a model on burns that took no part: of each its start alone is fitted."""
+    starts = believed(aside).starts
+    return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
+
+
+def _traces(here: Sequence[Burn], before: Fitted, after: Fitted, sigma: float) -> list[ResidualTrace]:
+    edges = np.cumsum([len(b.time) for b in here])[:-1]
+    pairs = zip(here, np.split(sigma * before.residual, edges), np.split(sigma * after.residual, edges), strict=True)
+    return [
+        ResidualTrace(b.recording.name, b.recording.role, PRESSURE, UNIT, b.time, first, last)
+        for b, first, last in pairs
+    ]
+
+
+def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Location | None, p_value: float) -> str:
+    error = f"pressure error {main.baseline_rms:.3g} Pa; noise floor {main.noise_floor_rms:.3g}"
+    if verdict is Verdict.NOTHING_MISSING:
+        return (
+            f"nothing is missing from the gas generator that these recordings could show (p = {p_value:.2g}); {error}"
+        )
+    if verdict is Verdict.OUTSIDE_CATALOGUE:
+        place = f", most of it over {where.coordinate}" if where else ""
+        return f"something is missing from the gas generator that is in no catalogue{place}; {error}"
+    words = "; and ".join(e.statement for e in effects)
+    if verdict is Verdict.AMBIGUOUS:
+        groups = [" or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1]
+        words = f"{words}. These recordings cannot tell {' and '.join(groups)} apart"
+    before, after, on = main.baseline_rms, main.final_rms, "the recordings it was fitted to"
+    if main.validate_baseline_rms is not None and main.validate_final_rms is not None:
+        before, after, on = main.validate_baseline_rms, main.validate_final_rms, "unseen recordings"
+    return f"{words}. Pressure error on {on} {before:.3g} -> {after:.3g} Pa; noise floor {main.noise_floor_rms:.3g}."
+
+
+def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
+    warnings = []
+    if not dataset.part("validate"):
+        warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
+    unseen = main.validate_final_rms
+    if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
+        warnings.append(
+            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the noise: those fitted "
+            "do not pin the gas generator; fit burns with steps between narrow and wide throats as well"
+        )
+    for burn in found.burns:
+        if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
+            warnings.append(f"{burn.recording.name}: the throat hardly moves; it shows no transient")
+    off = zip(CONSTANTS.items(), found.baseline.pull, strict=False)
+    strained = [f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}" for (name, c), p in off if abs(p) > STRAINED]
+    if strained:
+        warnings.append(f"without anything missing these would have to be off: {', '.join(strained)}; check them first")
+    return tuple(warnings)

@@ -1,0 +1,211 @@
+"""Believed constants, the start of each burn and named effects, fitted together by forward simulation."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.diagnosis.gas.burns import Burn, generator
+from identification.diagnosis.gas.constants import CONSTANTS, PRESSURE, PROPELLANT, VOLUME, beliefs
+from identification.diagnosis.gas.terms import GasEffect, effect_at
+from identification.estimate.levenberg import minimise
+from identification.model import gas_kernel as kernel
+from identification.model.gas_generator import constants
+from identification.recording import Array
+from identification.signals import BoolArray
+
+_STEP = 0.01
+"""Of numerical derivatives, in the units of the fit."""
+_STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
+"""Factor on what holds valve and sensors, share of the cost below whose gain a stage ends, and its steps at most. They
+are as good as fixed until the rest has settled: from far off they would run away to help."""
+_FARTHEST, _FIRM_FARTHEST = 6.0, 15.0
+"""Tolerances beyond which no constant is looked for, those of valve and sensors farther: a chamber ten times as large
+would make anything slow look like its filling..."""
+_REJECTED = 1e6
+"""... and the residual there, over the noise."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """State of one burn at its first row: pressure in Pa, free volume in m^3."""
+
+    pressure: float
+    volume: float
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is fitted: constants by name, the start of each burn, effects in the order they were added."""
+
+    constants: Mapping[str, float]
+    starts: tuple[Start, ...]
+    effects: tuple[GasEffect, ...] = ()
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """A model fitted to all burns.
+
+    Attributes:
+        model: Its values.
+        simulated: Pressure of all rows as the transducer would show it, Pa, shape (n,).
+        residual: Measured less simulated over the noise, shape (n,).
+        tangent: Derivative of the simulated rows over the noise by everything that was fitted, shape (n, p); the
+            effects' parameters come last.
+        held: Weight that holds each of those to what was believed, shape (p,).
+        pull: Believed less fitted over the tolerance, shape (p,); zero where nothing is held.
+        firm: Which of those are of valve and sensors, shape (p,).
+    """
+
+    model: Model
+    simulated: Array
+    residual: Array
+    tangent: Array
+    held: Array
+    pull: Array
+    firm: BoolArray
+
+    @property
+    def cost(self) -> float:
+        """Sum of whitened squares, those of the beliefs among them."""
+        return float(self.residual @ self.residual + self.pull @ self.pull)
+
+
+def believed(burns: Sequence[Burn]) -> Model:
+    """Return the model with what is believed of it, each burn from its first pressure."""
+    g = generator(burns[0])
+    return Model(beliefs(g), tuple(Start(b.first_pressure, g.V_0) for b in burns))
+
+
+def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = True) -> Fitted:
+    """Fit a model to burns by least squares of the pressure.
+
+    Args:
+        burns: Recordings to fit.
+        sigma: Noise of a row, Pa.
+        start: To start from, with the effects to fit.
+        shared: Whether constants and effects are fitted; else the start of each burn alone.
+    """
+    layout = _Layout(burns, start, shared)
+    measured = np.concatenate([b.pressure for b in burns])
+    x = layout.start
+    for stiffness, tolerance, most_steps in _STAGES:
+        held = np.where(layout.firm, stiffness, 1.0) * layout.held
+        x = _settled(burns, sigma, layout, x, held, tolerance, most_steps)
+    model = layout.model(x)
+    simulated = simulate(burns, model)
+    tangent = _tangent(burns, layout, x) / sigma
+    return Fitted(model, simulated, (measured - simulated) / sigma, tangent, layout.held, -layout.held * x, layout.firm)
+
+
+def _settled(
+    burns: Sequence[Burn],
+    sigma: float,
+    layout: _Layout,
+    start: Array,
+    held: Array,
+    tolerance: float,
+    most_steps: int,
+) -> Array:
+    """Return the vector of least squares under the weights ``held``."""
+    measured = np.concatenate([b.pressure for b in burns])
+
+    def residuals(x: Array) -> Array:
+        if np.any(np.abs(layout.held * x) > np.where(layout.firm, _FIRM_FARTHEST, _FARTHEST)):
+            return np.full(len(measured) + len(x), _REJECTED)
+        return np.concatenate(((simulate(burns, layout.model(x)) - measured) / sigma, held * x))
+
+    def jacobian(x: Array, _residual: Array) -> Array:
+        return np.concatenate((_tangent(burns, layout, x) / sigma, np.diag(held)))
+
+    return minimise(residuals, jacobian, start, threshold=math.inf, tolerance=tolerance, most_steps=most_steps).x
+
+
+def simulate(burns: Sequence[Burn], model: Model) -> Array:
+    """Return the pressure of all rows as the transducer would show it, Pa, shape (n,)."""
+    return np.concatenate([shown(march(b, model), model) for b in burns])
+
+
+def shown(marched: Array, model: Model) -> Array:
+    """Return what a transducer with a zero error shows a little late, Pa, shape (n,)."""
+    pressure, _, rise = marched
+    return np.asarray(pressure + model.constants["pressure_zero"] - model.constants["delay"] * rise)
+
+
+def march(burn: Burn, model: Model) -> Array:
+    """Return pressure (Pa), web burnt (m) and the pressure's rate (Pa/s) of one burn, shape (3, n)."""
+    start, own, given = model.starts[burn.index], beliefs(generator(burn)), model.constants
+    off = np.array([given[name] - own[name] for name in ("angle_zero", "d", "D", "b")])
+    areas = burn.areas.copy()
+    areas[0] += off @ burn.shifts
+    c = constants(generator(burn), given, start.pressure, start.volume)
+    out = np.empty((3, len(burn.time)))
+    kernel.march(burn.time, areas, c, missing(model.effects), out)
+    return out
+
+
+def missing(effects: Sequence[GasEffect]) -> Array:
+    """Pack effects for the march."""
+    e = np.zeros(kernel.MISSING_SIZE)
+    for effect in effects:
+        for name, size in effect.term.sizes.items():
+            e[size.slot] = effect.parameters[name]
+    return e
+
+
+class _Layout:
+    """Where each number of a model stands in the vector that is fitted, in tolerances of what is believed."""
+
+    def __init__(self, burns: Sequence[Burn], start: Model, shared: bool) -> None:
+        self._believed, self._given = believed(burns), start
+        self.constants = CONSTANTS if shared else {}
+        self.effects = start.effects if shared else ()
+        self.shared, self.ends = len(self.constants), len(self.constants) + 2 * len(burns)
+        inner = [c.steps(self._believed.constants[k], start.constants[k]) for k, c in self.constants.items()]
+        for mine, own in zip(start.starts, self._believed.starts, strict=True):
+            inner += [VOLUME.steps(own.volume, mine.volume), PRESSURE.steps(own.pressure, mine.pressure)]
+        inner += [x for effect in self.effects for x in effect.coordinates]
+        self.start = np.array(inner)
+        self.held = np.zeros(len(inner))
+        self.held[: self.ends] = [1.0] * self.shared + [1.0, 0.0] * len(burns)
+        self.firm = np.zeros(len(inner), dtype=np.bool_)
+        self.firm[: self.shared] = [name not in PROPELLANT for name in self.constants]
+
+    def model(self, x: Array) -> Model:
+        """Return the model at a vector."""
+        own = self._believed
+        moved = {k: c.moved(own.constants[k], float(v)) for (k, c), v in zip(self.constants.items(), x, strict=False)}
+        pairs = x[self.shared : self.ends].reshape(-1, 2)
+        starts = tuple(
+            Start(PRESSURE.moved(b.pressure, float(p)), VOLUME.moved(b.volume, float(v)))
+            for b, (v, p) in zip(own.starts, pairs, strict=True)
+        )
+        effects, at = [], self.ends
+        for effect in self.effects:
+            count = len(effect.term.sizes)
+            effects.append(effect_at(effect.term, tuple(float(v) for v in x[at : at + count])))
+            at += count
+        return Model({**self._given.constants, **moved}, starts, tuple(effects) or self._given.effects)
+
+    def touches(self, k: int) -> int | None:
+        """Return the burn that alone an entry of the vector moves, or None."""
+        return (k - self.shared) // 2 if self.shared <= k < self.ends else None
+
+
+def _tangent(burns: Sequence[Burn], layout: _Layout, x: Array) -> Array:
+    """Return the derivative of the simulated pressure, Pa, shape (n, p)."""
+    here = [simulate((b,), layout.model(x)) for b in burns]
+    edges = np.cumsum([0, *(len(p) for p in here)])
+    out = np.zeros((edges[-1], len(x)))
+    for k in range(len(x)):
+        moved = x.copy()
+        moved[k] += _STEP
+        model, own = layout.model(moved), layout.touches(k)
+        for j, burn in enumerate(burns):
+            if own is None or own == j:
+                out[edges[j] : edges[j + 1], k] = (simulate((burn,), model) - here[j]) / _STEP
+    return out

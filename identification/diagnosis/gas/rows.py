@@ -1,0 +1,159 @@
+"""The rows of the one equation, what the nominal model absorbs taken out, for the tests that all equations share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from identification.diagnosis.equations import Equation
+from identification.diagnosis.gas.burns import Burn
+from identification.diagnosis.gas.fit import Fitted, Model, march, simulate
+from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
+from identification.diagnosis.generic import edges
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.stack import GREATEST_BLOCK_S, LEAST_BLOCK_S, Candidate, Stack
+from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
+from identification.recording import Array
+
+PRESSURE = "pressure"
+"""Name of the equation."""
+UNIT = "Pa"
+_PIECES = 4
+"""Of each recording, with a level of its own."""
+_SMALL = 0.01
+"""Size of an effect, over its scale, at which it is linear."""
+
+
+@dataclass(frozen=True)
+class Coordinate:
+    """Something the mismatch may depend on: ``values`` of a burn and its marched (pressure, web), shape (m,)."""
+
+    name: str
+    unit: str
+    values: Callable[[Burn, Array], Array]
+
+
+COORDINATES = (
+    Coordinate("time", "s", lambda b, _m: b.time),
+    Coordinate("web burnt", "m", lambda _b, m: m[1]),
+    Coordinate("pressure", "Pa", lambda _b, m: m[0]),
+    Coordinate("throat area", "m^2", lambda b, _m: b.areas[0]),
+    Coordinate("opening rate", "m^2/s", lambda b, _m: b.opening_rate),
+)
+
+
+def stacked(burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None) -> Stack:
+    """Return the mismatch of a fit with everything fitted projected out.
+
+    Behind the rows of the burns stand those of the beliefs, one for each number that is held, in a block of their own:
+    so an effect is absorbed as far as the tolerances allow, and no farther.
+
+    Args:
+        burns: Recordings.
+        fitted: The fit of them.
+        sigma: Noise of a row, Pa.
+        like: A stack of the same recordings whose blocks are kept.
+    """
+    held = fitted.held > 0.0
+    residual = np.concatenate((fitted.residual, fitted.pull[held]))
+    tangent = np.concatenate((fitted.tangent, np.diag(fitted.held)[held]))
+    beliefs = int(np.sum(held))
+    owner = np.concatenate([*(np.full(len(b.time), b.index) for b in burns), np.full(beliefs, -1)])
+    time = np.concatenate([*(b.time for b in burns), np.zeros(beliefs)])
+    equation = Equation(PRESSURE, UNIT, (), (), sigma * residual, sigma * tangent, (), owner, time, sigma)
+    values, vectors = np.linalg.eigh(tangent.T @ tangent)
+    keep = values > 1e-12 * float(values[-1])
+    basis = tangent @ (vectors[:, keep] / np.sqrt(values[keep]))
+    if like is None:
+        block, count = _blocks(burns, fitted.residual, owner)
+        gather = (sparse.csr_matrix((np.ones(len(block)), (block, np.arange(len(block)))), shape=(count, len(block))),)
+    else:
+        block, count, gather = like.block, like.blocks, like.gather
+    nominal = Nominal(fitted.model.constants, tuple(fitted.model.constants), 2.0)
+    left = residual - basis @ (basis.T @ residual)
+    return Stack((equation,), nominal, (basis,), np.zeros((len(left), 0)), left, block, count, gather)
+
+
+def padded(stack: Stack, values: Array) -> Array:
+    """Return rows of the burns with zeros behind them for the beliefs, shape (n + p, ...)."""
+    out = np.zeros((len(stack.residual), *values.shape[1:]))
+    out[: len(values)] = values
+    return out
+
+
+def candidates(
+    burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
+) -> Iterator[Candidate]:
+    """Yield every effect at every trial shape, linearised where the fit stands; coefficients are in its own unit."""
+    for term in terms:
+        for shape in term.shapes:
+            columns = {PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}
+            found = stack.candidate(term.name, shape, columns)
+            if found is not None:
+                yield found
+
+
+def starts(
+    burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
+) -> list[tuple[float, float, tuple[float, ...]]]:
+    """Return (gain, size, shape) of an effect at every trial shape by linear least squares, the greatest gain first."""
+    found = []
+    for shape in term.shapes:
+        column = stack.projected(stack.whitened({PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}))
+        power, score = float(np.sum(column**2)), float(column[:, 0] @ stack.residual)
+        if power > 0.0:
+            found.append((score**2 / power, score / power, shape))
+    return sorted(found, reverse=True)
+
+
+def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[float, ...]) -> Array:
+    """Return how the pressure changes with a small effect, Pa over the unit of its size, shape (n,)."""
+    size = _SMALL * next(iter(term.sizes.values())).scale
+    effect = GasEffect(term, dict(zip(term.sizes, (size, *shape), strict=True)))
+    moved: Model = replace(fitted.model, effects=(*fitted.model.effects, effect))
+    return (simulate(burns, moved) - fitted.simulated) / size
+
+
+def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Candidate]:
+    """Yield the families without a name: a level for each bin of every coordinate, and of time in each burn alone."""
+    for name, values in coordinates(burns, fitted):
+        grid = edges(values)
+        if len(grid) > 2:
+            yield from _levels(stack, name, np.searchsorted(grid[1:-1], values, side="right"))
+    pieces = [b.index * _PIECES + (b.time * (_PIECES - 1e-9) / b.time[-1]).astype(np.int64) for b in burns]
+    yield from _levels(stack, "time in each recording", np.concatenate(pieces))
+
+
+def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Array]]:
+    """Yield every coordinate's name and its values over all rows, shape (n,)."""
+    marched = [march(b, fitted.model) for b in burns]
+    for coordinate in COORDINATES:
+        yield coordinate.name, np.concatenate([coordinate.values(b, m) for b, m in zip(burns, marched, strict=True)])
+
+
+def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
+    columns = (place[:, None] == np.unique(place)).astype(np.float64)
+    found = stack.independent(f"{PRESSURE} over {name}", PRESSURE, padded(stack, columns))
+    if found is not None:
+        yield found
+
+
+def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[np.ndarray, int]:
+    """Number blocks of time, ten correlation times of the worst burn's mismatch within limits; the beliefs' is last."""
+    length = LEAST_BLOCK_S
+    for burn in burns:
+        step = float(burn.time[-1] - burn.time[0]) / (len(burn.time) - 1)
+        mine = residual[owner[: len(residual)] == burn.index]
+        length = max(length, BLOCK_CORRELATION_TIMES * correlation_samples(mine) * step)
+    length = min(length, GREATEST_BLOCK_S)
+    parts, count = [], 0
+    for burn in burns:
+        span = float(burn.time[-1] - burn.time[0])
+        number = max(1, round(span / length))
+        place = (burn.time - burn.time[0]) / span * number
+        parts.append(count + np.minimum(place.astype(np.int64), number - 1))
+        count += number
+    return np.concatenate([*parts, np.full(len(owner) - len(residual), count)]), count + 1

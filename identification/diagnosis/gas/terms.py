@@ -1,0 +1,80 @@
+"""How the effects of the gas generator are computed: their slots in the march, and what a fit varies."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from identification.model import gas_kernel as kernel
+
+
+@dataclass(frozen=True)
+class Size:
+    """One parameter of an effect.
+
+    Attributes:
+        slot: In the march's vector.
+        scale: A size that is seen, in its own unit: the unit of the fit.
+        trials: Values to start from where the effect is no multiple of it; it is then varied as a logarithm.
+    """
+
+    slot: int
+    scale: float
+    trials: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class GasTerm:
+    """One effect: its name in the catalogue, and its parameters there; the first is its size, zero where it is not.
+
+    Attributes:
+        name: Stable name.
+        sizes: Parameter name to its place.
+    """
+
+    name: str
+    sizes: Mapping[str, Size]
+
+    @property
+    def shapes(self) -> tuple[tuple[float, ...], ...]:
+        """Trial values of the parameters behind the first."""
+        shapes: tuple[tuple[float, ...], ...] = ((),)
+        for size in list(self.sizes.values())[1:]:
+            shapes = tuple((*shape, value) for shape in shapes for value in size.trials)
+        return shapes
+
+
+GAS_TERMS = (
+    GasTerm("throat_deposition", {"rate_m_s": Size(kernel.LAYER_RATE, 1e-6)}),
+    GasTerm("burning_area_change", {"taper_per_m": Size(kernel.TAPER, 0.01)}),
+    GasTerm("erosive_burning", {"coefficient_s_m": Size(kernel.EROSION, 1e-3)}),
+    GasTerm(
+        "heat_loss",
+        {"heat_flow_W": Size(kernel.HEAT_FLOW, 1e4), "time_s": Size(kernel.HEAT_TIME, 1.0, (1.0, 3.0, 10.0, 30.0))},
+    ),
+    GasTerm("leakage", {"area_m2": Size(kernel.LEAK, 1e-6)}),
+)
+"""In the order of the catalogue."""
+
+
+@dataclass(frozen=True)
+class GasEffect:
+    """An effect with its parameters, by the catalogue's names."""
+
+    term: GasTerm
+    parameters: Mapping[str, float]
+
+    @property
+    def coordinates(self) -> tuple[float, ...]:
+        """What a fit varies: multiples of the scales, or logarithms of what has trials."""
+        return tuple(
+            math.log(self.parameters[name] / size.scale) if size.trials else self.parameters[name] / size.scale
+            for name, size in self.term.sizes.items()
+        )
+
+
+def effect_at(term: GasTerm, coordinates: tuple[float, ...]) -> GasEffect:
+    """Return the effect at what a fit varies; the inverse of :attr:`GasEffect.coordinates`."""
+    sizes = zip(term.sizes.items(), coordinates, strict=True)
+    return GasEffect(term, {n: s.scale * (math.exp(min(x, 20.0)) if s.trials else x) for (n, s), x in sizes})

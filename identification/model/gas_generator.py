@@ -1,0 +1,176 @@
+"""The gas generator of the paper, eq. 2 to 8: constants, equilibrium, pressure from a history of the valve's angle."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from identification.model import gas_kernel as kernel
+from identification.model.valve import Array, ValveGeometry, throat_area
+
+_MOST_STEPS = 60
+LAYER_STEP = 2.5e-4
+"""m, thickness of a deposit over which the throat's derivatives are taken."""
+
+
+@dataclass(frozen=True)
+class GasGenerator:
+    """Constants of eq. 2 to 8, SI. The paper gives the first four and the valve; the others are chosen.
+
+    Attributes:
+        rho_b: Density of the propellant, kg/m^3.
+        D_P: Diameter of the end-burning grain, m; A_b = pi D_P^2/4.
+        a: Burning coefficient, m/s at 1 MPa: r = a (p_g / 1 MPa)^n.
+        n: Pressure exponent.
+        C_r: Characteristic velocity, m/s.
+        gamma: Specific-heat ratio of the gas; it ties R_g T_g to C_r.
+        V_0: Free volume at ignition, m^3.
+        p_c0: Pressure behind the valve, Pa (eq. 10).
+        valve: Dimensions of Fig. 3.
+    """
+
+    rho_b: float = 1630.0
+    D_P: float = 0.350
+    a: float = 6.3e-3
+    n: float = 0.53
+    C_r: float = 1000.0
+    gamma: float = 1.25
+    V_0: float = 0.010
+    p_c0: float = 0.5e6
+    valve: ValveGeometry = field(default_factory=ValveGeometry)
+
+    def __post_init__(self) -> None:
+        """Check that it burns stably.
+
+        Raises:
+            ValueError: A constant is not positive, n is not below 1, or gamma not above 1.
+        """
+        numbers = {name: value for name, value in vars(self).items() if name not in ("valve", "p_c0")}
+        wrong = [f"{name} = {value:g}" for name, value in numbers.items() if not 0.0 < value < math.inf]
+        if wrong:
+            raise ValueError(f"{', '.join(wrong)}: constants of the gas generator must be positive and finite")
+        if self.n >= 1.0:
+            raise ValueError(f"n = {self.n:g}: from 1 on the pressure has no stable equilibrium; n < 1")
+        if self.gamma <= 1.0:
+            raise ValueError(f"gamma = {self.gamma:g}: specific heats have a ratio above 1")
+
+    @property
+    def A_b(self) -> float:
+        """Burning area, m^2."""
+        return 0.25 * math.pi * self.D_P**2
+
+    @property
+    def Gamma(self) -> float:
+        """sqrt(R_g T_g) / C_r of a choked ideal gas (0.658 at gamma = 1.25)."""
+        g = self.gamma
+        return float(math.sqrt(g) * (2.0 / (g + 1.0)) ** (0.5 * (g + 1.0) / (g - 1.0)))
+
+    @property
+    def RT(self) -> float:
+        """R_g T_g, J/kg."""
+        return (self.Gamma * self.C_r) ** 2
+
+    @property
+    def enthalpy(self) -> float:
+        """Specific enthalpy of the gas at flame temperature, gamma/(gamma - 1) R_g T_g, J/kg."""
+        return self.gamma / (self.gamma - 1.0) * self.RT
+
+
+class Burn(NamedTuple):
+    """One burn: pressure p_g (Pa), web burnt (m) and dp_g/dt (Pa/s), each of shape (n,)."""
+
+    pressure: Array
+    web: Array
+    rise: Array
+
+
+def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool = True) -> Array:
+    """Return the pressure at which as much is burnt as flows out and fills the space that the web leaves, Pa.
+
+    Eq. 8 has a closed form. Eq. 7, x = p^(1-n): x A_t/C_r + A_b a x^(1/(1-n)) / R_g T_g = rho_b A_b a, rises with x
+    from zero: one root, below that of eq. 8, found from there by Newton's steps, the left side being convex.
+
+    Args:
+        throat: A_t, m^2.
+        g: Constants.
+        exact: Eq. 7; else eq. 8.
+    """
+    throat = np.asarray(throat, dtype=np.float64)
+    rise = g.A_b * g.a / kernel.REFERENCE_PRESSURE**g.n
+    power = 1.0 / (1.0 - g.n)
+    x = g.rho_b * rise * g.C_r / throat
+    if exact:
+        for _ in range(_MOST_STEPS):
+            value = x * throat / g.C_r + rise * x**power / g.RT - g.rho_b * rise
+            step = value / (throat / g.C_r + power * rise * x ** (power - 1.0) / g.RT)
+            x = x - step
+            if np.all(np.abs(step) <= 1e-14 * x):
+                break
+    return np.asarray(x**power)
+
+
+def pressure_history(
+    time: Array,
+    angle: Array,
+    g: GasGenerator,
+    *,
+    start_pressure: float | None = None,
+    exact: bool = True,
+) -> Burn:
+    """Return one burn under a moving valve.
+
+    Args:
+        time: Since ignition, s, shape (n,), increasing; the throat is taken as linear in between.
+        angle: theta_r, rad, shape (n,).
+        g: Constants.
+        start_pressure: p_g at the first sample, Pa; None takes the equilibrium there.
+        exact: Eq. 7; else eq. 8.
+
+    Returns:
+        Arrays of shape (n,).
+
+    Raises:
+        ValueError: The start pressure is not positive.
+    """
+    areas = throat_derivatives(angle, g.valve)
+    if start_pressure is None:
+        start_pressure = float(equilibrium_pressure(areas[0, 0], g, exact=exact))
+    if not start_pressure > 0.0:
+        raise ValueError(f"start pressure {start_pressure:g} Pa; nothing burns below zero: give a positive one")
+    c = constants(g, {}, start_pressure, g.V_0, exact=exact)
+    out = np.empty((3, len(time)))
+    kernel.march(np.ascontiguousarray(time, dtype=np.float64), areas, c, kernel.NOTHING, out)
+    return Burn(*out)
+
+
+def constants(
+    g: GasGenerator, corrected: Mapping[str, float], start_pressure: float, start_volume: float, *, exact: bool = True
+) -> Array:
+    """Pack constants for the kernel; ``a``, ``n`` and ``C_r`` are taken from ``corrected`` where it has them."""
+    C_r = corrected.get("C_r", g.C_r)
+    RT = (g.Gamma * C_r) ** 2
+    c = np.zeros(kernel.CONSTANTS_SIZE)
+    c[kernel.DENSITY], c[kernel.BURNING_AREA] = g.rho_b, g.A_b
+    c[kernel.BURNING_COEFFICIENT], c[kernel.EXPONENT] = corrected.get("a", g.a), corrected.get("n", g.n)
+    c[kernel.VELOCITY], c[kernel.ENERGY] = C_r, RT
+    c[kernel.ENTHALPY] = g.gamma / (g.gamma - 1.0) * RT
+    c[kernel.EXACT] = 1.0 if exact else 0.0
+    c[kernel.START_PRESSURE], c[kernel.START_VOLUME] = start_pressure, start_volume
+    return c
+
+
+def throat_derivatives(angle: Array, valve: ValveGeometry) -> Array:
+    """Return A_t and its first and second derivative by the thickness of a layer on all rims, shape (3, n), m^2, m, 1.
+
+    A layer of thickness h makes d and D smaller by 2 h; the parabola goes through h = 0, 0.25 and 0.5 mm.
+    """
+    h = LAYER_STEP
+    bare, one, two = (
+        throat_area(angle, ValveGeometry(valve.d - 2.0 * k * h, valve.D - 2.0 * k * h, valve.b, valve.L1))
+        for k in range(3)
+    )
+    return np.stack([bare, (4.0 * one - 3.0 * bare - two) / (2.0 * h), (bare - 2.0 * one + two) / h**2])

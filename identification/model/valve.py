@@ -1,0 +1,92 @@
+"""Throat and impacted area of the swinging gate (Fig. 3), against its angle.
+
+A plate of width b with a hole of diameter d swings in its own plane on the radius L1 over an opening of diameter D.
+What the plate covers of the opening is the impacted area A_s, the rest is the throat: A_s + A_t = pi D^2/4.
+
+Seen from the plate, the opening's centre lies L1 sin(theta) beside its middle line and 2 L1 sin(theta/2) from the
+hole's centre. Every area is then a sum of caps, discs cut by a straight line: the plate's edges cut the opening, and
+what opening and hole share is cut in two by the line through their crossings (their radical line).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ValveGeometry:
+    """Dimensions of Fig. 3, m.
+
+    Attributes:
+        d: Diameter of the hole in the plate, the least throat.
+        D: Diameter of the opening, the greatest throat.
+        b: Width of the plate.
+        L1: Radius on which the hole swings.
+    """
+
+    d: float = 0.025
+    D: float = 0.040
+    b: float = 0.054
+    L1: float = 0.095
+
+    def __post_init__(self) -> None:
+        """Check that the plate can be built.
+
+        Raises:
+            ValueError: A dimension is not positive, or the hole does not fit into the plate.
+        """
+        small = [f"{name} = {value:g} m" for name, value in vars(self).items() if not 0.0 < value < math.inf]
+        if small:
+            raise ValueError(f"{', '.join(small)}: dimensions of the valve must be positive and finite")
+        if self.d > self.b:
+            raise ValueError(f"hole d = {self.d:g} m is wider than its plate, b = {self.b:g} m; they may be exchanged")
+
+    @property
+    def opening_area(self) -> float:
+        """pi D^2/4, m^2, the sum of impacted area and throat at every angle."""
+        return 0.25 * math.pi * self.D**2
+
+    @property
+    def clearing_angle(self) -> float:
+        """Angle from which the plate covers nothing, rad; infinite where it is too wide for its arm."""
+        reach = 0.5 * (self.b + self.D) / self.L1
+        return math.asin(reach) if reach <= 1.0 else math.inf
+
+
+PAPER = ValveGeometry()
+"""Values of the paper."""
+
+
+def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
+    """Return A_t, m^2, the shape of ``angle``.
+
+    Args:
+        angle: Valve angle theta_r, rad, of any shape; 0 where hole and opening are concentric, within +-pi/2.
+        geometry: Dimensions.
+    """
+    angle = np.abs(angle)
+    opening, hole, half = 0.5 * geometry.D, 0.5 * geometry.d, 0.5 * geometry.b
+    beside = geometry.L1 * np.sin(angle)
+    past_the_edges = _cap(opening, half - beside) + _cap(opening, half + beside)
+    apart = np.maximum(2.0 * geometry.L1 * np.sin(0.5 * angle), 1e-12 * geometry.D)
+    to_line = 0.5 * (apart + (opening**2 - hole**2) / apart)
+    through_the_hole = _cap(opening, to_line) + _cap(hole, apart - to_line)
+    return np.asarray(past_the_edges + through_the_hole)
+
+
+def impacted_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
+    """Return A_s, m^2, the shape of ``angle``, on which the pressure difference acts (eq. 10); arguments as above."""
+    return np.asarray(geometry.opening_area - throat_area(angle, geometry))
+
+
+def _cap(radius: float, distance: Array) -> Array:
+    """Return the area of a disc beyond a line at a signed distance from its centre; none or all where they miss."""
+    x = np.clip(distance, -radius, radius)
+    chord = np.sqrt(np.maximum(radius**2 - x**2, 0.0))
+    return np.asarray(radius**2 * np.arctan2(chord, x) - x * chord)

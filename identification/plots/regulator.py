@@ -1,0 +1,179 @@
+"""Figures of the flow regulator: tracking, areas, friction against speed, the closed loop."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.figure import Figure
+
+from identification.plots.style import BLACK, BLUE, GREY, VERMILION, figure, legend_above, thinned
+from identification.recording import Array
+
+__all__ = ["Figure", "areas", "closed_loop", "errors", "speeds", "sweep", "tracking", "uniform"]
+
+_COLORS = (VERMILION, BLUE)
+_MM2 = 1e6
+
+
+def tracking(time: Array, command: Array, angles: Mapping[str, Array], errors: Mapping[str, Array]) -> Figure:
+    """Angle with its command, and the error between them.
+
+    Args:
+        time: s, shape (n,).
+        command: rad.
+        angles: Name to angle, rad.
+        errors: Name to command less angle, rad.
+    """
+    made, (top, bottom) = figure(2, height=6.0, sharex=True)
+    few = thinned(len(time))
+    top.plot(time[few], np.rad2deg(command[few]), color=BLACK, linestyle="--", linewidth=1.0, zorder=3, label="command")
+    for color, (name, angle) in zip(_COLORS, angles.items(), strict=False):
+        top.plot(time[few], np.rad2deg(angle[few]), color=color, linewidth=1.5, label=name)
+    for color, (name, error) in zip(_COLORS, errors.items(), strict=False):
+        bottom.plot(time[few], 1e3 * error[few], color=color, linewidth=1.2, label=name)
+    top.set_ylabel("joint angle (deg)")
+    bottom.set_ylabel("command - angle (mrad)")
+    bottom.set_xlabel("time (s)")
+    legend_above(top, 3)
+    return made
+
+
+def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
+    """Tracking error against time, a panel each: name, time (s) and errors by name (rad)."""
+    made, axes = figure(len(panels), height=1.0 + 2.4 * len(panels), sharex=True)
+    for axis, (name, time, by_name) in zip(axes, panels, strict=True):
+        for color, (how, error) in zip(_COLORS, by_name.items(), strict=False):
+            axis.plot(time, 1e3 * error, color=color, linewidth=1.0, label=how)
+        axis.set_title(name, fontsize=10, loc="left")
+        axis.set_ylabel("command - angle (mrad)")
+    axes[-1].set_xlabel("time (s)")
+    legend_above(axes[0], 2)
+    return made
+
+
+def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> Figure:
+    """Joint speed against time, a panel each: name, time (s), commanded speed and measured speeds by name (rad/s)."""
+    made, axes = figure(len(panels), height=1.0 + 2.6 * len(panels), sharex=True)
+    for axis, (name, time, commanded, measured) in zip(axes, panels, strict=True):
+        few = thinned(len(time), 20000)
+        for color, (how, speed) in zip(_COLORS, measured.items(), strict=False):
+            axis.plot(time[few], np.rad2deg(speed[few]), color=color, linewidth=1.0, label=how)
+        axis.plot(time[few], np.rad2deg(commanded[few]), color=BLACK, linestyle="--", linewidth=1.0, label="command")
+        axis.set_title(name, fontsize=10, loc="left")
+        axis.set_ylabel("joint speed (deg/s)")
+        axis.set_yscale("symlog", linthresh=2.0)
+        axis.set_yticks([-100, -10, -2, -1, 0, 1, 2, 10, 100], ["-100", "-10", "-2", "-1", "0", "1", "2", "10", "100"])
+    axes[-1].set_xlabel("time (s)")
+    legend_above(axes[0], 3)
+    return made
+
+
+def areas(angle_deg: Array, impacted: Array, throat: Array, clear_deg: float) -> Figure:
+    """Impacted and effective throat area, m^2, against the valve angle (Fig. 3)."""
+    made, (axis,) = figure(1, height=4.4)
+    axis.plot(angle_deg, _MM2 * impacted, color=BLUE, label="impacted area $A_s$")
+    axis.plot(angle_deg, _MM2 * throat, color=VERMILION, label="effective throat area $A_t$")
+    axis.plot(angle_deg, _MM2 * (impacted + throat), color=GREY, linestyle="--", linewidth=1.0, label="$A_s + A_t$")
+    axis.axvline(clear_deg, color=BLACK, linestyle=":", linewidth=1.0, label=f"plate clear, {clear_deg:.2f} deg")
+    axis.set_xlabel("valve angle (deg)")
+    axis.set_ylabel("area (mm$^2$)")
+    legend_above(axis, 4)
+    return made
+
+
+def uniform(
+    speed: Array, panels: Sequence[tuple[str, Array, Mapping[str, Sequence[tuple[float, float, bool]]]]]
+) -> Figure:
+    """Points of the conventional method (eq. 14) beside the true friction.
+
+    Args:
+        speed: Of the curves, rad/s, shape (n,).
+        panels: Title, true friction in N m at ``speed``, and name to points (speed, friction, whether it was uniform).
+    """
+    made, axes = figure(1, len(panels), width=9.5, height=4.8)
+    for axis, (title, truth, groups) in zip(axes, panels, strict=True):
+        axis.plot(speed, truth, color=BLACK, linewidth=1.2, label="true friction")
+        for color, marker, (name, points) in zip((BLUE, VERMILION), "os", groups.items(), strict=False):
+            for filled in (True, False):
+                chosen = [(v, m) for v, m, even in points if even is filled]
+                label = name if filled else f"{name}, stick-slip"
+                if chosen:
+                    face = color if filled else "none"
+                    axis.plot(*zip(*chosen, strict=True), marker, color=color, markerfacecolor=face, label=label)
+        axis.set_xscale("log")
+        axis.set_title(title, fontsize=10, loc="left")
+        axis.set_xlabel("commanded speed (rad/s)")
+        axis.set_ylim(bottom=0.0)
+    axes[0].set_ylabel("mean torque in the direction of motion (N m)")
+    handles: dict[str, Artist] = {}
+    for axis in axes:
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    made.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    return made
+
+
+def closed_loop(
+    time: Array,
+    flow: Mapping[str, Array],
+    pressure: Mapping[str, Array],
+    angle: Mapping[str, Array],
+    current: Array,
+    force: Array,
+) -> Figure:
+    """Flow (kg/s), pressure (MPa), angle (rad), each a command and an answer; motor current (A), contact force (N)."""
+    made, (top, second, third, last) = figure(4, height=9.5, sharex=True)
+    few = thinned(len(time))
+    for axis, pair, scale, label in (
+        (top, flow, 1.0, "gas flow (kg/s)"),
+        (second, pressure, 1.0, "pressure (MPa)"),
+        (third, angle, np.rad2deg(1.0), "valve angle (deg)"),
+    ):
+        (asked_name, asked), (answer_name, answer) = pair.items()
+        axis.plot(time[few], scale * answer[few], color=BLUE, linewidth=1.2, label=answer_name)
+        axis.plot(time[few], scale * asked[few], color=BLACK, linestyle="--", linewidth=1.0, label=asked_name)
+        axis.set_ylabel(label)
+        legend_above(axis, 2)
+    last.plot(time[few], current[few], color=BLUE, linewidth=0.8, label="motor current")
+    last.set_ylabel("motor current (A)")
+    last.set_xlabel("time (s)")
+    right = last.twinx()
+    right.plot(time[few], 1e-3 * force[few], color=VERMILION, linewidth=1.2, label="contact force")
+    right.set_ylabel("contact force (kN)")
+    right.spines["top"].set_visible(False)
+    last.legend(
+        [*last.get_lines(), *right.get_lines()],
+        ["motor current", "contact force (right)"],
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.985),
+        ncols=2,
+        fontsize=8,
+        frameon=False,
+    )
+    return made
+
+
+def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Figure:
+    """Current, pressure and area against the valve angle, a column for each speed (Fig. 4).
+
+    Args:
+        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure, the steady one (MPa) and
+            impacted area (mm^2).
+    """
+    made, axes = figure(3, len(panels), width=9.5, height=7.5, sharex=True)
+    for column, (title, angle, current, pressure, steady, area) in enumerate(panels):
+        top, middle, bottom = axes[column :: len(panels)]
+        top.plot(angle, current, color=BLUE, linewidth=1.0)
+        top.set_title(title, fontsize=10, loc="left")
+        top.set_ylim(bottom=0.0)
+        middle.plot(angle, pressure, color=BLUE, linewidth=1.2, label="measured")
+        middle.plot(angle, steady, color=BLACK, linestyle="--", linewidth=1.0, label="steady at this angle")
+        middle.set_ylim(bottom=0.0)
+        bottom.plot(angle, area, color=BLUE, linewidth=1.2)
+        bottom.set_xlabel("valve angle (deg)")
+        legend_above(middle, 2)
+    for row, label in enumerate(("motor current (A)", "pressure (MPa)", "impacted area (mm$^2$)")):
+        axes[row * len(panels)].set_ylabel(label)
+    return made

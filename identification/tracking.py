@@ -1,0 +1,71 @@
+"""How well a recording followed its command, and what that took."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.recording import Array, Recording
+
+REST_RAD_S = 1e-4
+"""Mean speed over :data:`REST_SPAN_S` below which a joint counts as at rest."""
+REST_SPAN_S = 0.05
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Errors of one recording or a part of it.
+
+    Attributes:
+        rms: Of command less angle, rad.
+        largest: Its greatest magnitude, rad.
+        at_end: Its last value, rad: the steady-state error where the command rests.
+        energy: Electrical energy taken by the motor, the integral of U I, J.
+        waiting: Share of the time in which the joint rested though it was commanded to move.
+    """
+
+    rms: float
+    largest: float
+    at_end: float
+    energy: float
+    waiting: float
+
+
+def tracking_error(recording: Recording) -> Array:
+    """Return command less angle, rad, shape (n,). A target is due one sample after it was sent."""
+    command = recording.channels["command"]
+    return np.asarray(np.concatenate([command[:1], command[:-1]]) - recording.channels["angle"])
+
+
+def resting(recording: Recording) -> Array:
+    """Return where the joint rests, 0 or 1, shape (n,): its mean speed about the sample is next to nothing."""
+    n = max(1, round(REST_SPAN_S / recording.period))
+    angle = recording.channels["angle"]
+    padded = np.pad(angle, (n // 2, n - n // 2), mode="edge")
+    return np.asarray(np.abs(padded[n:] - padded[:-n]) < REST_RAD_S * n * recording.period, dtype=np.float64)
+
+
+def track(recording: Recording, first: float = 0.0, last: float = np.inf) -> Tracking:
+    """Judge a recording from ``first`` to ``last`` s after its start.
+
+    Raises:
+        KeyError: It lacks command, angle, voltage or current.
+        ValueError: It has no sample in between.
+    """
+    time = recording.time - recording.time[0]
+    part = (time >= first) & (time < last)
+    if not np.any(part):
+        raise ValueError(f"{recording.name}: no sample from {first:g} to {last:g} s")
+    error = tracking_error(recording)[part]
+    command = recording.channels["command"]
+    sent = np.abs(np.gradient(command, recording.period)) > REST_RAD_S
+    moving = part & sent
+    power = recording.channels["voltage"] * recording.channels["current"]
+    return Tracking(
+        rms=float(np.sqrt(np.mean(error**2))),
+        largest=float(np.max(np.abs(error))),
+        at_end=float(error[-1]),
+        energy=float(np.nansum(power[part]) * recording.period),
+        waiting=float(np.mean(resting(recording)[moving])) if np.any(moving) else 0.0,
+    )

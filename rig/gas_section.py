@@ -1,0 +1,71 @@
+"""The gas generator and its pressure transmitter in a bench file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.cia404 import Cia404Transmitter
+from drivers.objects import ProcessChannel
+from identification.model.gas_generator import GasGenerator
+from identification.model.valve import ValveGeometry
+from rig.configuration import Schema
+
+_Positive = Annotated[float, Field(gt=0)]
+
+
+class PressureSection(Schema):
+    """A CANopen pressure transmitter (CiA 404) on the chamber.
+
+    ``unit_Pa`` is one unit of its process value 9130h, held against 6131h and 6132h before a run; ``range_MPa`` the
+    pressure it can measure. ``eds`` as for the drive.
+    """
+
+    kind: Literal["cia404"] = "cia404"
+    node: Annotated[int, Field(ge=1, le=127)] = 4
+    unit_Pa: _Positive = 100.0
+    range_MPa: _Positive
+    eds: str | None = None
+
+    def transmitter(self, channel: ProcessChannel) -> Cia404Transmitter:
+        """Return the device."""
+        return Cia404Transmitter(channel, self.unit_Pa)
+
+
+class GasGeneratorSection(Schema):
+    """What is believed of gas generator and valve (Fig. 3, eq. 2, 3, 10).
+
+    Contact force and limits need the valve and ``back_pressure_MPa`` (p_c0); a flow command also what makes the flow;
+    the rest is for its diagnosis.
+    """
+
+    hole_diameter_m: _Positive
+    opening_diameter_m: _Positive
+    plate_width_m: _Positive
+    back_pressure_MPa: Annotated[float, Field(ge=0)]
+    propellant_density_kg_m3: _Positive
+    burning_rate_mm_s: _Positive
+    pressure_exponent: Annotated[float, Field(gt=0, lt=1)]
+    chamber_diameter_m: _Positive
+    characteristic_velocity_m_s: _Positive
+    heat_ratio: Annotated[float, Field(gt=1, lt=2)]
+    free_volume_m3: _Positive
+
+    def valve(self, arm_m: float) -> ValveGeometry:
+        """Return the valve; it swings on the moment arm L1."""
+        return ValveGeometry(self.hole_diameter_m, self.opening_diameter_m, self.plate_width_m, arm_m)
+
+    def generator(self, arm_m: float) -> GasGenerator:
+        """Return the record the numerics use."""
+        return GasGenerator(
+            rho_b=self.propellant_density_kg_m3,
+            D_P=self.chamber_diameter_m,
+            a=self.burning_rate_mm_s * 1e-3,
+            n=self.pressure_exponent,
+            C_r=self.characteristic_velocity_m_s,
+            gamma=self.heat_ratio,
+            V_0=self.free_volume_m3,
+            p_c0=self.back_pressure_MPa * 1e6,
+            valve=self.valve(arm_m),
+        )

@@ -1,0 +1,64 @@
+"""A whole run on a simulated bench in one call, as studies and figures need it: bus, drive, sequencer, recorder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from identification.recording import Dataset
+from rig.bench import Bench
+from rig.configuration import Document
+from rig.connect import connect
+from rig.errors import InputError
+from rig.feedforward import Feedforward
+from rig.operator import AutomaticOperator, StopButton
+from rig.plan import make_plan
+from rig.run import create_folder, load_run
+from rig.sample import Sample
+from rig.sequence import Sequence
+from rig.sequencer import Ending
+from rig.session import Inputs, execute
+
+
+class _Unattended(AutomaticOperator):
+    """Answers as planned, and has nobody to tell."""
+
+    def tell(self, words: str) -> None:
+        """Say nothing."""
+
+
+def run_simulated(
+    bench: Document[Bench],
+    sequence: Document[Sequence],
+    seed: int,
+    folder: Path,
+    feedforward: Feedforward | None = None,
+) -> Dataset:
+    """Run a sequence on a simulated bench, every weight hung as planned, and read its recordings back.
+
+    Args:
+        bench: A simulated one.
+        sequence: What to do.
+        seed: Of the bench's noise.
+        folder: The run folder; new or empty.
+        feedforward: What torque the drive is to add is computed from; None for none.
+
+    Raises:
+        InputError: The bench is a real one, or the run did not end in order.
+        KeyboardInterrupt: It was stopped.
+    """
+    if not bench.value.simulated:
+        raise InputError(bench.problem(("bus",), "this runs unattended, so the bench must be simulated"))
+    plan = make_plan(sequence, bench, feedforward=feedforward)
+    create_folder(folder)
+    inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)
+    with connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices:
+        _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
+    if outcome.ending is Ending.STOPPED:
+        raise KeyboardInterrupt
+    if outcome.ending is not Ending.DONE:
+        raise InputError(f"{sequence.value.name} on {bench.value.name}: {outcome.message}")
+    return load_run(folder)
+
+
+def _silent(stage: str, cycles: int, sample: Sample) -> None:
+    pass

@@ -1,0 +1,178 @@
+"""The gas generator diagnosed: what is hidden gets its name and size, what is not gets none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from identification.diagnosis.gas.burns import burns, noise
+from identification.diagnosis.gas.diagnose import diagnose_gas
+from identification.diagnosis.gas.fit import believed, fit, simulate
+from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm, effect_at
+from identification.diagnosis.result import Verdict
+from identification.recording import Dataset, Recording, RecordingError
+
+from .burning import BENCH, NOISE_PA, TRUE, pauses, recordings
+
+HIDDEN: Mapping[str, Mapping[str, float]] = {
+    "throat_deposition": {"rate_m_s": 6e-6},
+    "burning_area_change": {"taper_per_m": -0.06},
+    "erosive_burning": {"coefficient_s_m": 0.02},
+    "heat_loss": {"heat_flow_W": 8e4, "time_s": 4.0},
+    "leakage": {"area_m2": 1.5e-5},
+}
+
+
+def test_nothing_is_missing_where_only_the_constants_are_off() -> None:
+    found = diagnose_gas(recordings({}))
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert not found.effects
+    assert found.fit.noise_floor_rms == pytest.approx(NOISE_PA, rel=0.03)
+    assert found.fit.validate_final_rms == pytest.approx(NOISE_PA, rel=0.05)
+    assert {name: found.parameters[name] for name in TRUE} == pytest.approx(TRUE, rel=0.01)
+    assert found.parameters["V_0"] == pytest.approx(0.011, rel=0.02)
+
+
+@pytest.mark.parametrize("name", HIDDEN)
+def test_what_is_hidden_is_named_and_sized(name: str) -> None:
+    found = diagnose_gas(recordings({name: HIDDEN[name]}))
+    assert found.verdict is Verdict.NAMED
+    (effect,) = found.effects
+    assert effect.name == name
+    assert effect.alias_group == (name,)
+    for key, true in HIDDEN[name].items():
+        assert effect.parameters[key].value == pytest.approx(true, rel=0.15)
+        assert effect.parameters[key].low < effect.parameters[key].value < effect.parameters[key].high
+    assert found.fit.validate_baseline_rms is not None
+    # The walls of plant and model warm by different laws: a twelfth of the noise is left of 80 kW.
+    assert found.fit.validate_final_rms == pytest.approx(NOISE_PA, rel=0.1 if name == "heat_loss" else 0.05)
+    assert found.fit.validate_baseline_rms > found.fit.validate_final_rms
+    assert {t.role for t in found.traces} == {"fit", "validate"}
+
+
+def test_a_still_valve_cannot_tell_what_a_moving_one_can() -> None:
+    still = [pauses(8.0), pauses(8.0)]
+    found = diagnose_gas(recordings({"throat_deposition": HIDDEN["throat_deposition"]}, still, ()))
+    assert found.verdict is Verdict.AMBIGUOUS
+    assert {"throat_deposition", "burning_area_change"} <= set(found.effects[0].alias_group)
+    assert "These recordings cannot tell" in found.statement
+    assert any("hardly moves" in w for w in found.warnings)
+
+
+@pytest.mark.parametrize(
+    "effects",
+    [
+        {"x_propellant_bands": {"share": 0.03, "length_m": 0.02}},
+        {"x_burning_wave": {"share": 0.02, "frequency_Hz": 2.0}},
+        {"x_throat_wear": {"rate_m_s": 6e-6}},
+        {"x_slag_puffs": {"share": 0.05, "period_s": 2.0, "length_s": 0.3}},
+    ],
+    ids=lambda effects: next(iter(effects)),
+)
+def test_what_is_in_no_catalogue_gets_no_name(effects: Mapping[str, Mapping[str, float]]) -> None:
+    found = diagnose_gas(recordings(effects))
+    assert found.verdict is Verdict.OUTSIDE_CATALOGUE
+    assert not found.effects
+    assert found.curve is not None
+    assert len(found.curve.grid) == len(found.curve.value)
+    assert found.location is not None
+
+
+def test_two_effects_at_once() -> None:
+    both = {name: HIDDEN[name] for name in ("leakage", "burning_area_change")}
+    found = diagnose_gas(recordings(both))
+    assert {e.name for e in found.effects} == set(both)
+    sizes = {k: e.value for effect in found.effects for k, e in effect.parameters.items()}
+    assert sizes == pytest.approx({"area_m2": 1.5e-5, "taper_per_m": -0.06}, rel=0.2)
+
+
+def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
+    true = recordings({})
+    valve = replace(BENCH.gas_generator.valve, d=0.02503, D=0.03998, b=0.05402)
+    bench = replace(BENCH, gas_generator=replace(BENCH.gas_generator, valve=valve))
+
+    def off(r: Recording) -> Recording:
+        late = np.interp(r.time - 1e-3, r.time, r.channels["pressure"] + 2.5e3)
+        return replace(r, bench=bench, channels={**r.channels, "angle": r.channels["angle"] + 7e-4, "pressure": late})
+
+    found = diagnose_gas(Dataset(tuple(off(r) for r in true.recordings)))
+    assert found.verdict is Verdict.NOTHING_MISSING
+    assert found.parameters["angle_zero"] == pytest.approx(-7e-4, abs=2e-4)
+    assert found.parameters["delay"] == pytest.approx(1e-3, abs=3e-4)
+    assert not any("would have to be off" in w for w in found.warnings)
+
+
+def test_a_belief_that_is_far_off_is_told() -> None:
+    raised = tuple(
+        replace(r, channels={**r.channels, "pressure": r.channels["pressure"] + 5e4}) for r in recordings({}).recordings
+    )
+    found = diagnose_gas(Dataset(raised))
+    assert found.verdict is not Verdict.NOTHING_MISSING
+    assert any("pressure_zero by" in w for w in found.warnings)
+
+
+def test_rows_faster_than_the_gas_are_averaged() -> None:
+    slow = recordings({}).recordings[0]
+    time = np.arange(0.0, 2.0, 0.001)
+    fast = {name: np.interp(time, slow.time, values) for name, values in slow.channels.items()}
+    (burn,) = burns([replace(slow, channels=fast)])
+    assert len(burn.time) == 400
+    assert burn.pressure == pytest.approx(fast["pressure"].reshape(400, 5).mean(axis=1))
+    assert burn.time[0] == pytest.approx(0.002)
+
+
+def test_a_fit_stands_where_its_tangent_says() -> None:
+    here = burns(recordings({}).part("fit")[:2])
+    sigma = noise(here)
+    fitted = fit(here, sigma, believed(here))
+    moved = replace(fitted.model, constants={**fitted.model.constants, "n": fitted.model.constants["n"] + 3e-4})
+    change = (simulate(here, moved) - fitted.simulated) / sigma
+    # The exponent is the second number of a fit, in units of 0.03.
+    assert change == pytest.approx(0.01 * fitted.tangent[:, 1], abs=0.02 * np.max(np.abs(change)))
+    gradient = fitted.tangent.T @ fitted.residual + fitted.held * fitted.pull
+    assert np.max(np.abs(gradient) / np.linalg.norm(fitted.tangent, axis=0)) < 0.1
+
+
+@pytest.mark.parametrize("term", GAS_TERMS, ids=lambda t: t.name)
+@given(size=st.floats(-1e3, 1e3), rest=st.floats(0.01, 1e3))
+def test_an_effect_is_what_a_fit_varies(term: GasTerm, size: float, rest: float) -> None:
+    names = list(term.sizes)
+    effect = GasEffect(term, {name: size if k == 0 else rest for k, name in enumerate(names)})
+    again = effect_at(term, effect.coordinates)
+    assert dict(again.parameters) == pytest.approx(dict(effect.parameters), rel=1e-9)
+
+
+def broken(**channels: np.ndarray | None) -> Dataset:
+    """Return one recording with channels replaced, or left out."""
+    (first, *_) = recordings({}).recordings
+    mixed = {**first.channels, **channels}
+    return Dataset((replace(first, channels={k: v for k, v in mixed.items() if v is not None}),))
+
+
+@pytest.mark.parametrize(
+    ("dataset", "words"),
+    [
+        (broken(pressure=None), "burn_0: no pressure"),
+        (broken(angle=None), "burn_0: no angle"),
+        (broken(pressure=np.linspace(4e6, -1e5, 800)), "falls to -100000 Pa"),
+        (broken(pressure=np.full(800, 4e6)), "pressure is constant"),
+        (Dataset(()), "no recording with role fit"),
+    ],
+)
+def test_recordings_that_cannot_be_used(dataset: Dataset, words: str) -> None:
+    with pytest.raises(RecordingError, match=words):
+        diagnose_gas(dataset)
+
+
+def test_a_bench_without_constants_or_a_short_burn() -> None:
+    (first, *_) = recordings({}).recordings
+    with pytest.raises(RecordingError, match=r"no bench\.gas_generator"):
+        burns([replace(first, bench=replace(first.bench, gas_generator=None))])
+    short = {name: values[:40] for name, values in first.channels.items()}
+    with pytest.raises(RecordingError, match="40 samples make 40 rows of 5 ms; at least 50"):
+        burns([replace(first, channels=short)])

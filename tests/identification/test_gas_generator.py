@@ -1,0 +1,112 @@
+"""The gas generator of the model: equilibria, closed forms of eq. 8, and an independent integrator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.integrate import cumulative_simpson, solve_ivp
+
+from identification.model.gas_generator import (
+    GasGenerator,
+    equilibrium_pressure,
+    pressure_history,
+    throat_derivatives,
+)
+from identification.model.valve import ValveGeometry, throat_area
+
+PAPER = GasGenerator()
+TIME = np.arange(0.0, 6.0, 0.005)
+SWEEP = np.radians(15.0 - 12.0 * np.cos(2.0 * np.pi * 0.4 * TIME))
+
+
+def test_equilibria_are_those_of_the_specification() -> None:
+    least, full = (float(throat_area(np.array(angle))) for angle in (0.0, math.radians(30.0)))
+    assert float(equilibrium_pressure(least, PAPER, exact=False)) == pytest.approx(4.43e6, rel=1e-3)
+    assert float(equilibrium_pressure(least, PAPER)) == pytest.approx(4.37e6, rel=1e-3)
+    assert float(equilibrium_pressure(full, PAPER)) == pytest.approx(0.60e6, rel=5e-3)
+    assert float(equilibrium_pressure(1.01 * least, PAPER, exact=False)) == pytest.approx(
+        4.4294e6 * 1.01 ** (-1.0 / 0.47), rel=1e-4
+    )
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_at_equilibrium_the_balance_of_eq_7_closes(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    g = GasGenerator(a=rng.uniform(3e-3, 9e-3), n=rng.uniform(0.2, 0.8), C_r=rng.uniform(700.0, 1400.0))
+    throat = rng.uniform(4e-4, 1.3e-3, 7)
+    p = equilibrium_pressure(throat, g)
+    r = g.a * (p / 1e6) ** g.n
+    assert (g.rho_b - p / g.RT) * g.A_b * r == pytest.approx(p * throat / g.C_r, rel=1e-12)
+    p = equilibrium_pressure(throat, g, exact=False)
+    r = g.a * (p / 1e6) ** g.n
+    assert g.rho_b * g.A_b * r == pytest.approx(p * throat / g.C_r, rel=1e-12)
+
+
+def test_the_contact_force_of_the_closed_valve_is_that_of_case_2() -> None:
+    force = (float(equilibrium_pressure(throat_area(np.array(0.0)), PAPER)) - PAPER.p_c0) * 7.658e-4
+    assert force == pytest.approx(3000.0, rel=0.02)
+    assert PAPER.Gamma == pytest.approx(0.658, abs=1e-4)
+
+
+def test_eq_8_at_a_fixed_throat_has_a_closed_form() -> None:
+    """With x = p^(1-n) and d tau = dt/V eq. 8 is linear: dx/dtau = (1-n) R_g T_g (rho_b A_b a' - x A_t/C_r)."""
+    angle = np.full_like(TIME, 0.2)
+    burn = pressure_history(TIME, angle, PAPER, start_pressure=4e6, exact=False)
+    tau = cumulative_simpson(1.0 / (PAPER.V_0 + PAPER.A_b * burn.web), x=TIME, initial=0.0)
+    throat = float(throat_area(np.array(0.2)))
+    end = PAPER.rho_b * PAPER.A_b * PAPER.a * 1e6**-PAPER.n * PAPER.C_r / throat
+    decay = np.exp(-(1.0 - PAPER.n) * PAPER.RT * throat / PAPER.C_r * tau)
+    x = end + (4e6 ** (1.0 - PAPER.n) - end) * decay
+    assert burn.pressure == pytest.approx(x ** (1.0 / (1.0 - PAPER.n)), rel=1e-6)
+
+
+@pytest.mark.parametrize("exact", [True, False])
+def test_a_sweep_is_that_of_an_integrator_with_error_control(exact: bool) -> None:
+    g = PAPER
+    burn = pressure_history(TIME, SWEEP, g, exact=exact)
+    throat = throat_area(SWEEP)
+
+    def slope(t: float, y: np.ndarray) -> list[float]:
+        p, volume = y
+        r = g.a * (p / 1e6) ** g.n
+        density = g.rho_b - (p / g.RT if exact else 0.0)
+        return [
+            g.RT / volume * (density * g.A_b * r - p * np.interp(t, TIME, throat) / g.C_r),
+            g.A_b * r,
+        ]
+
+    found = solve_ivp(
+        slope, (0.0, 2.0), [burn.pressure[0], g.V_0], "LSODA", TIME[TIME <= 2.0], rtol=1e-10, atol=1e-9, max_step=0.005
+    )
+    assert burn.pressure[: found.y.shape[1]] == pytest.approx(found.y[0], rel=1e-6)
+    assert g.V_0 + g.A_b * burn.web[: found.y.shape[1]] == pytest.approx(found.y[1], rel=1e-7)
+
+
+def test_a_small_chamber_is_taken_in_smaller_steps() -> None:
+    burn = pressure_history(TIME, SWEEP, GasGenerator(V_0=1e-6), start_pressure=3e6)
+    settled = equilibrium_pressure(throat_area(SWEEP), PAPER)
+    assert np.all(np.isfinite(burn.pressure))
+    assert burn.pressure[1:10] == pytest.approx(settled[1:10], rel=0.02)
+
+
+def test_a_layer_makes_both_diameters_smaller() -> None:
+    h = 3e-4
+    bare, first, second = throat_derivatives(SWEEP, ValveGeometry())
+    layered = throat_area(SWEEP, ValveGeometry(d=0.025 - 2 * h, D=0.040 - 2 * h))
+    assert bare + h * (first + 0.5 * h * second) == pytest.approx(layered, rel=5e-4)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [({"n": 1.0}, "no stable equilibrium"), ({"a": -1.0}, "a = -1"), ({"gamma": 0.9}, "ratio above 1")],
+)
+def test_a_generator_that_cannot_be(wrong: dict[str, float], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        GasGenerator(**wrong)
+
+
+def test_a_burn_starts_above_zero_pressure() -> None:
+    with pytest.raises(ValueError, match="start pressure -5 Pa"):
+        pressure_history(TIME, SWEEP, PAPER, start_pressure=-5.0)

@@ -1,0 +1,79 @@
+"""Areas of the swinging gate: the paper's figures, and areas counted without any formula for them."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from identification.model.valve import PAPER, ValveGeometry, impacted_area, throat_area
+
+
+def integrated(angle: float, g: ValveGeometry, strips: int = 400) -> float:
+    """A_s as the length of the covered pieces of vertical lines, summed by Gauss's rule between all corners."""
+    centre = np.array([g.L1 * math.sin(angle), g.L1 * math.cos(angle)])
+    apart = math.hypot(centre[0], centre[1] - g.L1)
+    edges = {max(-g.b / 2, centre[0] - g.D / 2), min(g.b / 2, centre[0] + g.D / 2), -g.d / 2, g.d / 2}
+    if abs(g.D / 2 - g.d / 2) < apart < g.D / 2 + g.d / 2:
+        along = (apart**2 + (g.d / 2) ** 2 - (g.D / 2) ** 2) / (2 * apart)
+        across = math.sqrt((g.d / 2) ** 2 - along**2)
+        unit = (centre - [0.0, g.L1]) / apart
+        edges |= {along * unit[0] + side * across * unit[1] for side in (1.0, -1.0)}
+    low, high = max(-g.b / 2, centre[0] - g.D / 2), min(g.b / 2, centre[0] + g.D / 2)
+    if high <= low:
+        return 0.0
+    grid = sorted(x for x in edges if low <= x <= high)
+    nodes, weights = np.polynomial.legendre.leggauss(strips)
+    total = 0.0
+    for left, right in pairwise(grid):
+        # x = mean - half cos(u) takes the square roots off both ends.
+        u = 0.5 * math.pi * (nodes + 1.0)
+        x = 0.5 * (left + right) - 0.5 * (right - left) * np.cos(u)
+        dx = 0.25 * math.pi * (right - left) * np.sin(u) * weights
+        reach = np.sqrt(np.maximum((g.D / 2) ** 2 - (x - centre[0]) ** 2, 0.0))
+        hole = np.sqrt(np.maximum((g.d / 2) ** 2 - x**2, 0.0))
+        shared = np.minimum(centre[1] + reach, g.L1 + hole) - np.maximum(centre[1] - reach, g.L1 - hole)
+        total += float(np.sum(dx * (2.0 * reach - np.where(hole > 0.0, np.maximum(shared, 0.0), 0.0))))
+    return total
+
+
+def test_the_papers_figures() -> None:
+    assert impacted_area(np.array(0.0)) == pytest.approx(7.66e-4, abs=5e-7)
+    assert throat_area(np.array(0.0)) == pytest.approx(math.pi * 0.025**2 / 4, rel=1e-12)
+    assert math.degrees(PAPER.clearing_angle) == pytest.approx(29.65, abs=0.005)
+    assert impacted_area(np.array(PAPER.clearing_angle)) == pytest.approx(0.0, abs=1e-15)
+    assert impacted_area(np.array(PAPER.clearing_angle - 0.01)) > 1e-6
+
+
+@pytest.mark.parametrize("degrees", np.linspace(0.0, 30.0, 31))
+def test_areas_are_those_of_strips(degrees: float) -> None:
+    angle = math.radians(degrees)
+    assert float(impacted_area(np.array(angle))) == pytest.approx(integrated(angle, PAPER), abs=2e-11)
+
+
+@given(
+    d=st.floats(0.005, 0.05),
+    D=st.floats(0.005, 0.05),
+    slack=st.floats(0.0, 0.02),
+    angle=st.floats(-0.6, 0.6),
+)
+def test_any_valve(d: float, D: float, slack: float, angle: float) -> None:
+    g = ValveGeometry(d, D, d + slack, 0.095)
+    both = np.array([angle, -angle])
+    area = throat_area(both, g)
+    assert area[0] == area[1]
+    assert -1e-15 < area[0] < g.opening_area + 1e-15
+    assert throat_area(both, g) + impacted_area(both, g) == pytest.approx(g.opening_area, rel=1e-12)
+    assert float(impacted_area(both, g)[0]) == pytest.approx(integrated(abs(angle), g), abs=2e-9)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"), [({"D": 0.0}, "D = 0 m"), ({"L1": math.nan}, "L1 = nan"), ({"d": 0.06}, "wider than its plate")]
+)
+def test_a_valve_that_cannot_be_built(wrong: dict[str, float], words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        ValveGeometry(**wrong)

@@ -1,0 +1,278 @@
+"""Friction feed-forward: what is read, what is sent in which cycle, what is refused, and what it does to a run."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.interfaces import Servo
+from identification.model.nominal import NOMINAL
+from identification.recording import Array, Recording
+from rig.bench import load_bench
+from rig.cli import status
+from rig.errors import InputError
+from rig.feedforward import Compensator, Feedforward, Offsets, load_feedforward, require_torque_offset, stage_offsets
+from rig.mcap_layout import decode_frames
+from rig.mcap_reader import read_run
+from rig.packaged import resolve
+from rig.progress import RunProgress
+from rig.run import bench_constants, load_run, read_record
+from rig.sample import Sample
+from rig.sequencer import Ending
+
+CYCLE_S = 1e-3
+KNOWN = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, "known.json", "0" * 64)
+RAMPS = """\
+sequence: 1
+name: ramps
+stages:
+  - {name: slow, stage: unloaded, ramp: {travel_deg: 2, speed_deg_s: 2, rest_s: 0.2}, duration_s: 2.4}
+  - {name: fast, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 4, speed_deg_s: 8, rest_s: 0.2}, duration_s: 1.4}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("ramps.yaml").write_text(RAMPS)
+
+
+def result_file(name: str = "result.json", **changes: Any) -> Path:
+    """Write a result of ``rig identify`` with the true values of the packaged benches, but for ``changes``."""
+    values = {**NOMINAL, **changes}
+    raw = {
+        "schema": "loadrig.identify/1",
+        "motion": "rotary",
+        "alpha": 2.0,
+        "parameters": {key: {"value": value} for key, value in values.items()},
+    }
+    path = Path(name)
+    path.write_text(json.dumps(raw))
+    return path
+
+
+def sample(motor_angle: float, fresh: bool = True) -> Sample:
+    return Sample(*([0.0] * 5), motor_angle, *([0.0] * 8), 1, fresh)
+
+
+def load(path: Path) -> Feedforward:
+    return load_feedforward(path, bench_constants(load_bench("practical").value))
+
+
+def test_a_result_file_is_read() -> None:
+    found = load(result_file())
+    assert found.values == NOMINAL
+    assert found.moment_per_kg == pytest.approx(0.095 * 10 * 9.80665)
+    assert len(found.sha256) == 64
+
+
+def test_what_is_not_identified_is_named() -> None:
+    with pytest.raises(InputError) as caught:
+        load(result_file(Ms=None, J=None))
+    assert [p.split(": ")[1] for p in caught.value.problems] == ["parameters.Ms", "parameters.J"]
+    assert all("not identified; feed-forward needs it" in p for p in caught.value.problems)
+
+
+def test_the_load_is_needed_only_for_loaded_stages() -> None:
+    found = load(result_file(mu_s=None))
+    targets = np.linspace(0.0, 0.1, 100)
+    assert np.any(stage_offsets(found, targets, 0.0, CYCLE_S, 75.0).torque)
+    with pytest.raises(InputError, match=r"parameters\.mu_s: not identified"):
+        stage_offsets(found, targets, 10.0, CYCLE_S, 75.0)
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"schema": "loadrig.paper/1"}'])
+def test_other_files_are_refused(text: str, capsys: pytest.CaptureFixture[str]) -> None:
+    Path("other.json").write_text(text)
+    assert status(["run", "ramps.yaml", "--feedforward", "other.json", "--dry-run"]) == 2
+    assert "other.json" in capsys.readouterr().err
+
+
+def test_the_torque_of_a_cycle_goes_with_its_target() -> None:
+    """Forward: eq. 15 for the period in which the target is reached. Damping: the last two samples against the command.
+
+    A joint that arrives at each target exactly, one cycle after it was sent, is damped by nothing.
+    """
+    targets = 0.05 * np.sin(np.linspace(0.0, 6.0, 3000))
+    offsets = stage_offsets(KNOWN, targets, 0.0, CYCLE_S, 75.0)
+    give = Compensator(offsets, 100.0, CYCLE_S)
+    arrived = np.concatenate([[0.0], targets[:-1]])
+    sent = [give(None)] + [give(sample(100.0 * angle)) for angle in arrived[:-1]]
+    np.testing.assert_allclose(sent, offsets.torque, atol=1e-9)
+
+
+def test_a_joint_that_lags_is_pushed_by_the_damping() -> None:
+    offsets = stage_offsets(KNOWN, 0.1 * CYCLE_S * np.arange(50), 0.0, CYCLE_S, 75.0)
+    give = Compensator(offsets, 100.0, CYCLE_S)
+    standing = [give(None)] + [give(sample(0.0)) for _ in range(49)]
+    assert standing[20] - offsets.torque[20] == pytest.approx(0.1 * offsets.damping[20])
+    assert offsets.damping[20] == pytest.approx(80.1, abs=0.1)
+
+
+def test_a_sample_that_is_not_fresh_damps_nothing() -> None:
+    offsets = stage_offsets(KNOWN, 0.1 * CYCLE_S * np.arange(50), 0.0, CYCLE_S, 75.0)
+    give = Compensator(offsets, 100.0, CYCLE_S)
+    fresh = [True] * 20 + [False] + [True] * 28
+    sent = np.array([give(None)] + [give(sample(0.0, f)) for f in fresh])
+    damped = sent != offsets.torque
+    assert not np.any(damped[21:23])
+    assert np.all(damped[5:21])
+    assert np.all(damped[23:])
+
+
+def test_more_than_the_limit_is_not_sent() -> None:
+    ten = np.full(10, 10.0)
+    give = Compensator(Offsets(ten, np.full(10, 80.0), np.zeros(10), 12.0), 100.0, CYCLE_S)
+    assert give(None) == 10.0
+    assert give(sample(0.0)) == 10.0
+    assert give(sample(10.0)) == -12.0  # 0.1 rad in a cycle
+    assert give(sample(0.0)) == 12.0
+
+
+@pytest.mark.parametrize(
+    ("bench", "words"),
+    [
+        ("practical_dbc", "servo.kind: feed-forward needs the torque offset 60B2h, which this drive's own frames lack"),
+        ("practical_serial", "bus.interface: feed-forward needs the torque offset in the instant of the target"),
+    ],
+)
+def test_transports_without_it_refuse(bench: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["run", "ramps.yaml", "--bench", bench, "--feedforward", str(result_file()), "--dry-run"]) == 2
+    assert words in capsys.readouterr().err
+    with pytest.raises(InputError):
+        require_torque_offset(load_bench(bench))
+
+
+def test_the_longer_frame_must_fit_the_bus() -> None:
+    """At 800 kbit/s a cycle fits, by a hair, and with two more bytes it does not."""
+    text = resolve("practical", "benches").read_text()
+    Path("bench.yaml").write_text(text.replace("bitrate: 1000000", "bitrate: 830000"))
+    with pytest.raises(InputError, match=r"bus\.bitrate: too slow: a cycle of 1 ms takes"):
+        require_torque_offset(load_bench("bench.yaml"))
+    require_torque_offset(load_bench("practical"))
+
+
+def test_more_torque_than_the_limit_is_refused_beforehand(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["run", "ramps.yaml", "--feedforward", str(result_file(mu_c=0.3)), "--dry-run"]) == 2
+    err = capsys.readouterr().err
+    assert "stages[1].weight_kg: feed-forward asks for" in err
+    assert "limit torque_N_m 75 N m" in err
+
+
+def test_the_plan_says_what_is_added(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["run", "ramps.yaml", "--feedforward", str(result_file()), "--dry-run"]) == 0
+    out = capsys.readouterr().out
+    assert "slow: feed-forward up to 1" in out
+    assert "damping 80.1 N m s/rad" in out
+    assert status(["run", "ramps.yaml", "--dry-run"]) == 0
+    assert "feed-forward" not in capsys.readouterr().out
+
+
+def tracking_rms(recording: Recording) -> float:
+    """Rms of what was commanded for each sample less what was measured, rad; the target arrives one cycle later."""
+    command: Array = recording.channels["command"]
+    arrived = np.concatenate([command[:1], command[:-1]])
+    return float(np.sqrt(np.mean((arrived - recording.channels["angle"]) ** 2)))
+
+
+def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) -> None:
+    """With the true parameters; identified ones are tried in ``benchmarks/feedforward.py``."""
+    options = ["ramps.yaml", "--bench", "practical_soft", "--yes"]
+    assert status(["run", *options, "--out", "plain"]) == 0
+    assert status(["run", *options, "--feedforward", str(result_file()), "--out", "fed"]) == 0
+    plain, fed = (load_run(Path(folder)).recordings for folder in ("plain", "fed"))
+    assert tracking_rms(plain[0]) > 100 * tracking_rms(fed[0])
+    assert tracking_rms(plain[1]) > 2 * tracking_rms(fed[1])
+    record = read_record(Path("fed"))
+    assert record.inputs["feedforward.json"]["file"] == "result.json"
+    assert json.loads(read_run(Path("fed/recording.mcap")).attachments["feedforward.json"])["alpha"] == 2.0
+    assert "feedforward.json" not in read_record(Path("plain")).inputs
+
+
+def test_a_run_is_resumed_with_the_same_identification(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = result_file()
+
+    def press(self: RunProgress, name: str, *rest: Any) -> None:
+        if name == "fast":
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as context:
+        context.setattr(RunProgress, "__call__", press)
+        assert status(["run", "ramps.yaml", "--yes", "--feedforward", str(path), "--out", "out"]) == 3
+    kept = path.read_text()
+    path.write_text(kept.replace("6.825", "6.9"))
+    assert status(["resume", "out", "--yes"]) == 2
+    assert "result.json: changed since out was run with it" in capsys.readouterr().err
+    path.write_text(kept)
+    assert status(["resume", "out", "--yes"]) == 0
+    again = load_run(Path("out")).recordings[1]
+    assert tracking_rms(again) < 1e-4
+
+
+class _Offsets:
+    """Collects what a fake servo is told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.sent: list[float] = []
+        monkeypatch.setattr(Servo, "set_torque_offset", lambda _servo, torque: self.sent.append(torque))
+
+
+def fed_plan(runner: Any) -> int:
+    """Give the runner's plan torque offsets of 5 N m; returns the cycles that have one."""
+    stages = []
+    for stage in runner.plan.stages:
+        n = len(stage.targets)
+        offsets = Offsets(np.full(n, 5.0), np.zeros(n), np.zeros(n), 75.0)
+        stages.append(dataclasses.replace(stage, offsets=offsets))
+    runner.plan = dataclasses.replace(runner.plan, stages=tuple(stages))
+    return sum(len(s.targets) * s.repeats for s in stages)
+
+
+def test_torque_is_added_in_excitations_only(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = _Offsets(monkeypatch)
+    cycles = fed_plan(runner)
+    _, outcome = runner(fake_bench())
+    assert outcome.ending is Ending.DONE
+    assert told.sent.count(5.0) == cycles
+    # Each of the three excitations ends with none.
+    assert told.sent.count(0.0) == 3
+    assert told.sent[500] == 0.0
+    assert told.sent[-1] == 0.0
+
+
+def test_after_a_trip_nothing_more_is_added(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    told = _Offsets(monkeypatch)
+    fed_plan(runner)
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=26.0)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.TRIPPED
+    assert outcome.safe.verified
+    assert bench.calls["quick_stop"] == 1
+    sent = len(told.sent)
+    assert sent < 700
+    assert set(told.sent) == {5.0}
+
+
+@pytest.mark.parametrize("fault", ["drive, fault: fault, value: 0x7320", "encoder, fault: jump, value: 3"])
+def test_a_fault_ends_without_power_and_without_offset(fault: str) -> None:
+    """The drive's ramp brakes; the offset neither drives on nor is left behind in the drive."""
+    Path("faults.yaml").write_text(f"faults: 1\nrows:\n  - {{phase: excite, after_s: 0.5, target: {fault}}}\n")
+    options = ["--yes", "--feedforward", str(result_file()), "--faults", "faults.yaml", "--out", "out"]
+    assert status(["run", "ramps.yaml", *options]) in (1, 4)
+    record = read_record(Path("out"))
+    assert record.de_energised
+    log = read_run(Path("out/recording.mcap"))
+    sent = [f for message in log.messages["/frames"] for f in decode_frames(message.data) if f.sent]
+    fed = [k for k, f in enumerate(sent) if f.identifier == 0x201 and f.data[6:8] != bytes(2)]
+    assert len(fed) > 400
+    assert {sent[k].data[:2] for k in fed} == {b"\x0f\x00"}
+    cleared = b"\x2b\xb2\x60\x00" + bytes(4)
+    assert any(f.identifier == 0x601 and f.data == cleared for f in sent[fed[-1] :])

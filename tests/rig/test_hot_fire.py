@@ -1,0 +1,307 @@
+"""Hot firings: planned, refused, run in the open and the closed loop, tripped, and read back for identification."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.clock import Clock
+from identification.contact_force import contact_force
+from identification.model.gas_generator import GasGenerator, equilibrium_pressure
+from identification.model.nominal import NOMINAL
+from identification.model.valve import throat_area
+from rig.bench import load_bench
+from rig.cli import status
+from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
+from rig.errors import InputError
+from rig.label_check import comparable, off_label
+from rig.mcap_reader import read_run
+from rig.operator import AutomaticOperator, StopButton
+from rig.packaged import resolve
+from rig.plan import make_plan
+from rig.plan_text import describe
+from rig.progress import RunProgress
+from rig.reference import Reference
+from rig.run import load_run, read_record
+from rig.safety import Check
+from rig.sequence import load_sequence
+from rig.sequencer import Ending
+from rig.session import Inputs, execute
+from rig.sources import load_source
+
+STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
+HOT = f"""\
+sequence: 1
+name: hot
+stages:
+  - {{name: sine, stage: hot_fire, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
+     ramp_in_s: 0.3, ramp_out_s: 0.3}}
+  - {{name: flow, stage: hot_fire, role: validate, flow: {STEPS}, duration_s: 4}}
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
+     ramp_in_s: 0.3, ramp_out_s: 0.3}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("hot.yaml").write_text(HOT)
+
+
+@pytest.fixture(scope="module")
+def fired(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished hot firing, not to be changed."""
+    folder = tmp_path_factory.mktemp("fired")
+    (folder / "hot.yaml").write_text(HOT)
+    assert status(["run", str(folder / "hot.yaml"), *BENCH, "--yes", "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+BENCH = ("--bench", "practical_hot")
+
+
+def bench_with(**changes: str) -> Path:
+    """Write the packaged bench with some of its text replaced, ``old=new``."""
+    text = resolve("practical_hot", "benches").read_text()
+    for old, new in changes.items():
+        assert old in text
+        text = text.replace(old, new)
+    path = Path("bench.yaml")
+    path.write_text(text)
+    return path
+
+
+def problems(bench: str | Path = "practical_hot") -> str:
+    with pytest.raises(InputError) as caught:
+        make_plan(load_sequence("hot.yaml"), load_bench(bench))
+    return "\n".join(caught.value.problems)
+
+
+def test_the_chamber_pressure_is_logged_and_loads_the_valve(fired: Path) -> None:
+    sine, flow, empty = load_run(fired).recordings
+    assert "pressure" not in empty.channels
+    assert [r.role for r in (sine, flow, empty)] == ["fit", "validate", "fit"]
+    for recording in (sine, flow):
+        assert recording.hot_fire
+        assert recording.stage == "loaded"
+        angle = recording.channels["angle"]
+        force = contact_force(recording, recording.time, angle)
+        generator = recording.bench.gas_generator
+        assert generator == GasGenerator()
+        steady = equilibrium_pressure(throat_area(angle, generator.valve), generator)
+        # Between the steady pressures of the least and the greatest throat it came by.
+        assert 0.98 * steady.min() < recording.channels["pressure"].min()
+        assert recording.channels["pressure"].max() < 1.02 * steady.max()
+        assert force.max() > 1000.0
+
+
+def test_the_closed_loop_brings_the_flow_asked_for(fired: Path) -> None:
+    flow = load_run(fired).recordings[1]
+    g = GasGenerator()
+    for end, wanted in ((1.5, 1.8), (4.0, 1.2)):
+        late = (flow.time - flow.time[0] > end - 0.3) & (flow.time - flow.time[0] < end)
+        assert late.any()
+        pressure = flow.channels["pressure"][late].mean()
+        found = g.rho_b * g.A_b * g.a * (pressure * 1e-6) ** g.n
+        assert found == pytest.approx(wanted, rel=0.02)
+    assert np.ptp(flow.channels["command"]) > math.radians(4.0)
+
+
+def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
+    record = read_record(fired)
+    assert [(s.stage, s.weight_kg, s.confirmed_kg) for s in record.stages[:2]] == [("hot_fire", 0.0, 0.0)] * 2
+    assert record.parts[0].devices["pressure"]["product_code"] == 0x404
+    assert "pressure.eds" in record.inputs
+    events = [event["event"] for event in read_run(fired / "recording.mcap").events]
+    assert events.count("ignition") == 2
+    assert events.index("prompt") < events.index("ignition") < events.index("stage start")
+
+
+def test_the_operator_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["run", "hot.yaml", *BENCH, "--yes", "--out", "told"]) == 0
+    words = "Stage sine is a hot firing: a gas generator loads the valve, and no weight. It is lit by this program."
+    assert words in capsys.readouterr().err
+
+
+def test_the_plan_shows_load_and_limits() -> None:
+    text = describe(make_plan(load_sequence("hot.yaml"), load_bench("practical_hot"), first_pass=True))
+    assert "2964.5" in text
+    assert "the gas generator loads the valve, no weight is hung" in text
+    assert "chamber pressure       6" in text
+    assert "contact force          4000" in text
+
+
+def test_a_bench_without_transmitter_says_what_it_lacks() -> None:
+    found = problems("practical")
+    assert "hot.yaml:4:25: stages[0].stage: a hot firing is loaded by its chamber pressure" in found
+    assert "use practical_hot" in found
+    assert status(["run", "hot.yaml", "--yes"]) == 2
+
+
+def test_more_than_the_limits_is_refused_before_anything_burns() -> None:
+    assert "the pressure would rise to 4.37 MPa" in problems(bench_with(**{"pressure_MPa: 6": "pressure_MPa: 4"}))
+    force = problems(bench_with(**{"contact_force_N: 4000": "contact_force_N: 2900"}))
+    assert "contact force 2964 N is above the bench limit contact_force_N 2900 N" in force
+
+
+def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
+    Path("hot.yaml").write_text(HOT.replace("flow_kg_s: 1.2", "flow_kg_s: 0.5"))
+    assert "stages[1].flow.steps[1].flow_kg_s: outside 0.7526 to 2.159 kg/s" in problems()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("stage: hot_fire, role: validate, flow", "stage: loaded, weight_kg: 3, flow", "a flow needs a gas generator"),
+        ("stage: hot_fire, tones", "role: validate, stage: hot_fire, tones", "sine, flow is loaded and set aside"),
+        ("stage: hot_fire, tones", "stage: hot_fire, weight_kg: 3, tones", "the gas generator loads a hot firing"),
+        ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
+        ("at_s: 1.5", "at_s: 0.1", "begins before the one at 0 s is over"),
+        ("ramp_s: 0.2}", "ramp_s: 0.2, controller: {angle_min_deg: 31}}", "angle_min_deg 31 must be below"),
+    ],
+)
+def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
+    assert old in HOT
+    Path("hot.yaml").write_text(HOT.replace(old, new, 1))
+    with pytest.raises(InputError, match=words):
+        load_sequence("hot.yaml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("  pressure_MPa: 6\n", "", "`pressure` needs limits.pressure_MPa"),
+        ("pressure_MPa: 6", "pressure_MPa: 11", "at most its range_MPa 10"),
+        ("pressure_exponent: 0.53\n    chamber", "pressure_exponent: 1.0\n    chamber", "no pressure is steady"),
+        ("valve: {hole_diameter_m: 0.025", "valve: {hole_diameter_m: 0.041", "must be below plate_width_m"),
+        ("bus: {interface: mock, bitrate: 1000000}", "bus: {interface: epos_serial, port: mock}", "needs a CAN bus"),
+        ("bitrate: 1000000", "bitrate: 500000", "lower cycle_Hz"),
+    ],
+)
+def test_benches_that_cannot_be(old: str, new: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        load_bench(bench_with(**{old: new}))
+
+
+def test_too_much_pressure_ends_the_run_and_takes_the_power_off(capsys: pytest.CaptureFixture[str]) -> None:
+    """The bench believes in a wider hole than there is."""
+    Path("hot.yaml").write_text(HOT.split("  - {name: flow")[0])
+    changes = {"  hole_diameter_m: 0.025": "  hole_diameter_m: 0.030", "pressure_MPa: 6": "pressure_MPa: 4"}
+    bench = bench_with(**changes)
+    assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "tripped"]) == 1
+    record = read_record(Path("tripped"))
+    assert record.trip is not None
+    assert record.trip["check"] == "chamber pressure"
+    assert record.de_energised is True
+    assert "is beyond its limit 4e+06 Pa" in capsys.readouterr().err
+
+
+def test_a_transmitter_in_another_unit_stops_before_power() -> None:
+    bench = bench_with(**{"unit_Pa: 100": "unit_Pa: 1000"})
+    assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "unit"]) == 4
+    assert "make 100 Pa a unit, the bench file 1000 Pa" in read_record(Path("unit")).message
+
+
+def test_check_names_the_transmitter(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["check", "practical_hot"]) == 0
+    assert "loadrig simulated pressure transmitter" in capsys.readouterr().out
+
+
+def test_a_bench_with_a_transmitter_is_jogged() -> None:
+    assert status(["jog", "practical_hot", "--to", "1"]) == 0
+
+
+def test_hot_firings_are_not_planned_as_experiments(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["identify", "--plan", "hot.yaml", *BENCH]) == 2
+    assert "leave hot firings out of the sequence" in capsys.readouterr().err
+
+
+def test_a_run_from_before_hot_firings_is_read(fired: Path, tmp_path: Path) -> None:
+    old: dict[str, Any] = json.loads((fired / "run.json").read_text())
+    del old["bench"]["gas_generator"]
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "run.json").write_text(json.dumps(old))
+    assert read_record(tmp_path / "old").bench["gas_generator"] is None
+
+
+def test_its_friction_is_not_held_against_a_weight(fired: Path) -> None:
+    dataset = load_run(fired)
+    assert not comparable(dataset)
+    assert off_label(dataset, Reference(NOMINAL, dict.fromkeys(NOMINAL, 1e-4), 2.0, 9.3163, "known.json")) == []
+
+
+def test_a_campaign_may_be_a_hot_firing(fired: Path) -> None:
+    sine = load_run(fired).recordings[0]
+    columns = {name: sine.channels[name] for name in ("time", "current", "angle", "pressure")}
+    np.savetxt(
+        "sine.csv", np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments=""
+    )
+    text = """\
+campaign: 1
+bench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, gas_generator: {}}
+model: {fixed: {Mc: 6.825, Ms: 12.025, omega_sf: 0.0557, sigma_2: 5.3462, J: 0.204}}
+recordings:
+  - {file: sine.csv, stage: loaded, channels: {time: time, angle: angle, pressure: pressure,
+     current: {column: current, average: true}}}
+"""
+    path = Path("campaign.yaml")
+    path.write_text(text)
+    (read,) = load_source(path).recordings
+    assert read.hot_fire
+    angle = read.channels["angle"]
+    np.testing.assert_allclose(contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9)
+    path.write_text(text.replace(", gas_generator: {}", ""))
+    with pytest.raises(InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"):
+        load_source(path)
+    path.write_text(text.replace(" pressure: pressure,", ""))
+    with pytest.raises(InputError, match="or for a hot firing `pressure`"):
+        load_source(path)
+
+
+def test_the_report_says_what_loaded_the_valve(fired: Path) -> None:
+    shutil.copytree(fired, "copy")
+    assert status(["identify", "copy", "--json", "found.json"]) == 0
+    assert 0.0 < json.loads(Path("found.json").read_text())["fit"]["validate_relative"] < 0.5
+    assert "gas generator" in (Path("copy") / "report.html").read_text()
+
+
+def test_a_real_transmitter_brings_its_own_description() -> None:
+    real = {
+        "bus: {interface: mock, bitrate: 1000000}": "bus: {interface: socketcan, channel: can0}",
+        "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
+        "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
+    }
+    with pytest.raises(InputError, match=r"pressure\.eds: missing; a real device needs its manufacturer's EDS file"):
+        device_files(load_bench(bench_with(**real)))
+    own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
+    assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
+
+
+def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
+    """Its process data stop, its heartbeat goes on: two frames late is too late, and age has its limit."""
+    bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
+    plan = make_plan(sequence, bench)
+
+    def attach(twin: Any) -> Clock:
+        def lose(time_ns: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+            return None if identifier == 0x184 and time_ns > 1_200_000_000 else (identifier, data)
+
+        twin.bus.frame_filters.append(lose)
+        return twin.clock  # type: ignore[no-any-return]
+
+    folder = Path("silent")
+    folder.mkdir()
+    with connect(bench, 0, False, attach) as devices, RunProgress(plan.cycle_s, plan.duration_s) as progress:
+        inputs = Inputs(bench, sequence, 0, False)
+        _, outcome = execute(inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress)
+    assert outcome.ending is Ending.FAILED
+    assert outcome.trip is not None
+    assert outcome.trip.check is Check.SAMPLE_AGE
+    assert outcome.safe.verified
+    assert outcome.trip.time == pytest.approx(1.2, abs=0.02)

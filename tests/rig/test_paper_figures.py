@@ -1,0 +1,170 @@
+"""The paper's figures, done again: each says what the numbers in its data file say."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identification.model.nominal import NOMINAL
+from rig.feedforward import Feedforward
+from rig.packaged import resolve
+from rig.paper_figures import chosen, loop, ramp, sine, sweep, uniform, valve
+from rig.paper_figures.exhibit import Exhibit, columns, write_exhibits
+
+
+def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
+    """Columns of numbers of an exhibit's data."""
+    assert exhibit.data is not None
+    titles, rows = exhibit.data[name or exhibit.name]
+    return {title: np.array(column) for title, column in zip(titles, zip(*rows, strict=True), strict=True)}
+
+
+@pytest.fixture(scope="module")
+def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
+    """Fig. 2 and 9 on a shorter ramp, with the true parameters."""
+    scratch = tmp_path_factory.mktemp("ramps")
+    known = scratch / "known.json"
+    known.write_text("{}")
+    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+    with pytest.MonkeyPatch.context() as patch:
+        short = scratch / "slow_ramp.yaml"
+        text = resolve("slow_ramp", "sequences").read_text()
+        short.write_text(text.replace("travel_deg: 8", "travel_deg: 4").replace("duration_s: 18", "duration_s: 9.5"))
+        patch.setattr(ramp, "SEQUENCE", str(short))
+        return ramp.exhibits(ramp.run_ramps(scratch, model, 3))
+
+
+def test_fig_2_shows_stick_slip_and_steady_state_error_and_their_end(ramps: list[Exhibit]) -> None:
+    data = numbers(ramps[0])
+    plain, fed = (data["command_rad"] - data[name] for name in ("angle_rad", "angle_fed_rad"))
+    assert abs(plain[-1]) > 5e-3
+    assert abs(fed[-1]) < 1e-4
+    jumps = np.diff(data["angle_rad"]) / np.diff(data["time_s"])
+    assert jumps.max() > 10 * np.deg2rad(1.0)
+    assert "mrad off at the end" in ramps[0].found[1]
+
+
+def test_fig_9_is_the_speed_of_both_loads(ramps: list[Exhibit]) -> None:
+    data = numbers(ramps[1])
+    moving = np.abs(data["command_rad_s"] - np.deg2rad(1.0)) < 1e-9
+    assert np.mean(np.abs(data["unloaded_rad_s"][moving]) < 1e-4) > 0.7  # it waits
+    even = data["unloaded_fed_rad_s"][moving][50:]
+    assert np.sqrt(np.mean((even / np.deg2rad(1.0) - 1.0) ** 2)) < 0.1
+    assert "loaded_fed_rad_s" in data
+
+
+def test_fig_3_is_what_the_paper_says_of_it() -> None:
+    made = valve.exhibit()
+    data = numbers(made)
+    total = data["impacted_area_m2"] + data["throat_area_m2"]
+    np.testing.assert_allclose(total, np.pi * 0.04**2 / 4, rtol=1e-12)
+    assert data["impacted_area_m2"][0] == pytest.approx(7.66e-4, rel=1e-3)
+    assert data["throat_area_m2"][0] == pytest.approx(np.pi * 0.025**2 / 4)
+    assert np.all(np.diff(data["impacted_area_m2"]) <= 1e-18)
+    assert "29.65 deg" in made.found[0]
+
+
+def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(uniform, "SPEEDS_DEG_S", (1.5, 2.5, 4.0, 8.0, 20.0))
+    monkeypatch.setattr(uniform, "TRAVEL_DEG", {0.0: 5.0})
+    study = uniform.measure(tmp_path, 4)
+    stiff, soft = study.points["stiff"], study.points["soft"]
+    assert all(p.uniform for p in stiff)
+    assert not any(p.uniform for p in soft if abs(p.speed) < np.deg2rad(5.0))
+    made = uniform.exhibit(study)
+    assert made.table is not None
+    rows = {row[0]: row for row in made.table.rows}
+    at = made.table.header.index("stiff gains, no weight") + 1
+    errors = {name: float(rows[name][at].removesuffix(" %")) for name in ("Mc", "Ms", "omega_sf", "sigma_2")}
+    assert max(map(abs, errors.values())) < 3.0
+    at = made.table.header.index("soft gains, all points") + 1
+    assert abs(float(rows["Ms"][at].removesuffix(" %"))) > 15.0
+    assert any("Soft gains, uniform points: too few" in line for line in made.found)
+
+
+STEPS = """\
+sequence: 1
+name: steps
+stages:
+  - name: flow
+    stage: hot_fire
+    duration_s: 6
+    flow:
+      steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.0}, {at_s: 4, flow_kg_s: 1.6}]
+      ramp_s: 0.2
+"""
+
+
+def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "steps.yaml"
+    path.write_text(STEPS)
+    monkeypatch.setattr(loop, "SEQUENCE", str(path))
+    made = loop.exhibit(tmp_path, 2)
+    data = numbers(made)
+    late = (data["time_s"] > 3.0) & (data["time_s"] < 3.9)
+    np.testing.assert_allclose(data["flow_kg_s"][late], data["flow_command_kg_s"][late], rtol=0.02)
+    assert data["contact_force_N"].max() > 4 * data["contact_force_N"].min() > 0.0
+    assert "not before the next step" not in made.found[1]
+    # More flow is asked for: the throat closes, and the flow falls before it rises.
+    rise = (data["time_s"] >= 4.0) & (data["time_s"] < 4.3)
+    assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
+
+
+def test_the_sine_is_followed_better_and_its_energy_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = tmp_path / "figure10.yaml"
+    text = resolve("figure10", "sequences").read_text()
+    short.write_text(text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5"))
+    monkeypatch.setattr(sine, "SEQUENCE", str(short))
+    monkeypatch.setattr(sine, "FIRST_S", 1.0)
+    monkeypatch.setattr(sine, "CYCLES", 1)
+    known = tmp_path / "known.json"
+    known.write_text("{}")
+    model = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, str(known), "0" * 64)
+    made = sine.exhibit(*sine.run_sines(tmp_path, model, 5))
+    data = numbers(made)
+    for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
+        before, after = (np.sqrt(np.mean(data[f"error_{stage}{fed}_rad"] ** 2)) for fed in ("", "_fed"))
+        assert before > ratio * after
+        for fed in ("", "_fed"):
+            assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * sine.PERIOD_S < energy[1]
+    assert made.table is not None
+    assert [row[0] for row in made.table.rows] == ["0 N", "3001 N"]
+
+
+def test_fig_4_falls_with_pressure_and_area() -> None:
+    made = sweep.exhibit(0)
+    for name, fastest in (("fig_4", 0.7), ("fig_4_slow", 7.0)):
+        data = numbers(made, name)
+        even = data["uniform"] > 0.5
+        early, late = even & (data["angle_rad"] < 0.15), even & (data["angle_rad"] > 0.45)
+        for column in ("current_A", "pressure_Pa", "impacted_area_m2"):
+            assert data[column][early].mean() > 1.3 * data[column][late].mean(), column
+        assert data["time_s"][-1] < fastest
+    assert "At 50 deg/s" in made.found[0]
+
+
+def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
+    text = "\n".join(chosen.chosen())
+    for words in ("C_r = 1000 m/s", "(0.658 C_r)^2", "V_0 = 0.01 m^3", "p_c0 = 0.5 MPa", "i = 100", "400 N m/rad"):
+        assert words in text
+
+
+def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
+    made = valve.exhibit()
+    files = write_exhibits([made], tmp_path)
+    assert files == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
+    with (tmp_path / "data/fig_3.csv").open(newline="") as lines:
+        rows = list(csv.reader(lines))
+    assert rows[0] == ["angle_deg", "impacted_area_m2", "throat_area_m2"]
+    assert float(rows[-1][0]) == 30.0
+    assert len(rows) == 302
+
+
+def test_columns_must_be_of_one_length() -> None:
+    with pytest.raises(ValueError, match="argument 2"):
+        columns(a=np.zeros(3), b=np.zeros(4))

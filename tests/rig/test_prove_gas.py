@@ -1,0 +1,109 @@
+"""The blind gas rigs: drawn over the whole catalogue, within the plant's ranges, and telling nothing."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
+from drivers.mock.plant.effects.pack import problems
+from identification.diagnosis.entries import ENTRIES
+from rig.cli import status
+from rig.prove import gas_simulate
+from rig.prove.excitation import CYCLE_S
+from rig.prove.gas_draw import GAS_OUTSIDE_SIZES, GAS_SIZES, draw_gas, gas_assignment
+from rig.prove.gas_excitation import GasExperiment, gas_experiments
+from rig.prove.seal import unseal
+from rig.sources.load import load_source
+
+ONE = ("one", ("leakage",))
+SEED = (5, 1)
+
+
+def test_every_gas_effect_can_be_drawn_hidden_and_named() -> None:
+    named = [e.name for e in ENTRIES.values() if e.group == "gas generator"]
+    assert list(GAS_SIZES) == list(GAS_CATALOGUE) == named
+    assert GAS_OUTSIDE_SIZES.keys() == GAS_OUTSIDE.keys()
+
+
+@pytest.mark.parametrize("name", [*GAS_SIZES, *GAS_OUTSIDE_SIZES])
+def test_draws_are_within_what_the_plant_can_hide(name: str) -> None:
+    machines = [draw_gas("one", (name,), (seed, 1)).machine for seed in range(20)]
+    assert not [text for machine in machines for text in problems(machine.effects)]
+    noises = [m.gas.transmitter.noise_Pa / m.gas.transmitter.range_Pa for m in machines]
+    assert 0.001 <= min(noises) < max(noises) <= 0.0025
+    assert len({m.gas.burning_rate_mm_s for m in machines}) == 20
+
+
+def test_a_hundred_rigs_go_round_the_catalogue() -> None:
+    drawn = gas_assignment(100, 4)
+    assert Counter(kind for kind, _ in drawn) == {"one": 50, "nothing": 40, "outside": 10}
+    assert set(Counter(names for kind, names in drawn if kind == "one").values()) == {10}
+    assert draw_gas(*ONE, SEED) == draw_gas(*ONE, SEED)
+    assert draw_gas(*ONE, SEED) != draw_gas(*ONE, (5, 2))
+
+
+def test_the_burns_stay_within_the_bench() -> None:
+    plan = gas_experiments()
+    assert Counter(e.role for e in plan) == {"fit": 6, "validate": 2}
+    for e in plan:
+        assert len(e.command) == round(20.0 / CYCLE_S)
+        assert np.degrees(np.min(e.command)) > -1e-9
+        assert np.degrees(np.max(e.command)) < 29.0
+        assert np.max(np.abs(np.diff(e.command))) / CYCLE_S < np.deg2rad(210.0)
+        assert abs(e.command[0]) < 1e-4
+
+
+@pytest.fixture
+def short(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Have burns of 3 s."""
+    plan = tuple(GasExperiment(e.name, e.role, e.command[:3000]) for e in gas_experiments())
+    monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
+
+
+@pytest.mark.usefixtures("short")
+def test_a_rig_is_sealed_and_its_campaign_tells_nothing(tmp_path: Path) -> None:
+    sealed = gas_simulate.seal_gas(tmp_path, 1, ONE, SEED)
+    strengths = gas_simulate.simulate_gas(sealed, ONE, SEED)
+    assert strengths["pressure"] > 0.1
+    truth = unseal(sealed.truth, sealed.digest)
+    assert truth["effects"] == draw_gas(*ONE, SEED).machine.effects
+    dataset = load_source(sealed.campaign)
+    assert all(r.channels.keys() == {"time", "command", "angle", "pressure"} for r in dataset.recordings)
+    text = sealed.campaign.read_text()
+    assert not [word for word in ("leakage", *map(str, truth["parameters"].values())) if word in text]
+    other = gas_simulate.seal_gas(tmp_path, 2, ("nothing", ()), (5, 2))
+    assert gas_simulate.simulate_gas(other, ("nothing", ()), (5, 2)) == {}
+    assert other.campaign.read_text() == text
+
+
+@pytest.mark.usefixtures("short")
+def test_a_twin_that_hides_nothing_burns_with_the_same_noise() -> None:
+    rig = draw_gas(*ONE, SEED)
+    plain = rig._replace(machine=replace(rig.machine, effects={}))
+    first, again, hiding = (gas_simulate.campaign(r)[0].pressure for r in (plain, plain, rig))
+    assert np.array_equal(first, again)
+    assert np.std(np.diff(hiding - first)) < 0.2 * rig.machine.gas.transmitter.noise_Pa
+
+
+def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def blind(source: Path, seed: int) -> dict[str, object]:
+        shift = {"n": {"before": 0.5, "after": 0.51, "unit": "1"}}
+        fit = {"validate_baseline_rms": 2.0, "validate_final_rms": 2.0, "noise_floor_rms": 1.0}
+        return {"verdict": "nothing_missing", "effects": [], "fit": fit, "parameter_shift": shift, "p_value": 1.0}
+
+    plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
+    monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
+    monkeypatch.setattr("rig.diagnose.diagnose_to_dict", blind)
+    out = tmp_path / "proof"
+    assert status(["prove", "--gas", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 0
+    result = json.loads((out / "prove.json").read_text())
+    assert result["false_alarms"]["n"] == 0
+    assert result["counts"] == {"one": 2, "two": 0, "nothing": 2, "outside": 0}
+    assert all(set(row["nominal"]) == {"n"} for row in result["rigs"])
+    assert status(["prove", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 2
