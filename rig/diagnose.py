@@ -13,6 +13,7 @@ import numpy as np
 
 from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
 from identification.recording import Dataset, RecordingError
 from rig.diagnose_record import diagnosis_record, effects_record
@@ -44,6 +45,7 @@ def diagnose_source(
     bandwidth_Hz: float | None = None,
     progress: Callable[[str, float], None] | None = None,
     refine: bool = False,
+    onlooker: Callable[[Joint], None] | None = None,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
 
@@ -53,6 +55,7 @@ def diagnose_source(
         bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings.
         progress: Called with what is being done and the share that is done.
         refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out.
+        onlooker: Shown the nominal model's fit before anything is sought.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -63,7 +66,8 @@ def diagnose_source(
     dataset = load_source(source)
     described_by = source / RUN_FILE if source.is_dir() else source
     try:
-        found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+        rng = np.random.default_rng(seed)
+        found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker)
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
@@ -101,12 +105,3 @@ def as_json(outcome: Outcome) -> dict[str, Any]:
     record = diagnosis_record(outcome.diagnosis, outcome.provenance)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     return record
-
-
-def diagnose_to_dict(source: Path, seed: int) -> dict[str, Any]:
-    """Diagnose a source and return the record of ``rig diagnose --json``.
-
-    Raises:
-        InputError: The source cannot be read, or its recordings cannot be diagnosed.
-    """
-    return as_json(diagnose_source(source, seed))
