@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench loop prove prove-gas paper feedforward weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -22,6 +22,7 @@ help:
 	@echo "make prove     the blind proof of the diagnosis, a small set (out/proof)"
 	@echo "make prove-gas the blind proof of the gas generator's diagnosis, 100 rigs (out/proof-gas)"
 	@echo "make bench     speed, as ratios within one run"
+	@echo "make growth    how a diagnosis grows with samples and with the catalogue"
 	@echo "make weight-check  how often the weight check is right, on a stiff and a soft bench"
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
@@ -96,6 +97,9 @@ prove-gas: $(VENV)/.runtime
 
 bench: $(VENV)/.runtime
 	for script in plant_speed hotfire_speed identification_speed bus_speed transports; do $(BIN)/python benchmarks/$$script.py || exit 1; done
+
+growth: $(VENV)/.runtime
+	$(BIN)/python benchmarks/diagnosis_growth.py
 
 weight-check: $(VENV)/.runtime
 	for bench in practical practical_soft; do $(BIN)/python tests/long/weight_check.py --bench $$bench || exit 1; done

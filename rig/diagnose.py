@@ -15,6 +15,7 @@ from identification.corrected.refit import refit
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.gas.burns import bears
 from identification.diagnosis.gas.diagnose import diagnose_gas
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.result import Diagnosis
 from identification.recording import Dataset, RecordingError
 from rig.diagnose_record import diagnosis_record, effects_record
@@ -50,6 +51,7 @@ def diagnose_source(
     progress: Callable[[str, float], None] | None = None,
     refine: bool = False,
     gas: bool = False,
+    onlooker: Callable[[Joint], None] | None = None,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
 
@@ -61,6 +63,7 @@ def diagnose_source(
         refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out; those of a gas
             generator always are.
         gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
+        onlooker: Shown the nominal model's fit before anything is sought; not of a gas generator.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -76,7 +79,7 @@ def diagnose_source(
             dataset = burning(dataset)
             found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
         else:
-            found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress)
+            found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker)
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
@@ -131,12 +134,3 @@ def as_json(outcome: Outcome) -> dict[str, Any]:
     record = diagnosis_record(outcome.diagnosis, outcome.provenance)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     return record
-
-
-def diagnose_to_dict(source: Path, seed: int) -> dict[str, Any]:
-    """Diagnose a source and return the record of ``rig diagnose --json``.
-
-    Raises:
-        InputError: The source cannot be read, or its recordings cannot be diagnosed.
-    """
-    return as_json(diagnose_source(source, seed))

@@ -6,7 +6,7 @@ Recordings set aside (role ``validate``) are touched once, at the end.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
@@ -62,6 +62,7 @@ def diagnose(
     bandwidth_Hz: float | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
+    onlooker: Callable[[Joint], None] | None = None,
 ) -> Diagnosis:
     """Say whether physics is missing from the nominal model of these recordings, where, and which.
 
@@ -70,6 +71,7 @@ def diagnose(
         bandwidth_Hz: Of every error; None chooses the least over the recordings of what each bears.
         rng: Of the tests by sign flips.
         progress: Called with what is being done and the share done.
+        onlooker: Shown the nominal model's fit before anything is sought, for other methods on the same rows.
 
     Raises:
         RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be granted.
@@ -87,7 +89,10 @@ def diagnose(
     left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
     terms = [t for t in TERMS if t.name not in left_out]
     here = views(fitted, bandwidth, campaign=dataset.recordings)
-    found = search(here, unit, fit(here, unit, start), terms, chance, tell)
+    first = fit(here, unit, start)
+    if onlooker is not None:
+        onlooker(first)
+    found = search(here, unit, first, terms, chance, tell)
     gives = any(e.term.name in GIVING for e in found.final.effects)
     if gives:
         tell("the same on the valve's side", 0.0)
@@ -291,7 +296,7 @@ def _why_not(rival: Contender) -> str:
 
 
 def _fits(baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float) -> tuple[Fit, ...]:
-    held_before, held_after = _held_out(baseline, aside, unit), _held_out(final, aside, unit)
+    held_before, held_after = held_out(baseline, aside, unit), held_out(final, aside, unit)
     out = []
     for equation in baseline.equations:
         rows = baseline.stack.part(equation.name)
@@ -311,7 +316,7 @@ def _fits(baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandw
     return tuple(out)
 
 
-def _held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
+def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
     """Return each equation's rms over recordings that took no part, nothing of the torque's model fitted to them."""
     if not aside:
         return {}

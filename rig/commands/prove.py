@@ -45,11 +45,11 @@ def command(
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
-    from rig.diagnose import diagnose_to_dict
     from rig.errors import InputError
     from rig.places import require_file, require_folder
     from rig.prove import output
     from rig.prove.family import GAS, MOTION
+    from rig.prove.judge import judge
     from rig.prove.run import PROOF_FILE, begin, work
     from rig.results import Provenance
     from rig.tables import table
@@ -62,7 +62,7 @@ def command(
         for sealed in proof.seals:
             click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
         with ShareBar() as bar:
-            rows = work(proof, diagnose_to_dict, jobs, keep, bar)
+            rows = work(proof, judge, jobs, keep, bar)
         provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     except OSError as error:
         raise InputError(
@@ -70,8 +70,9 @@ def command(
         ) from error
     result = output.record(rows, provenance)
     report = output.write(out, result, provenance, json_file)
-    cells = output.rates(result)
-    click.echo(table(cells.header, cells.rows, cells.right))
+    for cells in (output.rates(result), output.methods(result), output.places(result)):
+        if cells.rows:
+            click.echo(table(cells.header, cells.rows, cells.right) + "\n")
     for line in output.remarks(result):
         click.echo(line)
     click.echo(f"report: {report}")

@@ -16,7 +16,7 @@ from rig.report import provenance_tables, render
 from rig.results import Provenance
 from rig.tables import number
 
-PROVE_SCHEMA = "loadrig.prove/1"
+PROVE_SCHEMA = "loadrig.prove/2"
 RESULT_FILE = "prove.json"
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",
@@ -29,6 +29,21 @@ _RATES = {
     "outside": "outside the catalogue: said so",
     "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
     "intervals": "parameters of effects within their interval",
+}
+_METHODS = {
+    "top1": f"one effect, strength {STRONG:g} or more: named first",
+    "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_all": "one effect, any strength: named first",
+    "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    "exact": f"one or two, strength {STRONG:g} or more: all named and nothing else",
+    "false_alarms": "nothing hidden: alarms",
+    "outside_named": "outside the catalogue: given a name",
+}
+_TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "sparse regression"}
+_PLACES = {
+    "equation": "in the equation where the effect shows",
+    "coordinate": "over the catalogue's coordinate",
+    "place": "over that or one like it, or in its recording",
 }
 
 
@@ -48,17 +63,41 @@ def rates(result: Mapping[str, Any]) -> Table:
     return Table(("what", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
+def methods(result: Mapping[str, Any]) -> Table:
+    """Return the diagnosis beside the baselines it must beat, on the same rigs."""
+    names = [m for m in _TITLES if m in result["methods"]]
+    rows = []
+    for key, words in _METHODS.items():
+        cells = [result["methods"][m][key] for m in names]
+        if cells[0]["of"]:
+            shares = [f"{100 * c['share']:.1f} % ({100 * c['low']:.0f} to {100 * c['high']:.0f})" for c in cells]
+            rows.append((words, str(cells[0]["of"]), *shares))
+    return Table(("what", "rigs", *(_TITLES[m] for m in names)), tuple(rows), tuple(range(1, 2 + len(names))))
+
+
+def places(result: Mapping[str, Any]) -> Table:
+    """Return how often the mismatch was found where the effect shows."""
+    rows = []
+    for key, words in _PLACES.items():
+        found = result["location"][key]
+        if found["of"]:
+            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
+            rows.append((words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band))
+    return Table(("mismatch located", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+
+
 def remarks(result: Mapping[str, Any]) -> list[str]:
     """Return what the rates need said beside them."""
     lines = [
         f"{result['outside']['named_confidently']} effects outside the catalogue were given a name with confidence."
     ]
-    gain = result["oracle_fraction"]
-    if gain["median"] is not None:
-        lines.append(
-            f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to the noise floor was gained "
-            f"(median of {gain['of']} rigs)."
-        )
+    for key, words in (("oracle_fraction", "what the true structure gains"), ("floor_fraction", "the noise floor")):
+        gain = result[key]
+        if gain["median"] is not None:
+            lines.append(
+                f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to {words} was gained "
+                f"(median of {gain['of']} rigs)."
+            )
     if result["most_frequent_class"] is not None:
         lines.append(
             f"Always naming the most frequent effect would be right on {100 * result['most_frequent_class']:.1f} %."
@@ -75,6 +114,8 @@ def write(folder: Path, result: Mapping[str, Any], provenance: Provenance, json_
     pictures = _pictures(result)
     sections = [
         {"title": "Rates", "table": rates(result), "pictures": [p for p in pictures if p.name == "power"]},
+        {"title": "Against the baselines", "table": methods(result), "pictures": []},
+        {"title": "Where it was found", "table": places(result), "pictures": []},
         {
             "title": "What was called what",
             "table": _confusion(result),

@@ -5,38 +5,48 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from rig.prove.judge import Judgement
+from rig.prove.located import located
+
 CONFIDENT = 0.9
 """A name given with more confidence than this to an effect outside the catalogue counts as a gross error."""
+MOST_NAMED = 3
+"""Names of a baseline that count where two effects are hidden: as many as the diagnosis gives at most."""
+WORTH = 0.05
+"""Held-out gain of the oracle over the noise, below which there is nothing to gain."""
 FAINT = 1e-12
+VERSION = 2
+"""Of a row: a proof begun with other ones is not gone on with."""
 
 
 def row_of(
-    truth: Mapping[str, Any], strengths: Mapping[str, float], diagnosis: Mapping[str, Any], digest: str, seconds: float
+    truth: Mapping[str, Any],
+    strengths: Mapping[str, float],
+    judgement: Judgement,
+    oracle: Mapping[str, Any] | None,
+    digest: str,
 ) -> dict[str, Any]:
-    """Score one diagnosis against the truth.
+    """Score one rig's judgement against its truth.
 
     Args:
         truth: As unsealed: ``rig``, ``kind``, ``effects`` and ``parameters``.
         strengths: Channel to rms change over noise.
-        diagnosis: As ``rig diagnose --json`` says in the contract.
+        judgement: What was said of it.
+        oracle: Held-out errors with the true structure; None where there is none.
         digest: Of the seal.
-        seconds: Spent on the diagnosis.
 
     Returns:
-        A row; ``top1``, ``alias`` and ``confident`` are null where the kind of rig gives them no meaning.
+        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where the kind of rig gives them no meaning.
     """
-    names = list(truth["effects"])
+    diagnosis = judgement.diagnosis
+    names, kind = list(truth["effects"]), truth["kind"]
     found = list(diagnosis["effects"])
     verdict = diagnosis["verdict"]
-    single = truth["kind"] == "one"
-    first = found[:1] if single else found
-    named = {effect["name"] for effect in first}
-    grouped = named.union(*(effect["alias_group"] for effect in first))
-    catalogued = truth["kind"] in ("one", "two")
+    single = kind == "one"
     return {
         "rig": truth["rig"],
         "sha256": digest,
-        "kind": truth["kind"],
+        "kind": kind,
         "effects": names,
         "strength": max(strengths.values(), default=0.0),
         "strength_by_channel": dict(strengths),
@@ -45,14 +55,35 @@ def row_of(
             {"name": e["name"], "alias_group": list(e["alias_group"]), "confidence": e["confidence"]} for e in found
         ],
         "p_value": diagnosis["p_value"],
+        **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
         "alarm": verdict != "nothing_missing",
-        "top1": set(names) <= named if catalogued else None,
-        "alias": set(names) <= grouped if catalogued else None,
-        "confident": any(e["confidence"] > CONFIDENT for e in found) if truth["kind"] == "outside" else None,
+        "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
+        "baselines": {
+            method: {"named": list(said), **_hits(kind, names, [(name,) for name in said])}
+            for method, said in judgement.baselines.items()
+        },
+        "location": located(names[0], truth["effects"][names[0]], diagnosis) if single else None,
         "parameters": _parameters(truth["effects"], found),
         "nominal": _nominal(truth["parameters"], diagnosis),
         **_held_out(diagnosis["fit"]),
-        "seconds": seconds,
+        "oracle": None if oracle is None else dict(oracle),
+        "oracle_fraction": None if oracle is None else _oracle_fraction(oracle, diagnosis["fits"]),
+        "seconds": judgement.seconds,
+        "baseline_seconds": judgement.baseline_seconds,
+    }
+
+
+def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
+    """Score names, each with its alias group behind it, by the same rules for every method."""
+    alarm = {"alarm": bool(said), "top1": None, "alias": None, "exact": None}
+    if kind not in ("one", "two"):
+        return alarm
+    counted = said[:1] if kind == "one" else said[:MOST_NAMED]
+    return {
+        **alarm,
+        "top1": set(names) <= {group[0] for group in counted},
+        "alias": set(names) <= {name for group in counted for name in group},
+        "exact": set(names) == {group[0] for group in said},
     }
 
 
@@ -88,9 +119,9 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 
 
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
-    """Return held-out errors, and the share of what could be gained that was.
+    """Return held-out errors, and the share of the way to the noise floor that was gained.
 
-    What could be gained ends at the noise floor; no model fitted to the same data gets below it but by chance.
+    No model fitted to the same data gets below the floor but by chance.
     """
     before, after, floor = fit["validate_baseline_rms"], fit["validate_final_rms"], fit["noise_floor_rms"]
     share = None
@@ -100,5 +131,17 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
         "validate_baseline_rms": before,
         "validate_final_rms": after,
         "noise_floor_rms": floor,
-        "oracle_fraction": share,
+        "floor_fraction": share,
     }
+
+
+def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the diagnosis's held-out gain over the oracle's, in the equation where the oracle gains most.
+
+    Null where the true structure itself gains nothing there, or where the diagnosis has no such equation.
+    """
+    mine = [f for f in fits if f["equation"] == oracle["equation"] and f["validate_baseline_rms"] is not None]
+    possible = oracle["baseline_rms"] - oracle["oracle_rms"]
+    if not mine or possible <= WORTH * oracle["noise_rms"]:
+        return None
+    return float((mine[0]["validate_baseline_rms"] - mine[0]["validate_final_rms"]) / possible)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from collections.abc import Callable, Iterator
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -18,12 +15,11 @@ from rig.errors import InputError
 from rig.places import write_json
 from rig.prove.family import FAMILIES, MOTION
 from rig.prove.generate import Sealed, place
-from rig.prove.row import row_of
+from rig.prove.judge import Judge
+from rig.prove.pool import each
+from rig.prove.row import VERSION, row_of
 from rig.prove.seal import unseal
 from rig.provenance import sha256_file
-
-Diagnose = Callable[[Path, int], Mapping[str, Any]]
-"""From a campaign file and a seed to the record of ``rig diagnose --json``."""
 
 PROOF_FILE = "proof.json"
 ROWS = "rows"
@@ -58,9 +54,8 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
         InputError: The folder holds a proof with other settings, or ``source`` no sealed campaigns.
         OSError: It cannot be written.
     """
-    settings = {"rigs": rigs, "seed": seed, "from": None if source is None else str(source.resolve())}
-    if family != MOTION:
-        settings["family"] = family
+    home = None if source is None else str(source.resolve())
+    settings = {"rigs": rigs, "seed": seed, "from": home, "family": family, "row_version": VERSION}
     file = out / PROOF_FILE
     if file.is_file():
         begun = json.loads(file.read_text(encoding="utf-8"))
@@ -68,8 +63,8 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
             raise InputError(
                 f"{out}: holds a proof with other settings, {begun['settings']}; give --out another folder"
             )
-        home = source or out
-        return Proof(out, source, seed, tuple(place(home, int(n), d) for n, d in begun["seals"].items()), family)
+        seals = tuple(place(source or out, int(n), d) for n, d in begun["seals"].items())
+        return Proof(out, source, seed, seals, family)
     for name in (ROWS, "diagnoses"):
         (out / name).mkdir(parents=True, exist_ok=True)
     if source is None:
@@ -94,13 +89,13 @@ def _given(source: Path) -> Iterator[Sealed]:
 
 
 def work(
-    proof: Proof, diagnose: Diagnose, jobs: int, keep: bool, progress: Callable[[str, float], None]
+    proof: Proof, judge: Judge, jobs: int, keep: bool, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
     """Diagnose and score what is not done yet; return all rows in the rigs' order.
 
     Args:
         proof: As begun.
-        diagnose: Judges a campaign; with more than one job it must be importable.
+        judge: Judges a campaign; with more than one job it must be importable.
         jobs: Processes.
         keep: Keep the recordings of rigs drawn here once they are scored.
         progress: Told what is done and how much of it.
@@ -111,27 +106,15 @@ def work(
     """
     todo = [s for s in proof.seals if not proof.row_file(s.number).is_file()]
     done = len(proof.seals) - len(todo)
-    one = partial(prove_rig, proof=proof, diagnose=diagnose, keep=keep)
-    for finished in _each(one, todo, jobs):
+    one = partial(prove_rig, proof=proof, judge=judge, keep=keep)
+    for finished in each(one, todo, jobs):
         done += 1
         progress(f"rig {finished} diagnosed, {done} of {len(proof.seals)}", done / len(proof.seals))
     return [json.loads(proof.row_file(s.number).read_text(encoding="utf-8")) for s in proof.seals]
 
 
-def _each(one: Callable[[Sealed], int], todo: Sequence[Sealed], jobs: int) -> Iterator[int]:
-    if jobs == 1:
-        yield from map(one, todo)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        try:
-            for future in as_completed([pool.submit(one, sealed) for sealed in todo]):
-                yield future.result()
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def prove_rig(sealed: Sealed, proof: Proof, diagnose: Diagnose, keep: bool) -> int:
-    """Take one rig from its seal to its row; return its number. The truth is opened after the diagnosis."""
+def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
+    """Take one rig from its seal to its row; return its number. The truth is opened after the judgement."""
     strengths: dict[str, float] = {}
     if proof.source is None:
         family = FAMILIES[proof.family]
@@ -141,12 +124,11 @@ def prove_rig(sealed: Sealed, proof: Proof, diagnose: Diagnose, keep: bool) -> i
         beside = sealed.truth.with_suffix(".strength.json")
         if beside.is_file():
             strengths = json.loads(beside.read_text(encoding="utf-8"))
-    began = time.perf_counter()
-    diagnosis = diagnose(sealed.campaign, _diagnosis_seed(proof.seed, sealed.number))
-    seconds = time.perf_counter() - began
-    write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", diagnosis)
+    judgement = judge(sealed.campaign, _diagnosis_seed(proof.seed, sealed.number))
+    write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", judgement.diagnosis)
     truth = unseal(sealed.truth, sealed.digest)
-    write_json(proof.row_file(sealed.number), row_of(truth, strengths, diagnosis, sealed.digest, seconds))
+    oracle = judgement.oracle(list(truth["effects"])) if truth["kind"] in ("one", "two") else None
+    write_json(proof.row_file(sealed.number), row_of(truth, strengths, judgement, oracle, sealed.digest))
     if proof.source is None and not keep:
         shutil.rmtree(sealed.campaign.parent)
     return sealed.number

@@ -37,7 +37,6 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         by_kind[row["kind"]].append(row)
     one, two, nothing, outside = (by_kind[kind] for kind in ("one", "two", "nothing", "outside"))
     strong = [row for row in one if row["strength"] >= STRONG]
-    fractions = [row["oracle_fraction"] for row in one + two if row["oracle_fraction"] is not None]
     inside = [p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None]
     placed = [{"right": row["verdict"] == "outside_catalogue"} for row in outside]
     return {
@@ -50,14 +49,65 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "both_named_all": count(two, "top1"),
         "false_alarms": count(nothing, "alarm"),
         "outside": {**count(placed, "right"), "named_confidently": sum(bool(row["confident"]) for row in outside)},
+        "methods": methods(rows),
+        "location": location(strong),
         "confusion": confusion(one),
         "power": power(one),
-        "oracle_fraction": {"median": statistics.median(fractions) if fractions else None, "of": len(fractions)},
+        "oracle_fraction": middle(one + two, "oracle_fraction"),
+        "floor_fraction": middle(one + two, "floor_fraction"),
         "worse_than_baseline": worse(rows),
         "intervals": rate(sum(inside), len(inside)),
         "most_frequent_class": most_frequent(one),
         "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
+        "baseline_seconds_each": statistics.median(row["baseline_seconds"] for row in rows) if rows else None,
     }
+
+
+def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """Return the diagnosis and each baseline, scored by the same rules on the same rigs.
+
+    A baseline's alias group is its name alone. ``outside_named`` counts rigs that hide what is in no catalogue and were
+    given a name all the same; ``exact`` those of the catalogue where no name was wrong and none missing.
+    """
+    said = {"diagnosis": [{**row, "named_any": bool(row["named"])} for row in rows]}
+    for method in sorted({m for row in rows for m in row["baselines"]}):
+        said[method] = [
+            {
+                "kind": row["kind"],
+                "strength": row["strength"],
+                "named_any": bool(row["baselines"][method]["named"]),
+                **row["baselines"][method],
+            }
+            for row in rows
+        ]
+    return {method: _method(mine) for method, mine in said.items()}
+
+
+def _method(rows: Sequence[Row]) -> dict[str, Any]:
+    def of(kind: str, least: float = 0.0) -> list[Row]:
+        return [row for row in rows if row["kind"] == kind and row["strength"] >= least]
+
+    return {
+        "top1": count(of("one", STRONG), "top1"),
+        "alias_group": count(of("one", STRONG), "alias"),
+        "top1_all": count(of("one"), "top1"),
+        "both_named": count(of("two", STRONG), "top1"),
+        "exact": count([*of("one", STRONG), *of("two", STRONG)], "exact"),
+        "false_alarms": count(of("nothing"), "alarm"),
+        "outside_named": count(of("outside"), "named_any"),
+    }
+
+
+def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
+    """Return how often the mismatch was found where the effect shows, over rigs on which any was found."""
+    found = [row["location"] for row in rows if row["location"] is not None and row["location"]["found"] is not None]
+    return {key: count(found, key) for key in ("equation", "coordinate", "place")}
+
+
+def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
+    """Return the median of what is known of the rows, and of how many it is."""
+    known = [row[key] for row in rows if row[key] is not None]
+    return {"median": statistics.median(known) if known else None, "of": len(known)}
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:

@@ -19,7 +19,7 @@ from identification.estimate.result import Fit, Identification, Parameter
 from identification.recording import Dataset
 from rig.bench import load_bench
 from rig.cli import status
-from rig.diagnose import diagnose_to_dict
+from rig.diagnose import as_json, diagnose_source
 
 from .diagnoses import AMBIGUOUS, EACH, NAMED
 
@@ -94,7 +94,7 @@ def test_every_verdict_is_printed_written_and_drawn(
 
 def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arrange) -> None:
     found(PLAIN)
-    record = diagnose_to_dict(campaign, 3)
+    record = as_json(diagnose_source(campaign, 3))
     json.dumps(record, allow_nan=False)
     assert record["schema"] == "loadrig.diagnose/1"
     assert record["seed"] == 3

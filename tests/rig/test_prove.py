@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,21 +14,39 @@ from rig.errors import InputError
 from rig.prove import run as proving
 from rig.prove.draw import assignment
 from rig.prove.family import FAMILIES
+from rig.prove.judge import Judgement
 from rig.prove.row import row_of
 from rig.prove.score import confusion, power, rate, score, worse
 
 SEED = 3
 
 
+PLACE = {"coordinate": "travel since reversal", "recordings": ["a", "d"]}
+
+
 def effect(name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **parameters: Any) -> dict[str, Any]:
-    return {"name": name, "alias_group": list(group), "confidence": confidence, "parameters": parameters}
+    return {
+        "name": name,
+        "alias_group": list(group),
+        "confidence": confidence,
+        "parameters": parameters,
+        "where": PLACE,
+    }
 
 
 def diagnosed(*effects: dict[str, Any], verdict: str = "named", after: float = 0.2) -> dict[str, Any]:
+    fit = {
+        "equation": "transmission",
+        "validate_baseline_rms": 1.0,
+        "validate_final_rms": after,
+        "noise_floor_rms": 0.1,
+    }
     return {
         "verdict": verdict,
         "effects": list(effects),
-        "fit": {"validate_baseline_rms": 1.0, "validate_final_rms": after, "noise_floor_rms": 0.1},
+        "fit": fit,
+        "fits": [fit, {**fit, "equation": "torque", "validate_baseline_rms": None, "validate_final_rms": None}],
+        "location": PLACE,
         "parameter_shift": {"Mc": {"before": 7.7, "after": 7.0, "unit": "N m"}},
         "p_value": 0.001,
     }
@@ -38,10 +56,14 @@ def truth(kind: str, **effects: dict[str, float]) -> dict[str, Any]:
     return {"rig": 1, "kind": kind, "effects": effects, "parameters": {"Mc": 7.0}}
 
 
+def judged(diagnosis: Mapping[str, Any], oracle: Mapping[str, Any] | None = None, **named: Sequence[str]) -> Judgement:
+    return Judgement(diagnosis, {"greedy_bic": (), "sparse": (), **named}, lambda names: oracle, 1.0, 0.5)
+
+
 def scored(
     kind: str, diagnosis: Mapping[str, Any], strength: float = 5.0, **effects: dict[str, float]
 ) -> dict[str, Any]:
-    return row_of(truth(kind, **effects), {"current": strength, "angle": 0.1}, diagnosis, "digest", 1.0)
+    return row_of(truth(kind, **effects), {"current": strength, "angle": 0.1}, judged(diagnosis), None, "digest")
 
 
 GAP = {"gap_rad": 0.01}
@@ -88,11 +110,82 @@ def test_parameters_are_held_against_their_intervals() -> None:
 
 
 def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
-    assert scored("one", diagnosed(effect("backlash"), after=0.19), backlash=GAP)["oracle_fraction"] == pytest.approx(
+    assert scored("one", diagnosed(effect("backlash"), after=0.19), backlash=GAP)["floor_fraction"] == pytest.approx(
         0.9
     )
     rows = [scored("one", diagnosed(after=after), backlash=GAP) for after in (1.05, 1.2)]
     assert worse(rows)["n"] == 1
+
+
+@pytest.mark.parametrize(
+    ("oracle", "fraction"),
+    [
+        ({"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1}, 0.5),
+        ({"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.996, "noise_rms": 0.1}, None),
+        ({"equation": "torque", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1}, None),
+        (None, None),
+    ],
+    ids=["half of it", "nothing to gain", "no such equation", "no oracle"],
+)
+def test_the_gain_is_held_against_the_true_structures(oracle: dict[str, Any] | None, fraction: float | None) -> None:
+    said = judged(diagnosed(effect("compliance"), after=0.8))
+    row = row_of(truth("one", backlash=GAP), {}, said, oracle, "digest")
+    assert row["oracle_fraction"] == (None if fraction is None else pytest.approx(fraction))
+    assert score([row])["oracle_fraction"]["of"] == (fraction is not None)
+
+
+def test_baselines_are_scored_by_the_same_rules() -> None:
+    both = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
+    four = ("cogging", "time_skew", "end_stop", "backlash")
+    rows = [
+        row_of(truth(kind, **hidden), {"current": 5.0}, judged(said, greedy_bic=greedy, sparse=sparse), None, "digest")
+        for kind, hidden, said, greedy, sparse in (
+            ("one", {"backlash": GAP}, diagnosed(effect("backlash")), ("backlash", "compliance"), ("compliance",)),
+            ("two", both, diagnosed(effect("cogging"), effect("backlash")), four, ("backlash", "cogging")),
+            ("nothing", {}, NOTHING, ("cogging",), ()),
+            ("outside", {"x_bursts": {}}, diagnosed(verdict="outside_catalogue"), (), ("cogging",)),
+        )
+    ]
+    found = score(rows)["methods"]
+    hits = {m: {key: row["n"] for key, row in of.items()} for m, of in found.items()}
+    right = {"top1": 1, "alias_group": 1, "top1_all": 1, "both_named": 1, "exact": 2}
+    assert hits == {
+        "diagnosis": {**right, "false_alarms": 0, "outside_named": 0},
+        "greedy_bic": {**right, "both_named": 0, "exact": 0, "false_alarms": 1, "outside_named": 0},
+        "sparse": {
+            **right,
+            "top1": 0,
+            "alias_group": 0,
+            "top1_all": 0,
+            "exact": 1,
+            "false_alarms": 0,
+            "outside_named": 1,
+        },
+    }
+    assert {row["of"] for of in found.values() for key, row in of.items() if key != "exact"} == {1}
+
+
+def test_the_place_is_held_against_the_catalogue() -> None:
+    lost = diagnosed(verdict="outside_catalogue")
+    slip = {"angle_rad": 0.01, "at_s": 5.0}
+    cases = {
+        "exact": (diagnosed(effect("compliance")), "backlash", GAP),
+        "like": (lost, "friction_memory", {"time_s": 0.01}),
+        "elsewhere": (diagnosed(effect("cogging")), "cogging", {"torque_Nm": 1.0}),
+        "its recording": (lost, "encoder_slip", {**slip, "recording": 4.0}),
+        "another one": (lost, "encoder_slip", {**slip, "recording": 2.0}),
+    }
+    places = {case: scored("one", said, **{name: true})["location"] for case, (said, name, true) in cases.items()}
+    assert {case: (p["equation"], p["coordinate"], p["place"]) for case, p in places.items()} == {
+        "exact": (True, True, True),
+        "like": (False, False, True),
+        "elsewhere": (False, False, False),
+        "its recording": (True, False, True),
+        "another one": (True, False, False),
+    }
+    missed = scored("one", NOTHING, backlash=GAP)
+    assert missed["location"]["found"] is None
+    assert score([missed])["location"]["place"]["of"] == 0
 
 
 def test_clopper_pearson() -> None:
@@ -120,13 +213,15 @@ def test_power_and_confusion_split_the_rigs() -> None:
     assert score(rows)["top1_all"] == rate(1, 3)
 
 
-def clairvoyant(source: Path, seed: int) -> dict[str, Any]:
+def clairvoyant(source: Path, seed: int) -> Judgement:
     """Name what is hidden, as no diagnosis could: the draws repeat with their seed."""
     assert source.is_file()
     assert seed != SEED  # or the draws could be repeated
     kind, names = assignment(3, SEED)[int(source.parent.name.removeprefix("rig-")) - 1]
     verdict = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind, "named")
-    return diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
+    gain = {"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.2, "noise_rms": 0.1}
+    said = diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
+    return judged(said, gain)
 
 
 @pytest.fixture
@@ -149,23 +244,24 @@ def test_a_proof_from_the_command_line(
     opened: list[str] = []
     diagnosing: list[str] = []
 
-    def diagnose(source: Path, seed: int) -> dict[str, Any]:
+    def judge(source: Path, seed: int) -> Judgement:
         diagnosing.append(capsys.readouterr().out)
         assert len(opened) == len(diagnosing) - 1
         return clairvoyant(source, seed)
 
     unseal = proving.unseal
     monkeypatch.setattr(proving, "unseal", lambda path, digest: opened.append(path.name) or unseal(path, digest))
-    monkeypatch.setattr("rig.diagnose.diagnose_to_dict", diagnose)
+    monkeypatch.setattr("rig.prove.judge.judge", judge)
     out = tmp_path / "proof"
     arguments = ["prove", "--rigs", "3", "--seed", str(SEED), "--out", str(out), "--json", str(tmp_path / "p.json")]
     assert status(arguments) == 0
     seals = json.loads((out / "proof.json").read_text())["seals"]
     assert all(digest in diagnosing[0] for digest in seals.values())  # printed before the first diagnosis
     result = json.loads((tmp_path / "p.json").read_text())
-    assert result["schema"] == "loadrig.prove/1"
+    assert result["schema"] == "loadrig.prove/2"
     assert sum(result["counts"].values()) == 3
     assert result["top1"]["n"] == result["top1"]["of"] > 0
+    assert result["oracle_fraction"] == {"median": 1.0, "of": result["counts"]["one"]}
     assert {row["sha256"] for row in result["rigs"]} == set(seals.values())
     assert not list(out.glob("rig-*"))
     assert "named first" in (out / "report.html").read_text()

@@ -10,7 +10,12 @@ import numpy as np
 from drivers.mock.direct import record
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
-from identification.recording import Array, Bench, Recording
+from identification.diagnosis.joint import Joint, fit
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.view import views
+from identification.estimate.default import free_names, solve_stages
+from identification.prepare import prepare
+from identification.recording import Array, Bench, Model, Recording
 
 CYCLE_S = 0.001
 PAUSE_S = 2.0
@@ -73,3 +78,14 @@ def campaign(effects: Mapping[str, Mapping[str, float]], seed: int, seconds: flo
 def honest() -> tuple[Recording, ...]:
     """Return a campaign that hides nothing."""
     return campaign({}, 1)
+
+
+def nominal_fit(recordings: Sequence[Recording], bandwidth_Hz: float = 25.0) -> Joint:
+    """Fit the nominal model alone to those recordings that are to be fitted."""
+    fitted = [r for r in recordings if r.role == "fit"]
+    prepared = [prepare(r, bandwidth_Hz) for r in fitted]
+    unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
+    loaded = [p for p in prepared if p.recording.stage == "loaded"]
+    values, _ = solve_stages(unloaded, loaded, Model(), lambda _stage, _share: None)
+    start = Nominal(values, free_names(values, Model()), 2.0)
+    return fit(views(fitted, bandwidth_Hz, campaign=recordings), "N m", start)

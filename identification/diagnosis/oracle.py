@@ -1,0 +1,78 @@
+"""The oracle of a proof: held-out error of the true structure, told by name and fitted to the same data.
+
+Its effects' shapes and sizes, and the nominal parameters, come from the recordings alone, as those of the diagnosis do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from identification.diagnosis.diagnose import GIVING, held_out
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.search import screened
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Context, Term
+from identification.diagnosis.view import views
+from identification.prepare import torque_unit
+from identification.recording import Dataset
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Errors over recordings set aside in the equation where the true structure gains most.
+
+    Attributes:
+        equation: Its name.
+        baseline_rms: Of the nominal model alone, in the equation's unit.
+        oracle_rms: With the true effects.
+        noise_rms: Noise of one row.
+    """
+
+    equation: str
+    baseline_rms: float
+    oracle_rms: float
+    noise_rms: float
+
+
+def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float) -> HeldOut | None:
+    """Fit the effects of these names and score them on the recordings set aside.
+
+    Args:
+        dataset: As diagnosed.
+        first: The nominal model's fit of its recordings.
+        names: True effects, all of the catalogue.
+        bandwidth_Hz: Of every error.
+
+    Returns:
+        None where nothing was set aside, or where the recordings do not admit one of the effects: the nominal model
+        absorbs it, or noise gives it an unphysical sign.
+    """
+    fitted, held = dataset.part("fit"), dataset.part("validate")
+    if not held:
+        return None
+    unit = torque_unit(fitted[0])
+    gives = any(name in GIVING for name in names)
+    here = views(fitted, bandwidth_Hz, gives, dataset.recordings)
+    baseline = fit(here, unit, first.nominal)
+    left = {t.name: t for t in TERMS if t.name in names}
+    joint = baseline
+    while left:
+        best = _strongest(joint, list(left.values()))
+        if best is None:
+            return None
+        added = Added(left.pop(best.name), best.shape, tuple(float(c) for c in best.coefficients))
+        joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
+    aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
+    before, after = held_out(baseline, aside, unit), held_out(joint, aside, unit)
+    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
+    noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"}
+    where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
+    return HeldOut(where, before[where], after[where], noise[where])
+
+
+def _strongest(joint: Joint, terms: Sequence[Term]) -> Candidate | None:
+    """Return the effect at the trial shape that explains most of what is left."""
+    context = Context(joint.equations[0].views, joint.nominal)
+    return max(screened(joint.stack, context, terms), key=lambda c: c.score, default=None)
