@@ -14,7 +14,7 @@ from identification.corrected.signals import signals_of
 from identification.corrected.states import dahl_friction, lagged, play
 from identification.corrected.torque import TORQUE, nominal_torque
 from identification.corrected.transmission import TRANSMISSION
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.entries import MOTION
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Curve
 from identification.diagnosis.terms import TERMS, memory
@@ -111,11 +111,11 @@ def test_the_nominal_torque_is_that_of_the_diagnosis(view: View) -> None:
 
 def test_every_effect_of_the_catalogue_is_carried_with_its_own_parameters() -> None:
     tables = (TORQUE, DRIVE, TRANSMISSION, VOLTAGE)
-    assert {name for table in tables for name in table} == set(ENTRIES)
+    assert {name for table in tables for name in table} == set(MOTION)
     for table in tables:
         for name, function in table.items():
             named = set(list(inspect.signature(function).parameters)[2:])
-            assert named - {"recording"} == {q.name for q in ENTRIES[name].parameters}, name
+            assert named - {"recording"} == {q.name for q in MOTION[name].parameters}, name
 
 
 def test_a_size_of_nothing_adds_nothing(view: View) -> None:

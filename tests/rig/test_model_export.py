@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from identification.corrected.model import CorrectedModel
-from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.entries import MOTION
 from identification.diagnosis.result import Curve
 from identification.recording import Bench, Recording
 from rig.model_export import python_text, yaml_text
@@ -35,7 +35,7 @@ RECORDING = Recording("r", {"time": TIME, "angle": ANGLE, "current": CURRENT}, B
 
 
 def middle(name: str) -> dict[str, float]:
-    given = {q.name: q.low + 0.3 * (q.high - q.low) for q in ENTRIES[name].parameters}
+    given = {q.name: q.low + 0.3 * (q.high - q.low) for q in MOTION[name].parameters}
     special = {
         "wrong_weight": {"recording": 2.0},
         "encoder_slip": {"recording": 2.0, "at_s": 1.0},
@@ -55,7 +55,7 @@ def imported(text: str, tmp_path: Path) -> ModuleType:
     return module
 
 
-@pytest.mark.parametrize("name", [None, *ENTRIES])
+@pytest.mark.parametrize("name", [None, *MOTION])
 def test_the_file_computes_what_the_program_does(name: str | None, tmp_path: Path) -> None:
     effects = {} if name is None else {name: middle(name)}
     model = CorrectedModel(PARAMETERS, 2.0, effects)

@@ -12,5 +12,7 @@ from identification.diagnosis.entries.motor import MOTOR
 from identification.diagnosis.entries.sensing import SENSING
 from identification.diagnosis.entries.transmission import TRANSMISSION
 
-ENTRIES: Mapping[str, Entry] = {e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING, *GAS)}
+MOTION: Mapping[str, Entry] = {e.name: e for e in (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING)}
+"""What shows in the motion; what hides in a gas generator has a model of its own (:mod:`identification.model`)."""
+ENTRIES: Mapping[str, Entry] = {**MOTION, **{e.name: e for e in GAS}}
 """Name to entry, in the order of the catalogue."""
