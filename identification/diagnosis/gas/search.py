@@ -198,20 +198,23 @@ def apart(one: Fitted, other: Fitted) -> float:
 def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> list[Fitted]:
     """Return the best fit of every effect that explains something, jointly with all that is fitted already."""
     named = {e.term.name for e in here.model.effects}
-    found = []
+    fresh, found = believed(burns), []
     for term in GAS_TERMS:
         if term.name in named:
             continue
         trials = starts(burns, stack, here, term)[:TRIALS_FITTED]
-        tried = [fit(burns, sigma, _with(here.model, term, size, shape)) for _, size, shape in trials]
+        begun = [_with(here.model, fresh, term, size, shape) for _, size, shape in trials]
+        begun += [_with(here.model, here.model, term, size, shape) for _, size, shape in trials[:1]]
+        tried = [fit(burns, sigma, model) for model in begun]
         if tried:
             found.append(min(tried, key=lambda f: (not plausible(f.model.effects[-1]), f.cost)))
     return [f for f in found if f.cost < here.cost]
 
 
-def _with(model: Model, term: GasTerm, size: float, shape: tuple[float, ...]) -> Model:
+def _with(model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]) -> Model:
+    """Return a start with the effects of a model and one more; what is believed is a better one than bent constants."""
     sizes = dict(zip(term.sizes, (size, *shape), strict=True))
-    return replace(model, effects=(*model.effects, GasEffect(term, sizes)))
+    return replace(start, effects=(*model.effects, GasEffect(term, sizes)))
 
 
 def plausible(effect: GasEffect) -> bool:
