@@ -14,6 +14,7 @@ from scipy.optimize import brentq
 
 from drivers.mock.direct import record
 from drivers.mock.plant.constants import GasGenerator, Machine
+from drivers.mock.plant.direct import simulate
 from drivers.mock.plant.gas_direct import burn, impacted_area, steady_pressure, throat_area
 from drivers.mock.plant.machine import SimulatedMachine
 
@@ -164,3 +165,13 @@ def test_a_machine_that_hides_nothing_burns_as_the_nominal_one() -> None:
     hiding = record(hot_rig({"asymmetric_coulomb": {"torque_Nm": 0.0}}), command)
     for channel, other in zip(plain, hiding, strict=True):
         np.testing.assert_array_equal(channel, other)
+
+
+def test_exact_channels_hold_pressure_and_contact_force() -> None:
+    sweep = simulate(Machine(), lambda t: np.deg2rad(20.0) * t, 1.0, 1e3, burning=True)
+    force = (sweep["pressure"] - P_C0) * impacted_area(Machine(), sweep["angle"])
+    assert sweep["contact_force"][0] == pytest.approx(2964.5, abs=0.5)
+    np.testing.assert_allclose(sweep["contact_force"], force, atol=1.0)
+    held = simulate(Machine(), np.zeros_like, 0.01, 1e3, weight_kg=1.0)
+    np.testing.assert_allclose(held["contact_force"], 98.0665)
+    np.testing.assert_array_equal(held["pressure"], P_C0)

@@ -18,6 +18,7 @@ def simulate(
     rate_Hz: float,
     weight_kg: float = 0.0,
     contact_force_N: float | None = None,
+    burning: bool = False,
     rng: np.random.Generator | None = None,
 ) -> dict[str, NDArray[np.float64]]:
     """Follow ``command`` (joint angle in rad of time in s) from rest and sample the exact state.
@@ -29,17 +30,20 @@ def simulate(
         rate_Hz: Sample rate; the drive's loop rate must be a multiple of it.
         weight_kg: Mass on the lever.
         contact_force_N: F_P itself, instead of a weight.
+        burning: A gas generator, steady at the first angle, instead of either.
         rng: Only needed with current noise.
 
     Returns:
         ``time``, ``command``, ``angle``, ``velocity`` (joint), ``current`` (at the instant), ``mean_current`` (over the
-        period that ends there), ``voltage``; each of shape (n,), SI units.
+        period that ends there), ``voltage``, ``pressure`` and ``contact_force``; each of shape (n,), SI units.
 
     Raises:
         ValueError: The rates do not divide.
     """
     plant = SimulatedMachine(machine, rng or np.random.default_rng(0))
-    if contact_force_N is None:
+    if burning:
+        plant.ignite()
+    elif contact_force_N is None:
         plant.hang(weight_kg)
     else:
         plant.press(contact_force_N)
@@ -50,11 +54,13 @@ def simulate(
     time = np.arange(n) / rate_Hz
     path = command(np.arange(1, (n - 1) * loops_per_sample + 1) / machine.loops.rate_Hz)
     plant.power(True)
-    out = np.zeros((5, n))
+    out = np.zeros((7, n))
+    out[5, 0], out[6, 0] = plant.truth().pressure_Pa, plant.truth().contact_force_N
     for k in range(1, n):
         plant.follow(path[(k - 1) * loops_per_sample : k * loops_per_sample])
         state, reading = plant.truth(), plant.latch()
-        out[:, k] = state.angle_rad, state.velocity_rad_s, state.current_A, reading.current_A, reading.voltage_V
+        motion = state.angle_rad, state.velocity_rad_s, state.current_A, reading.current_A, reading.voltage_V
+        out[:, k] = *motion, state.pressure_Pa, state.contact_force_N
     return {
         "time": time,
         "command": command(time),
@@ -63,4 +69,6 @@ def simulate(
         "current": out[2],
         "mean_current": out[3],
         "voltage": out[4],
+        "pressure": out[5],
+        "contact_force": out[6],
     }
