@@ -55,7 +55,12 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], list[tuple[f
         calls: list[tuple[float | None, float]] = []
 
         def numerics(
-            dataset: Dataset, *, bandwidth_Hz: float | None, rng: np.random.Generator, progress: object
+            dataset: Dataset,
+            *,
+            bandwidth_Hz: float | None,
+            rng: np.random.Generator,
+            progress: object,
+            onlooker: object,
         ) -> Diagnosis:
             assert [r.role for r in dataset.recordings] == ["fit", "fit", "validate"]
             calls.append((bandwidth_Hz, float(rng.random())))
