@@ -147,7 +147,7 @@ def covariances(problem: Problem) -> Covariances:
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     achieved = _beside_inertia(problem, floor, _instrumental(z, jacobian, residual)[:count, :count])
-    widen = _excess_scatter(problem, jacobian, residual)[:count]
+    widen = _excess_scatter(problem, z, jacobian, residual)[:count]
     return Covariances(achieved * np.outer(widen, widen) * scale, floor * scale)
 
 
@@ -172,11 +172,23 @@ def _beside_inertia(problem: Problem, floor: Array, instrumental: Array) -> Arra
     return out
 
 
-def _excess_scatter(problem: Problem, jacobian: Array, residual: Array) -> Array:
-    """Return by how much scores scatter more from stretch to stretch than their noise model says, at least 1."""
+def _excess_scatter(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
+    """Return by how much scores scatter more from stretch to stretch than their noise model says, at least 1.
+
+    Of the inertia those of the estimating equations: its least squares are not at their minimum, by their bias.
+    """
+    others = np.array([k != kernel.INERTIA for k in problem.free] + [True] * problem.breakaways)
+    out = np.ones(len(others))
+    out[others] = _scatter(problem, jacobian[:, others], jacobian[:, others], residual)
+    out[~others] = _scatter(problem, z, jacobian, residual)[~others]
+    return out
+
+
+def _scatter(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
+    """Return the ratio of the clustered to the plain standard deviation of each unknown, at least 1."""
     weight = _weight(residual)
-    plain = np.linalg.inv(jacobian.T @ (jacobian * weight[:, None]))
-    scores = np.zeros((problem.breakaways, jacobian.shape[1]))
-    np.add.at(scores, problem.owners.astype(np.int64), jacobian * (residual * weight)[:, None])
-    sandwich = plain @ (scores.T @ scores) @ plain
-    return np.asarray(np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0)))
+    bread = np.linalg.inv(z.T @ (jacobian * weight[:, None]))
+    scores = np.zeros((problem.breakaways, z.shape[1]))
+    np.add.at(scores, problem.owners.astype(np.int64), z * (residual * weight)[:, None])
+    plain, clustered = (bread @ (m.T @ m) @ bread.T for m in (z, scores))
+    return np.asarray(np.sqrt(np.maximum(np.diag(clustered) / np.diag(plain), 1.0)))

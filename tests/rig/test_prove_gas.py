@@ -18,6 +18,7 @@ from rig.prove import gas_simulate
 from rig.prove.excitation import CYCLE_S
 from rig.prove.gas_draw import GAS_OUTSIDE_SIZES, GAS_SIZES, draw_gas, gas_assignment
 from rig.prove.gas_excitation import GasExperiment, gas_experiments
+from rig.prove.judge import Judgement
 from rig.prove.seal import unseal
 from rig.sources.load import load_source
 
@@ -92,14 +93,15 @@ def test_a_twin_that_hides_nothing_burns_with_the_same_noise() -> None:
 
 
 def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def blind(source: Path, seed: int) -> dict[str, object]:
+    def blind(source: Path, seed: int) -> Judgement:
         shift = {"n": {"before": 0.5, "after": 0.51, "unit": "1"}}
         fit = {"validate_baseline_rms": 2.0, "validate_final_rms": 2.0, "noise_floor_rms": 1.0}
-        return {"verdict": "nothing_missing", "effects": [], "fit": fit, "parameter_shift": shift, "p_value": 1.0}
+        record = {"verdict": "nothing_missing", "effects": [], "location": None, "fit": fit, "fits": [fit]}
+        return Judgement({**record, "parameter_shift": shift, "p_value": 1.0}, {}, lambda _names: None, 0.0, 0.0)
 
     plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
     monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
-    monkeypatch.setattr("rig.diagnose.diagnose_to_dict", blind)
+    monkeypatch.setattr("rig.prove.judge.judge", blind)
     out = tmp_path / "proof"
     assert status(["prove", "--gas", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 0
     result = json.loads((out / "prove.json").read_text())
