@@ -61,7 +61,8 @@ def test_pieces_give_what_the_whole_gives(practical_pair: tuple[Recording, Recor
         if name == "J":  # found on the first pieces alone
             assert abs(q.value - p.value) < 0.5 * (q.high - q.low)
             continue
-        assert abs(q.value - p.value) < 0.6 * 0.5 * (p.high - p.low), name
+        # The whole is fitted by least squares beside the inertia, the pieces by instruments: two estimates of one value.
+        assert abs(q.value - p.value) < 0.5 * (p.high - p.low), name
         assert 0.6 < (q.high - q.low) / (p.high - p.low) < 1.7, name
     assert list(parts.fits_by_recording) == ["unloaded", "loaded"]
 
