@@ -277,8 +277,10 @@ def test_a_disagreement_of_exactly_the_limit_passes() -> None:
     assert check(sample(angle=0.5, motor_angle=above(75.0)), 0.0, 0.0, limits) is not None
 
 
-@pytest.mark.parametrize("record", [LIMITS, Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)])
-def test_limits_and_trips_cannot_be_changed(record: Limits | Trip) -> None:
+@pytest.mark.parametrize(
+    "record", [LIMITS, GasLimits(6e6, 4000.0, 0.5e6, abs), Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)]
+)
+def test_limits_and_trips_cannot_be_changed(record: Limits | GasLimits | Trip) -> None:
     assert not hasattr(record, "__dict__")
     with pytest.raises(dataclasses.FrozenInstanceError):
         setattr(record, dataclasses.fields(record)[0].name, 0.0)
