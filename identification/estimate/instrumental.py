@@ -30,6 +30,7 @@ _HALVINGS = 5
 _LONGEST_LOG = 0.4
 _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
+_TURNS = 8
 _CHORD_SETTLED = 0.02
 
 
@@ -110,30 +111,72 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
     """Solve for the inertia by instruments and for all else by least squares beside it; return the residuals.
 
     Only the inertia is badly biased by least squares. For the others they are more precise than instruments that are
-    means over a few stretches, and begun where the problem starts they stay in its basin.
+    means over a few stretches, and begun where the problem starts they stay in its basin. In turn: least squares of all
+    else, then the estimating equations' step of the inertia with all else eliminated, to first order untouched by the
+    others' bias.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not pin the parameters.
     """
-    free, start, begins = problem.free, problem.start, problem.begins
-    residual = solve(problem)
+    free = problem.free
     others = tuple(k for k in free if k != kernel.INERTIA)
-    if others != free and others:
-        start = start.copy()
-        if defect(problem) < SOLVED:
-            start[kernel.INERTIA] = problem.start[kernel.INERTIA]
-        problem.start, problem.begins, problem.free = start, begins, others
-        refine(problem, (1.0,))
-        problem.free = free
-        problem.weigh()
-        residual = problem.residuals(problem.origin())
-    return residual
+    low, high = (-np.inf, 0.0), (np.inf, 0.0)
+    for _ in range(_TURNS):
+        if others:
+            problem.free = others
+            refine(problem, (1.0,))
+            problem.free = free
+        if others == free:
+            break
+        problem.noise, problem.angle_noise = likeliest_noise(problem, problem.noise)
+        step, deviation = _inertia_step(problem)
+        here = float(np.log(problem.start[kernel.INERTIA]))
+        low, high = ((here, step), high) if step > 0.0 else (low, (here, step))
+        there = here + float(np.clip(step, -_LONGEST_LOG, _LONGEST_LOG))
+        if not low[0] < there < high[0]:
+            there = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
+        problem.start = problem.start.copy()
+        problem.start[kernel.INERTIA] = np.exp(there)
+        problem.iterations += 1
+        if abs(there - here) < _SETTLED * deviation:
+            break
+    problem.weigh()
+    return problem.residuals(problem.origin())
+
+
+def _inertia_step(problem: Problem) -> tuple[float, float]:
+    """Return the step in the logarithm of the inertia that solves its linearised equation, and its deviation."""
+    problem.weigh()
+    x = problem.origin()
+    residual = problem.residuals(x)
+    jacobian = problem.jacobian(x, residual)
+    influence = _influence(problem, instruments(problem, jacobian), jacobian, residual)
+    return -float(influence @ (residual * _weight(residual))), float(np.linalg.norm(influence))
+
+
+def _influence(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
+    """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
+    j = problem.free.index(kernel.INERTIA)
+    alone = _orthogonal(z, j)
+    return np.asarray(alone / float(alone @ (jacobian[:, j] * _weight(residual))))
+
+
+def _orthogonal(z: Array, j: int) -> Array:
+    """Return the ``j``-th instrument less what the others can say of it, shape (r,)."""
+    return np.asarray(z @ _mixture(z, j))
+
+
+def _mixture(z: Array, j: int) -> Array:
+    """Return the mixture of the instruments that makes the ``j``-th orthogonal to the others, shape (p,)."""
+    others = np.delete(z, j, axis=1)
+    taken = np.linalg.pinv(others.T @ others, hermitian=True) @ (others.T @ z[:, j])
+    return np.insert(-taken, j, 1.0)
 
 
 def covariances(problem: Problem) -> Covariances:
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
-    The inertia has the variance of the estimating equations. The others have what least squares reach with the inertia
+    The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
     known, at the floor, and what its error does to them; where the scatter of the scores from stretch to stretch (Liang
     and Zeger, Biometrika 73 (1986) 13) says more than the noise model, that much more.
     """
@@ -146,49 +189,56 @@ def covariances(problem: Problem) -> Covariances:
     floor = bound(jacobian, z, problem.siblings)[:count, :count]
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
-    achieved = _beside_inertia(problem, floor, _instrumental(z, jacobian, residual)[:count, :count])
-    widen = _excess_scatter(problem, z, jacobian, residual)[:count]
+    others = [k for k in range(jacobian.shape[1]) if k >= count or problem.free[k] != kernel.INERTIA]
+    widen, achieved = _scatter(problem, jacobian[:, others], residual)[: len(others) - problem.breakaways], floor
+    if kernel.INERTIA in problem.free:
+        j = problem.free.index(kernel.INERTIA)
+        influence = _influence(problem, z, jacobian, residual)
+        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
+        achieved = _beside_inertia(floor, j, variance)
+        widen = np.insert(widen, j, _scatter_of_inertia(problem, z, jacobian, residual))
+    widen = np.maximum(widen, 1.0)
     return Covariances(achieved * np.outer(widen, widen) * scale, floor * scale)
 
 
-def _instrumental(z: Array, jacobian: Array, residual: Array) -> Array:
-    """Return the covariance of the solution of the estimating equations, shape (p, p)."""
-    bread = np.linalg.inv(z.T @ jacobian)
-    return np.asarray(bread @ (z.T @ z) @ bread.T * max(float(np.mean(residual**2)), 1.0))
-
-
-def _beside_inertia(problem: Problem, floor: Array, instrumental: Array) -> Array:
-    """Return the covariance of least squares beside an inertia that the instruments found."""
-    if kernel.INERTIA not in problem.free:
-        return floor
-    j = problem.free.index(kernel.INERTIA)
-    others = [k for k in range(len(problem.free)) if k != j]
+def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
+    """Return the covariance of least squares beside the ``j``-th, an inertia found with this variance."""
+    others = [k for k in range(len(floor)) if k != j]
     known = np.ix_(others, others)
     follow = floor[others, j] / floor[j, j]
     out = np.empty_like(floor)
-    out[known] = floor[known] + np.outer(follow, follow) * (instrumental[j, j] - floor[j, j])
-    out[others, j] = out[j, others] = follow * instrumental[j, j]
-    out[j, j] = instrumental[j, j]
+    out[known] = floor[known] + np.outer(follow, follow) * (variance - floor[j, j])
+    out[others, j] = out[j, others] = follow * variance
+    out[j, j] = variance
     return out
 
 
-def _excess_scatter(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
-    """Return by how much scores scatter more from stretch to stretch than their noise model says, at least 1.
+def _scatter(problem: Problem, jacobian: Array, residual: Array) -> Array:
+    """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
 
-    Of the inertia those of the estimating equations: its least squares are not at their minimum, by their bias.
+    Ratio of the clustered to the plain standard deviation of each unknown of least squares.
     """
-    others = np.array([k != kernel.INERTIA for k in problem.free] + [True] * problem.breakaways)
-    out = np.ones(len(others))
-    out[others] = _scatter(problem, jacobian[:, others], jacobian[:, others], residual)
-    out[~others] = _scatter(problem, z, jacobian, residual)[~others]
-    return out
-
-
-def _scatter(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
-    """Return the ratio of the clustered to the plain standard deviation of each unknown, at least 1."""
     weight = _weight(residual)
-    bread = np.linalg.inv(z.T @ (jacobian * weight[:, None]))
-    scores = np.zeros((problem.breakaways, z.shape[1]))
-    np.add.at(scores, problem.owners.astype(np.int64), z * (residual * weight)[:, None])
-    plain, clustered = (bread @ (m.T @ m) @ bread.T for m in (z, scores))
-    return np.asarray(np.sqrt(np.maximum(np.diag(clustered) / np.diag(plain), 1.0)))
+    bread = np.linalg.inv(jacobian.T @ (jacobian * weight[:, None]))
+    scores = np.zeros((problem.breakaways, jacobian.shape[1]))
+    np.add.at(scores, problem.owners.astype(np.int64), jacobian * (residual * weight)[:, None])
+    plain, clustered = (bread @ m @ bread.T for m in (jacobian.T @ jacobian, scores.T @ scores))
+    return np.asarray(np.sqrt(np.diag(clustered) / np.diag(plain)))
+
+
+def _scatter_of_inertia(problem: Problem, z: Array, jacobian: Array, residual: Array) -> float:
+    """Return the same ratio for the inertia, whose sum is one over pairs of stretches.
+
+    A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
+    Ann. Math. Statist. 19 (1948) 293).
+    """
+    j = problem.free.index(kernel.INERTIA)
+    weighted = residual * _weight(residual)
+    mixed = _mixture(z, j)
+    first = (z @ mixed) * weighted
+    carrier = np.zeros_like(jacobian)
+    carrier[:, j] = weighted
+    second = (jacobian @ mixed) * instruments(problem, carrier)[:, j]
+    second[len(second) - problem.breakaways :] = 0.0
+    sums = np.bincount(problem.owners.astype(np.int64), first + second)
+    return float(np.linalg.norm(sums) / np.linalg.norm(first))

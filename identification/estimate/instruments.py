@@ -9,11 +9,17 @@ Methods for System Identification, 1983, ch. 4).
 from __future__ import annotations
 
 import numpy as np
+from scipy import ndimage
 
 from identification.estimate import innovations as kernel
 from identification.estimate.prediction_problem import Problem
 from identification.estimate.stretches import Motion
 from identification.recording import Array
+
+_WIDENING = 0.2
+_SHARP = 2.0
+_WIDEST = 7
+"""Standard deviation of the smoothing: a share of the time since breakaway, less these samples, at most 2^7 samples."""
 
 
 def instruments(problem: Problem, jacobian: Array) -> Array:
@@ -40,8 +46,9 @@ def instruments(problem: Problem, jacobian: Array) -> Array:
             here = slice(starts[j], starts[j + 1])
             curves.append(np.column_stack([jacobian[here, :count], jacobian[here, count + stretch + j]]) * sides[j])
         ties = jacobian[tie + stretch + np.arange(len(lengths)), count + stretch + np.arange(len(lengths))]
+        onsets = _onsets(m, begins)
         for j, side in enumerate(sides):
-            mean = _mean_of_others(curves, _onsets(m, begins), j) * side
+            mean = _smooth(_mean_of_others(curves, onsets, j), onsets[j]) * side
             out[starts[j] : starts[j + 1], :count] = mean[:, :count]
             out[starts[j] : starts[j + 1], count + stretch + j] = mean[:, count]
             out[tie + stretch + j, :count] = jacobian[tie + stretch + j, :count]
@@ -71,3 +78,17 @@ def _mean_of_others(curves: list[Array], onsets: Array, j: int) -> Array:
         total[inside] += (1.0 - share) * curve[low] + share * curve[low + 1]
         seen[inside] += 1.0
     return np.asarray(total / np.maximum(seen, 1.0))
+
+
+def _smooth(curve: Array, onset: float) -> Array:
+    """Return a curve smoothed over a time that grows with the time since ``onset`` (samples), shape (n, p).
+
+    Sensitivities change fast after a breakaway and slowly later; the noise left in their mean does not.
+    """
+    width = np.clip(_WIDENING * (np.arange(len(curve)) - onset) - _SHARP, 2.0**-1, 2.0**_WIDEST)
+    level = np.log2(width) + 1.0
+    low = np.minimum(np.floor(level).astype(np.int64), _WIDEST)
+    share = (level - low)[:, None]
+    smoothed = [curve, *(ndimage.gaussian_filter1d(curve, 2.0**k, axis=0, mode="nearest") for k in range(_WIDEST + 1))]
+    bank, row = np.stack(smoothed), np.arange(len(curve))
+    return np.asarray((1.0 - share) * bank[low, row] + share * bank[low + 1, row])
