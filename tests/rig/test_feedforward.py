@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import Servo
+from drivers.mock.plant.machine import SimulatedMachine
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Recording
 from identification.tracking import track
@@ -338,3 +339,43 @@ def test_a_fault_ends_without_power_and_without_offset(fault: str) -> None:
     assert {sent[k].data[:2] for k in fed} == {b"\x0f\x00"}
     cleared = b"\x2b\xb2\x60\x00" + bytes(4)
     assert any(f.identifier == 0x601 and f.data == cleared for f in sent[fed[-1] :])
+
+
+def drive_by_hand(targets: Array, start: float, released_s: float) -> tuple[float, float]:
+    """Run the soft bench under 30.6 kg without a bus, from ``start`` rad, and take the weight off at ``released_s``.
+
+    Returns:
+        Greatest speed over a cycle, rad/s, and greatest current, A.
+    """
+    machine = load_bench("practical_soft").value.mock
+    assert machine is not None
+    plant = SimulatedMachine(machine, np.random.default_rng(0))
+    plant.hang(30.6)
+    plant.power(True)
+    count = plant.motor_count_rad
+    give = Compensator(offsets_of(targets, 30.6), 100.0, CYCLE_S)
+    before: Sample | None = None
+    speeds, currents = [], []
+    for k, target in enumerate(targets.tolist()):
+        if k == round(released_s / CYCLE_S):
+            plant.hang(0.0)
+        torque = give(before)
+        reading = plant.latch()
+        angle = reading.motor_counts * count + start
+        speeds.append(0.0 if before is None else abs(angle - before.motor_angle / 100.0) / CYCLE_S)
+        currents.append(abs(reading.current_A))
+        plant.track((target - start) / count, 1_000_000)
+        plant.feed(torque / 3.0)
+        plant.advance(1_000_000)
+        before = sample(100.0 * angle)
+    return max(speeds), max(currents)
+
+
+@pytest.mark.parametrize("start", [0.0, -0.06, 0.06])
+@pytest.mark.parametrize("speed_deg_s", [0.3, 1.0, 8.0])
+def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(start: float, speed_deg_s: float) -> None:
+    """Torque for 3000 N without the load, and a start as far off as soft gains leave one: half the speed limit."""
+    targets = np.deg2rad(speed_deg_s) * CYCLE_S * np.arange(1500)
+    fastest, current = drive_by_hand(targets, start, 0.7)
+    assert fastest < 0.5 * np.deg2rad(120.0)
+    assert current < 25.0
