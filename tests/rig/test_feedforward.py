@@ -231,6 +231,18 @@ def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) ->
     assert "feedforward.json" not in read_record(Path("plain")).inputs
 
 
+def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("sine.yaml").write_text(
+        "sequence: 1\nname: sine\nstages:\n"
+        "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], duration_s: 4}\n"
+    )
+    for folder, options in (("plain", []), ("fed", ["--feedforward", str(result_file())])):
+        assert status(["run", "sine.yaml", "--yes", "--out", folder, *options]) == 0
+        assert status(["identify", folder, "--out", f"{folder}-report", "--json", f"{folder}.json"]) == 0
+        warnings = json.loads(Path(f"{folder}.json").read_text())["warnings"]
+        assert any("recorded with feed-forward" in w for w in warnings) is bool(options)
+
+
 LOADED = """\
 sequence: 1
 name: loaded
