@@ -87,7 +87,8 @@ loop: $(VENV)/.runtime
 	$(BIN)/python tests/long/close_loop.py
 
 feedforward: $(VENV)/.runtime
-	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 100
+	$(BIN)/python benchmarks/feedforward.py --seeds 8 --first 200
+	$(BIN)/python benchmarks/feedforward_hidden.py
 
 prove: $(VENV)/.runtime
 	$(BIN)/rig prove --rigs $(or $(RIGS),48) --jobs 2 --out out/proof

@@ -1,8 +1,7 @@
 """Tracking before and after friction feed-forward, on stiff and on soft gains, through the whole simulated chain.
 
-Each seed runs `figure10` on the practical bench and identifies that run's own log; then sines and ramps follow on
-both gain sets, with other noise, without feed-forward and with it. The soft gains use the same identification: friction
-belongs to the machine, and a log made with soft gains does not show its rise toward rest.
+Each seed runs `figure10` on each of the two benches and identifies that bench's own log; then sines and ramps follow
+there, with other noise, without feed-forward and with it. Errors of the identified parameters are printed as well.
 
     python benchmarks/feedforward.py --seeds 8
 """
@@ -10,11 +9,14 @@ belongs to the machine, and a log made with soft gains does not show its rise to
 from __future__ import annotations
 
 import argparse
+import contextlib
+import io
+import json
 import math
 import statistics
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from identification.tracking import Tracking, track
@@ -25,7 +27,10 @@ from rig.run import bench_constants
 from rig.sequence import load_sequence
 from rig.simulated_run import run_simulated
 from rig.tables import table
+from rig.truth import true_parameters
 
+BENCHES = {"stiff": "practical", "soft": "practical_soft"}
+"""Gains to the packaged bench that has them."""
 RAMPS = {0.1: 0.5, 0.3: 4.0, 1.0: 6.0, 3.0: 8.0, 6.0: 12.0}
 """Speed, deg/s, to travel, deg. A soft drive gives way by 1.7 deg before friction yields, by 5.2 deg under 3000 N."""
 SINE_PERIOD_S = 5.0
@@ -49,27 +54,58 @@ def sequence() -> str:
     return "\n".join(lines) + "\n"
 
 
-def compare(seed: int, scratch: Path) -> Iterator[tuple[str, str, Tracking, Tracking]]:
-    """Yield gains, stage, and how it was followed before and after."""
-    found = scratch / "found.json"
+def identify(bench: str, seed: int, scratch: Path) -> Path:
+    """Run `figure10` on a packaged bench, identify that run; return the result file."""
+    own, found = scratch / f"{bench}-own", scratch / f"{bench}.json"
     for command in (
-        ["run", "figure10", "--yes", "--seed", str(seed), "--out", str(scratch / "own")],
-        ["identify", str(scratch / "own"), "--out", str(scratch / "report"), "--json", str(found)],
+        ["run", "figure10", "--bench", bench, "--yes", "--seed", str(seed), "--out", str(own)],
+        ["identify", str(own), "--out", str(scratch / f"{bench}-report"), "--json", str(found)],
     ):
-        if status := cli.status(command):
-            raise SystemExit(f"seed {seed}: rig {command[0]} ended with status {status}")
+        with contextlib.redirect_stdout(io.StringIO()):
+            status = cli.status(command)
+        if status:
+            raise SystemExit(f"seed {seed}: rig {command[0]} on {bench} ended with status {status}")
+    return found
+
+
+def errors(found: Path, bench: str) -> Iterator[tuple[str, float | None, bool]]:
+    """Yield each parameter, its error (None where it is left open) and whether the 90 % interval holds the truth."""
+    machine = load_bench(bench).value.mock
+    assert machine is not None
+    truth = true_parameters(machine)
+    for name, p in json.loads(found.read_text())["parameters"].items():
+        if p["value"] is None:
+            yield name, None, False
+        else:
+            yield name, p["value"] / truth[name] - 1.0, p["low"] <= truth[name] <= p["high"]
+
+
+def compare(name: str, found: Path, seed: int, scratch: Path) -> Iterator[tuple[str, Tracking, Tracking]]:
+    """Yield each stage, and how it was followed before and after."""
     path = scratch / "tracking.yaml"
     path.write_text(sequence())
     plan = load_sequence(path)
-    for gains, name in (("stiff", "practical"), ("soft", "practical_soft")):
-        bench = load_bench(name)
-        model = load_feedforward(found, bench_constants(bench.value))
-        noise = seed + OTHER_NOISE
-        before = run_simulated(bench, plan, noise, scratch / f"{name}-before")
-        after = run_simulated(bench, plan, noise, scratch / f"{name}-after", model)
-        for one, other in zip(before.recordings, after.recordings, strict=True):
-            span = (FIRST_S, LAST_S) if one.name.endswith("sine") else (0.0, math.inf)
-            yield gains, one.name, track(one, *span), track(other, *span)
+    bench = load_bench(name)
+    model = load_feedforward(found, bench_constants(bench.value))
+    if model.remark:
+        print(f"seed {seed}: {model.remark}")
+    noise = seed + OTHER_NOISE
+    before = run_simulated(bench, plan, noise, scratch / f"{name}-before")
+    after = run_simulated(bench, plan, noise, scratch / f"{name}-after", model)
+    for one, other in zip(before.recordings, after.recordings, strict=True):
+        span = (FIRST_S, LAST_S) if one.name.endswith("sine") else (0.0, math.inf)
+        yield one.name, track(one, *span), track(other, *span)
+
+
+def known(off: Mapping[tuple[str, str], Sequence[tuple[float | None, bool]]]) -> list[list[str]]:
+    """Return a row for each bench and parameter: seeds that leave it open, errors, intervals that hold the truth."""
+    cells = []
+    for (gains, name), seeds in off.items():
+        sizes = [100.0 * abs(error) for error, _ in seeds if error is not None]
+        spread = [f"{statistics.median(sizes):.3f}", f"{max(sizes):.3f}"] if sizes else ["", ""]
+        held = sum(inside for _, inside in seeds)
+        cells.append([gains, name, str(len(seeds) - len(sizes)), *spread, f"{held}/{len(sizes)}"])
+    return cells
 
 
 def main() -> None:
@@ -80,10 +116,17 @@ def main() -> None:
     arguments = parser.parse_args()
     started = time.perf_counter()
     rows: dict[tuple[str, str], list[tuple[Tracking, Tracking]]] = {}
+    off: dict[tuple[str, str], list[tuple[float | None, bool]]] = {}
     for seed in range(arguments.first, arguments.first + arguments.seeds):
-        with tempfile.TemporaryDirectory() as scratch:
-            for gains, stage, before, after in compare(seed, Path(scratch)):
-                rows.setdefault((gains, stage), []).append((before, after))
+        for gains, bench in BENCHES.items():
+            with tempfile.TemporaryDirectory() as scratch:
+                found = identify(bench, seed, Path(scratch))
+                for name, error, held in errors(found, bench):
+                    off.setdefault((gains, name), []).append((error, held))
+                for stage, before, after in compare(bench, found, seed, Path(scratch)):
+                    rows.setdefault((gains, stage), []).append((before, after))
+    print(table(["gains", "parameter", "open", "median error %", "worst %", "90 % interval holds truth"], known(off)))
+    print()
     cells = []
     for (gains, stage), pairs in rows.items():
         gain = [before.rms / after.rms for before, after in pairs]

@@ -21,7 +21,8 @@ from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
 from rig.results import Provenance
-from rig.run_record import RUN_FILE
+from rig.run_file import read_record
+from rig.run_record import FEEDFORWARD_INPUT, RUN_FILE
 from rig.sources import load_source
 
 
@@ -42,6 +43,13 @@ class Method(Protocol):
 
 METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
 """Name on the command line to estimator."""
+
+
+_FED = (
+    "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, and breakaways are "
+    "lost; static friction and Stribeck speeds may be off by tens of percent, outside their intervals; identify a run "
+    "without it"
+)
 
 
 @dataclass(frozen=True)
@@ -97,6 +105,8 @@ def identify_source(
     other = None if score is None else load_source(score)
     described_by = source / RUN_FILE if source.is_dir() else source
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
+    if source.is_dir() and FEEDFORWARD_INPUT in read_record(source).inputs:
+        off = (*off, _FED)
     results = []
     for method in methods:
         begun = time.perf_counter()

@@ -134,7 +134,9 @@ def make_plan(
     for index, section in enumerate(sequence.value.stages):
         stage = _plan_stage(section, bench.value, limits, low)
         if feedforward is not None and len(stage.targets) and stage.flow is None:
-            offsets = stage_offsets(feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque)
+            offsets = stage_offsets(
+                feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque, limits.speed
+            )
             stage = dataclasses.replace(stage, offsets=offsets)
         stages.append(stage)
         problems.extend(

@@ -61,7 +61,8 @@ def _feedforward(stage: PlannedStage) -> list[str]:
     if stage.offsets is None:
         return []
     peak, damping = max(abs(stage.offsets.torque)), max(stage.offsets.damping)
-    return [f"{stage.name}: feed-forward up to {peak:.3g} N m, damping {damping:.3g} N m s/rad"]
+    held = f"stiffness {max(stage.offsets.stiffness):.4g} N m/rad up to {stage.offsets.reach:.3g} N m"
+    return [f"{stage.name}: feed-forward up to {peak:.3g} N m, damping {damping:.3g} N m s/rad, {held}"]
 
 
 def _first_pass(stage: PlannedStage) -> str:

@@ -142,6 +142,9 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
 
     Least squares with the inertia held lead into the basin of the inertia they are given; the equation error's may be
     off by half. Leaves the problem at the best end; returns its defect.
+
+    Raises:
+        numpy.linalg.LinAlgError: The instruments pin the parameters from none of the starts.
     """
     vector, begins, noise = problem.start, problem.begins, (problem.noise, problem.angle_noise)
     every = (*system, *inertia)
@@ -155,17 +158,22 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
         problem.noise, problem.angle_noise = noise
         problem.start[kernel.INERTIA] *= share
         problem.free = tuple(system)
-        if system:
-            refine(problem, (1.0,))
-        problem.free = every
-        if every:
-            solve(problem)
-        unsolved = defect(problem) if every else 0.0
+        try:
+            if system:
+                refine(problem, (1.0,))
+            problem.free = every
+            if every:
+                solve(problem)
+            unsolved = defect(problem) if every else 0.0
+        except np.linalg.LinAlgError:
+            # From a start without a rise, as the equation error finds it in slips, nothing tells its speed.
+            continue
         if best is None or unsolved < best[0]:
             best = (unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise)
         if unsolved < SOLVED:
             break
-    assert best is not None
+    if best is None:
+        raise np.linalg.LinAlgError("no start pins the parameters")
     unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise = best
     return unsolved
 

@@ -1,28 +1,30 @@
-"""Torque that a drive is to add, from identified parameters: what the commanded motion will meet, and damping.
+"""Torque that a drive is to add, from identified parameters: what the commanded motion will meet.
 
 Friction follows the commanded speed, not the measured one, so that this part changes no stability. It cannot: where
 friction falls as speed rises (eq. 9 and 13 above rest) a joint that is held softly sticks and slips however well its
-mean torque is known. What the falling branch takes away is given back by damping against the commanded speed.
+mean torque is known. :mod:`identification.model.feedback` gives back what the falling branch takes, as far as the
+delay of a bus allows. Where that is too little, the torque comes in pulses, which take the joint through the
+falling branch many times a second instead of leaving it to find its own, slower rhythm.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
 
+from identification.model.feedback import gains
 from identification.model.friction import load_coefficient, system_friction
 from identification.recording import Array
 
 SMOOTHING_RAD_S = 1e-3
 """Commanded speed over which the sign of friction changes: below what any encoder of this kind resolves in a cycle."""
-PHASE_MARGIN_RAD = math.pi / 4.0
-"""What damping may leave of the quarter turn that an inertia and a delay share."""
-DELAY_CYCLES = 2.0
-"""From the middle of the interval whose speed is measured to that of the one in which the torque acts."""
-RISE_SHARE = 0.75
-"""Share of friction's rise toward rest that is fed forward where damping cannot outweigh the fall that follows it."""
+RISE_SHARE = 0.4
+"""Share of friction's rise toward rest in the mean torque under pulses: between them the joint rests on less."""
+PULSE = (1.0, -0.5, -0.5)
+"""One pulse, a value a cycle, in pulse heights; its mean is none. Three cycles are the shortest with a rest."""
+_PULSE_SPEEDS = 2.0  # speed that a pulse gives the bare inertia, in speeds until which friction falls
+_PULSE_END = 1.5  # commanded speed at which pulses fade, in the same
 _GRID_POINTS = 2000
 _GRID_SPAN = 4.0  # in Stribeck speeds; beyond, eq. 9 and 13 rise again
 
@@ -40,8 +42,8 @@ def motion(angle: Array, period: float) -> Array:
 def feedforward(angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float) -> Array:
     """Return the joint torque to feed forward for a commanded motion, by eq. 15: friction, working load and inertia.
 
-    Where friction falls by more than :func:`damping` gives back, the joint will slip whatever is done, and its whole
-    static friction fed forward drives the slip on; a part of the rise is left to the loop then.
+    Where friction falls by more than damping gives back, a share of the rise and :func:`pulses` take the place of the
+    static friction, which fed forward as a whole would drive on a joint that has broken away.
 
     Args:
         angle: Commanded joint angles, rad, one a period, shape (n,); each is reached at the end of its period.
@@ -53,8 +55,9 @@ def feedforward(angle: Array, period: float, parameters: Mapping[str, float], al
     Returns:
         N m, shape (n,), for the period that ends at each angle. At the start of a motion it is the static friction.
     """
-    tame = damping(parameters, alpha, moment, period) >= steepest_fall(parameters, alpha, moment)
-    parameters = _with_rise(parameters, 1.0 if tame else RISE_SHARE, moment)
+    beats = pulses(angle, period, parameters, alpha, moment)
+    if np.any(beats):
+        parameters = _with_rise(parameters, RISE_SHARE, moment)
     speed = commanded_speed(angle, period)
     magnitude = np.abs(speed)
     friction = system_friction(magnitude, parameters, alpha)
@@ -62,7 +65,50 @@ def feedforward(angle: Array, period: float, parameters: Mapping[str, float], al
         friction = friction + moment * load_coefficient(magnitude, parameters, alpha)
     after, before = np.append(speed[1:], 0.0), np.insert(speed[:-1], 0, 0.0)
     acceleration = (after - before) / (2.0 * period)
-    return np.asarray(motion(angle, period) * friction + parameters["J"] * acceleration)
+    return np.asarray(motion(angle, period) * friction + parameters["J"] * acceleration + beats)
+
+
+def pulses(angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float) -> Array:
+    """Return the torque pulses of a commanded motion, N m, shape (n,): none where damping outweighs friction's fall.
+
+    On the falling branch a joint under a steady torque sticks or runs off. A cycle of more than the static friction and
+    two of less than the kinetic make a small step, over before it can grow. Of such a height that the inertia, left to
+    itself, would gain twice the speed until which friction falls, unless the torque between pulses turned against the
+    motion, and the teeth of the gear with it. Above the falling branch the pulses fade.
+
+    Args:
+        angle: As for :func:`feedforward`.
+        period: s.
+        parameters: The same.
+        alpha: Stribeck exponent.
+        moment: Contact moment, N m.
+    """
+    until = falls_until(parameters, alpha, moment, gains(parameters["J"], period).damping)
+    if until == 0.0:
+        return np.zeros(len(angle))
+    kinetic = parameters["Mc"] + (moment * parameters["mu_c"] if moment else 0.0)
+    height = min(_PULSE_SPEEDS * parameters["J"] * until / period, kinetic / -min(PULSE))
+    fade = np.exp(-((np.abs(commanded_speed(angle, period)) / (_PULSE_END * until)) ** 4))
+    beat = np.resize(np.array(PULSE), len(angle))
+    return np.asarray(height * beat * fade * motion(angle, period))
+
+
+def falls_until(parameters: Mapping[str, float], alpha: float, moment: float, damping: float) -> float:
+    """Return the speed beyond which friction falls by no more than ``damping`` gives back, rad/s; 0 if it never does.
+
+    Args:
+        parameters: As for :func:`feedforward`.
+        alpha: Stribeck exponent.
+        moment: Contact moment, N m.
+        damping: N m s/rad.
+    """
+    widest = max(parameters["omega_sf"], parameters["omega_sL"] if moment else 0.0)
+    speed = np.linspace(0.0, _GRID_SPAN * widest, _GRID_POINTS)[1:]
+    friction = system_friction(speed, parameters, alpha)
+    if moment:
+        friction = friction + moment * load_coefficient(speed, parameters, alpha)
+    fall = -np.diff(friction) / np.diff(speed)
+    return float(np.max(speed[1:][fall > damping], initial=0.0))
 
 
 def _with_rise(parameters: Mapping[str, float], share: float, moment: float) -> dict[str, float]:
@@ -72,23 +118,3 @@ def _with_rise(parameters: Mapping[str, float], share: float, moment: float) -> 
     if moment:
         p["mu_s"] = p["mu_c"] + share * (p["mu_s"] - p["mu_c"])
     return p
-
-
-def steepest_fall(parameters: Mapping[str, float], alpha: float, moment: float) -> float:
-    """Return how fast friction falls with speed where it falls fastest, N m s/rad; 0 where it never does."""
-    widest = max(parameters["omega_sf"], parameters["omega_sL"] if moment else 0.0)
-    speed = np.linspace(0.0, _GRID_SPAN * widest, _GRID_POINTS)[1:]
-    friction = system_friction(speed, parameters, alpha)
-    if moment:
-        friction = friction + moment * load_coefficient(speed, parameters, alpha)
-    return max(0.0, -float(np.min(np.diff(friction) / np.diff(speed))))
-
-
-def damping(parameters: Mapping[str, float], alpha: float, moment: float, period: float) -> float:
-    """Return the damping to add against the commanded speed, N m s/rad.
-
-    A quarter more than friction falls by, so that what is left still damps; but no more than leaves 45 degrees of
-    phase at the crossover D/J of the inertia alone, over the delay from the speed's measurement to the torque's effect.
-    """
-    allowed = PHASE_MARGIN_RAD * parameters["J"] / (DELAY_CYCLES * period)
-    return min(1.25 * steepest_fall(parameters, alpha, moment), allowed)

@@ -106,6 +106,8 @@ def command(
     feedforward = None if feedforward_file is None else load_feedforward(feedforward_file, constants)
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(sequence_file, bench_file, low, feedforward)
+    if feedforward is not None and feedforward.remark:
+        click.echo(feedforward.remark, err=True)
     if dry_run:
         click.echo(describe(plan))
         return DONE

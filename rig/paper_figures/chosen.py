@@ -40,6 +40,7 @@ def chosen() -> list[str]:
         "Valve: the plate swings in its own plane on L1 = 0.095 m, its hole over the opening's centre at 0 deg.",
         "Flow controller of Fig. 5 and 11: flow command to pressure command (eq. 2), PI on the logarithm of the "
         "pressure, anti-windup; its gains are in the sequence file.",
-        "Compensation: the drive's torque offset (60B2h) from the identified parameters, with damping against the "
-        "commanded speed; the paper proposes none.",
+        "Compensation: the drive's torque offset (60B2h) from parameters identified from the same bench's log, with "
+        "stiffness and damping against the command, and pulses where friction falls too steeply for them; the paper "
+        "proposes none.",
     ]

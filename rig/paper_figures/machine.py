@@ -1,4 +1,4 @@
-"""The packaged benches as the figures need them: their true machine, and the practical one identified from its log."""
+"""The packaged benches as the figures need them: their true machine, and what is identified from a log of each."""
 
 from __future__ import annotations
 
@@ -28,17 +28,19 @@ def true_machine(name: str) -> Machine:
     return machine
 
 
-def identified(scratch: Path, seed: int, progress: Callable[[str, float], None]) -> Feedforward:
-    """Run ``figure10`` on the practical bench and identify that run.
+def identified(name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]) -> Feedforward:
+    """Run ``figure10`` on a packaged bench and identify that run.
 
     Args:
+        name: Of the bench.
         scratch: Empty folder for the run and its result.
         seed: Of the bench's noise and of the method.
         progress: Called with what is being done and the share that is done.
     """
-    bench = load_bench("practical")
-    progress("running figure10 on the practical bench", 0.0)
-    run_simulated(bench, load_sequence("figure10"), seed, scratch / "run")
-    outcome = identify_source(scratch / "run", ["default"], None, seed, progress)
-    write_json(scratch / "identify.json", identification_record(outcome.results[0], outcome.provenance))
-    return load_feedforward(scratch / "identify.json", bench_constants(bench.value))
+    bench = load_bench(name)
+    progress(f"running figure10 on {name}", 0.0)
+    run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
+    outcome = identify_source(scratch / f"{name}-run", ["default"], None, seed, progress)
+    result = scratch / f"{name}.json"
+    write_json(result, identification_record(outcome.results[0], outcome.provenance))
+    return load_feedforward(result, bench_constants(bench.value))

@@ -51,7 +51,7 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
         "jumps and waits, and comes to rest beside the command. Neither speed nor gains are given.",
         (
             f"{ramp}, no weight. {_words('Without feed-forward', track(plain[0]))}",
-            _words("With the torque offset computed from the identified parameters", track(fed[0])),
+            _words("With the torque offset computed from parameters that a log of this bench gave", track(fed[0])),
         ),
         (Picture.of("fig_2", f"Fig. 2: {ramp}, no weight", _angle_figure(plain[0], fed[0])),),
         {"fig_2": _data(plain[0], fed[0])},
