@@ -1,8 +1,9 @@
 """How often profile ranges and intervals hold the truth, on data of the fitted model itself.
 
-Two stages of 10 s at 1 kHz under a usual servo loop with set-valued friction; the current is a noisy mean over each
-period whose noise the loop follows, the encoder is quantised. The constants are drawn within 20 % of the practical
-bench's. Beside the scaled range stands that of the likelihood as it comes.
+Two stages of 10 s at 1 kHz under a usual servo loop with set-valued friction; the torque is a noisy mean over each
+period, half of the noise's power in the torque itself and half in its measurement, the encoder is quantised. The
+constants are drawn within 20 % of the practical bench's. Beside the scaled range stands that of the likelihood as it
+comes.
 
     python benchmarks/profile_coverage.py --benches 40
 """
@@ -33,13 +34,13 @@ def stage(truth: dict[str, float], weight_kg: float, rng: np.random.Generator) -
     """Simulate and log one stage."""
     time = PERIOD_S * np.arange(round(STAGE_S / PERIOD_S))
     command = np.deg2rad(20.0) * np.sin(0.8 * np.pi * time) * np.clip(time, 0.0, 1.0)
-    noise = NOISE_N_M * rng.standard_normal(len(time))
+    noise, read = NOISE_N_M * 0.5**0.5 * rng.standard_normal((2, len(time)))
     moment = BENCH.contact_force(weight_kg) * 0.095
     out = respond(command, PERIOD_S, truth, moment, 2.0, usual_loop(truth["J"], 75.0), noise)
     angle: Array = np.floor(out.angle / COUNT_RAD + rng.uniform()) * COUNT_RAD
     return Recording(
         name=f"{weight_kg:g} kg",
-        channels={"time": time, "angle": angle, "torque": out.torque},
+        channels={"time": time, "angle": angle, "torque": out.torque + read},
         bench=BENCH,
         stage="loaded" if weight_kg else "unloaded",
         weight_mass=weight_kg,
@@ -71,7 +72,7 @@ def main() -> None:
             scaled, plain = ((low is None or low <= true) and (high is None or true <= high) for low, high in ranges)
             held[curve.name].append((p.low <= true <= p.high, scaled, plain))
     rows = []
-    for name, each in (*held.items(), ("all", [h for each in held.values() for h in each])):
+    for name, each in (*held.items(), ("all", [h for some in held.values() for h in some])):
         counts = np.sum(each, axis=0)
         ends = [
             stats.beta.ppf(q, [counts[1], counts[1] + 1], [len(each) - counts[1] + 1, len(each) - counts[1]])[k]
