@@ -10,6 +10,7 @@ import numpy as np
 from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
 from rig import clocks, run_samples
+from rig.alignment import aligned
 from rig.bench import Bench
 from rig.errors import InputError
 from rig.places import write_json
@@ -18,6 +19,9 @@ from rig.provenance import sha256_file
 from rig.run_file import read_record, recorded_bench
 from rig.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, StageRecord
 from rig.weight_check import Weighing
+
+AVERAGED = frozenset({"current", "voltage"})
+"""Channels whose samples are means over the cycle that ends at their time."""
 
 
 class RunFolder:
@@ -183,7 +187,8 @@ def _recording(
         for name in samples:
             samples[name] = samples[name][fresh]
     time, device_time = samples.pop("time"), samples.pop("device_time")
-    notes = clocks.describe(time, samples.pop("host_time"), device_time, samples.pop("encoder_time"))
+    encoder_time = samples.pop("encoder_time")
+    notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
     # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
     if device_time.size > 1 and np.all(np.diff(device_time) > 0):
         device_time += time[0] - device_time[0]
@@ -195,14 +200,17 @@ def _recording(
     left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
     if left_out:
         notes.append(f"{', '.join(left_out)} not read: a run of this length would not fit into memory with them")
+    channels, words = aligned({**samples, "time": time}, encoder_time, AVERAGED, bench.gear_ratio)
+    if words:
+        notes.append(words)
     return Recording(
         name=segment.name,
-        channels={**samples, "time": time},
+        channels=channels,
         bench=bench,
         stage="unloaded" if segment.stage == "unloaded" else "loaded",
         weight_mass=segment.weight_kg,
         role=segment.role,
-        averaged=frozenset({"current", "voltage"}),
+        averaged=AVERAGED,
         source=str(path),
         sha256=digest,
         notes=tuple(notes),
