@@ -20,6 +20,8 @@ LEFT_OUT = ("velocity", "voltage", "supply_voltage", "temperature")
 CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage", "supply_voltage", "temperature")
 MOST_SAMPLES = 5_000_000
 """Samples of one recording above which :data:`LEFT_OUT` is not read: ten hours at 1 kHz fit into 4 GiB without."""
+_MOST_PER_BYTE = 4
+"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json that says more is wrong."""
 
 Samples = dict[str, Array]
 
@@ -35,15 +37,17 @@ def by_segment(path: Path, segments: Sequence[SegmentRecord], *, whole: bool) ->
     Raises:
         InputError: It cannot be opened or is not a recording.
     """
+    most = _MOST_PER_BYTE * path.stat().st_size if path.is_file() else 0
+    expected = {s.index: min(s.samples, most) for s in segments}
     fields = {s.index: _fields(s, sum(other.samples for other in segments)) for s in segments}
     if whole:
         try:
             wanted = sorted({name for names in fields.values() for name in names})
-            return _gather(sample_blocks(path, ["segment", *wanted]), fields), None
+            return _gather(sample_blocks(path, ["segment", *wanted]), fields, expected), None
         except (DamageError, OSError):
             pass  # read_log says what is wrong, in full
     log = read_log(path)
-    return _gather([log.samples], fields), log.damage
+    return _gather([log.samples], fields, expected), log.damage
 
 
 def read_log(path: Path) -> Log:
@@ -65,18 +69,35 @@ def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
     return (*STAMPS, *channels, *(["pressure"] if segment.stage == "hot_fire" else []))
 
 
-def _gather(blocks: Iterable[Mapping[str, Array]], fields: Mapping[int, Sequence[str]]) -> dict[int, Samples]:
-    """Return the samples of each segment out of blocks of all, joined field by field."""
-    parts: dict[int, dict[str, list[Array]]] = {k: {name: [] for name in names} for k, names in fields.items()}
+class _Growing:
+    """One field of a segment, filled in place: joining blocks at the end would hold a long run twice."""
+
+    def __init__(self, expected: int) -> None:
+        self._values = np.empty(expected)
+        self._count = 0
+
+    def extend(self, values: Array) -> None:
+        """Add values; beyond what was expected by a copy."""
+        stop = self._count + len(values)
+        if stop > len(self._values):
+            self._values = np.concatenate((self._values[: self._count], np.empty(2 * len(values) + self._count)))
+        self._values[self._count : stop] = values
+        self._count = stop
+
+    def done(self) -> Array:
+        """Return what was added."""
+        return self._values[: self._count]
+
+
+def _gather(
+    blocks: Iterable[Mapping[str, Array]], fields: Mapping[int, Sequence[str]], expected: Mapping[int, int]
+) -> dict[int, Samples]:
+    """Return the samples of each segment out of blocks of all."""
+    held = {k: {name: _Growing(expected[k]) for name in names} for k, names in fields.items()}
     for block in blocks:
         for k, names in fields.items():
             mine = block["segment"] == k
-            if not mine.any():
-                continue
-            for name in names:
-                parts[k][name].append(block[name][mine])
-    joined: dict[int, Samples] = {}
-    for k, held in parts.items():
-        # Piece by piece, so that no more than one field is held twice.
-        joined[k] = {name: np.concatenate(held.pop(name) or [np.zeros(0)]) for name in fields[k]}
-    return joined
+            if mine.any():
+                for name in names:
+                    held[k][name].extend(block[name][mine])
+    return {k: {name: grown.done() for name, grown in each.items()} for k, each in held.items()}

@@ -100,3 +100,10 @@ def test_what_is_no_recording_is_refused(tmp_path: Path) -> None:
         run_samples.by_segment(path, [segment(1, 10)], whole=True)
     with pytest.raises(InputError, match="cannot be read"):
         run_samples.by_segment(tmp_path / "missing.mcap", [segment(1, 10)], whole=True)
+
+
+@pytest.mark.parametrize("said", [0, 400, 10**15])
+def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said: int) -> None:
+    found, damage = run_samples.by_segment(recording, [segment(1, said)], whole=True)
+    assert damage is None
+    assert np.array_equal(found[1]["time"], 1e-3 * np.arange(1000))
