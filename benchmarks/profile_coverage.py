@@ -30,11 +30,13 @@ NOISE_N_M = 0.1
 SPREAD = 0.2
 
 
-def stage(truth: dict[str, float], weight_kg: float, rng: np.random.Generator) -> Recording:
+def stage(
+    truth: dict[str, float], weight_kg: float, rng: np.random.Generator, noise_N_m: float = NOISE_N_M
+) -> Recording:
     """Simulate and log one stage."""
     time = PERIOD_S * np.arange(round(STAGE_S / PERIOD_S))
     command = np.deg2rad(20.0) * np.sin(0.8 * np.pi * time) * np.clip(time, 0.0, 1.0)
-    noise, read = NOISE_N_M * 0.5**0.5 * rng.standard_normal((2, len(time)))
+    noise, read = noise_N_m * 0.5**0.5 * rng.standard_normal((2, len(time)))
     moment = BENCH.contact_force(weight_kg) * 0.095
     out = respond(command, PERIOD_S, truth, moment, 2.0, usual_loop(truth["J"], 75.0), noise)
     angle: Array = np.floor(out.angle / COUNT_RAD + rng.uniform()) * COUNT_RAD

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -107,3 +108,17 @@ def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said:
     found, damage = run_samples.by_segment(recording, [segment(1, said)], whole=True)
     assert damage is None
     assert np.array_equal(found[1]["time"], 1e-3 * np.arange(1000))
+
+
+def test_a_stream_holds_little_beside_what_it_returns(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 20_000)
+    wanted = [segment(1, 1000), segment(2, 1500)]
+    peaks = {}
+    for whole in (True, False):
+        tracemalloc.start()
+        found, _ = run_samples.by_segment(recording, wanted, whole=whole)
+        peaks[whole] = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+    size = sum(values.nbytes for samples in found.values() for values in samples.values())
+    assert peaks[True] < 1.6 * size
+    assert peaks[False] > 3.0 * size
