@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -16,6 +16,7 @@ help:
 	@echo "make paper     the paper's figures and tables done again, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
+	@echo "make profile-coverage  how often likelihood profiles and intervals hold the truth"
 	@echo "make literal   the literal bench, noise-free: the paper's constants and 20 random sets"
 	@echo "make real      the real recordings: friction ladder, closed loop, screw drives, transfer (out/real)"
 	@echo "make feedforward   tracking and energy before and after friction feed-forward, 8 seeds (docs/feedforward.md)"
@@ -67,6 +68,7 @@ plan-study: $(VENV)/.runtime
 
 long: $(VENV)/.runtime
 	$(BIN)/python benchmarks/long_recording.py
+	$(BIN)/python benchmarks/long_recording.py --run
 
 paper: $(VENV)/.runtime
 	$(BIN)/rig paper --out out/paper
@@ -76,6 +78,9 @@ accuracy: $(VENV)/.runtime
 
 floor: $(VENV)/.runtime
 	$(BIN)/python benchmarks/floor.py --benches 200 --first 5000
+
+profile-coverage: $(VENV)/.runtime
+	$(BIN)/python benchmarks/profile_coverage.py --benches 40
 
 literal: $(VENV)/.runtime
 	$(BIN)/python benchmarks/literal_accuracy.py

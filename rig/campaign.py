@@ -33,6 +33,10 @@ def _known_term(name: str) -> str:
     raise ValueError(f"unknown effect; {nearest(name, [*FITTED_TERMS, *EFFECTS])}")
 
 
+ANGLE_TIME = "angle_time"
+"""Channel of the joint encoder's own stamps, s; used on reading, and gone then."""
+
+
 def _known_friction(name: str) -> str:
     if name not in LADDER:
         raise ValueError(f"unknown friction; {nearest(name, list(LADDER))}")
@@ -46,8 +50,8 @@ def _known_parameter(name: str) -> str:
 
 
 def _known_channel(name: str) -> str:
-    if name not in CHANNELS:
-        raise ValueError(f"unknown channel; {nearest(name, list(CHANNELS))}")
+    if name not in (*CHANNELS, ANGLE_TIME):
+        raise ValueError(f"unknown channel; {nearest(name, [*CHANNELS, ANGLE_TIME])}")
     return name
 
 
@@ -303,6 +307,8 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
         yield ("channels",), "no `time` channel and no `rate`; give one of them"
     if "time" in channels and recording.rate is not None:
         yield ("rate",), "`rate` is only for files without time; remove it, or the `time` channel"
+    if ANGLE_TIME in channels and "angle" not in channels:
+        yield ("channels", ANGLE_TIME), "stamps of an encoder whose `angle` is not there; map that too"
     if not channels.keys() & {"angle", "velocity", "motor_angle"}:
         yield ("channels",), "no `angle`, `velocity` or `motor_angle`; map at least one"
     if not channels.keys() & {"torque", "current", "voltage"}:

@@ -32,8 +32,8 @@ def drift_ppm(reference: Array, other: Array) -> float | None:
 def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
     """Say what is found of gaps, late answers and drifting clocks; nothing where all is well.
 
-    Drive and encoder latch at the same SYNC, so that a drift between their clocks moves no sample; it is told because
-    it would where one of them ran free.
+    Where drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; where the encoder runs
+    free, :mod:`rig.alignment` takes it out.
 
     Args:
         time: Start of each cycle, s, shape (n,).

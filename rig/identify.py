@@ -6,6 +6,7 @@ import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Protocol
 
@@ -84,6 +85,7 @@ def identify_source(
     *,
     ladder: bool = False,
     score: Path | None = None,
+    profile: bool = False,
 ) -> Outcome:
     """Identify a run folder or campaign file.
 
@@ -95,6 +97,7 @@ def identify_source(
         progress: Called with what is being done and the share that is done.
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
+        profile: Whether the default method profiles the likelihood of every parameter.
 
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
@@ -116,7 +119,10 @@ def identify_source(
             progress(f"{method}: {stage}", share)
 
         try:
-            result = METHODS[method](dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
+            estimate = (
+                partial(identify_any_length, profile=True) if profile and method == "default" else METHODS[method]
+            )
+            result = estimate(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
         except RecordingError as error:
             raise InputError(f"{source}: {error}") from error
         warnings = (*result.warnings, *off)

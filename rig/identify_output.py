@@ -18,6 +18,7 @@ from rig.report import write_report
 from rig.results import identification_record
 from rig.tables import number, percent, table
 from rig.transfer_output import transfer_notes, transfer_record, transfer_table
+from rig.uncertainty_output import PROFILE_NOTE, profile_table, uncertainty_notes, uncertainty_record
 
 RESULT_FILE = "identify.json"
 _NUMBER = re.compile(r"\d[\d.e+-]*")
@@ -29,6 +30,11 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     lines = [table(cells.header, cells.rows, cells.right), ""]
     lines += [line for result in outcome.results for line in _fit_lines(result)]
     lines += pinned_notes(outcome.results)
+    for result in outcome.results:
+        lines += uncertainty_notes(result)
+        if result.profiles:
+            cells = profile_table(result)
+            lines += ["", table(cells.header, cells.rows, cells.right), PROFILE_NOTE, ""]
     if outcome.comparison:
         compared = comparison_table(outcome.comparison)
         lines += ["", table(compared.header, compared.rows, compared.right), COMPARISON_NOTE, ""]
@@ -68,7 +74,8 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     Raises:
         InputError: A place cannot be written.
     """
-    record = identification_record(outcome.results[0], outcome.provenance)
+    first = outcome.results[0]
+    record = identification_record(first, outcome.provenance) | uncertainty_record(first)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])

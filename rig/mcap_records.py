@@ -113,8 +113,10 @@ def channel(content: bytes) -> Channel:
         return found
 
 
-def statistics(data: bytes, offset: int) -> Statistics:
+def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
     """Return the counts at the end of a whole recording, whose summary begins at ``offset``, checked against its CRC.
+
+    ``before`` is how many bytes of the recording ``data`` leaves out.
 
     Raises:
         DamageError: The summary is not whole.
@@ -123,7 +125,11 @@ def statistics(data: bytes, offset: int) -> Statistics:
     if not data.endswith(MAGIC) or footer_at < offset:
         raise DamageError("the index at its end is cut off")
     opcode, _, start, _, crc = _FOOTER.unpack_from(data, footer_at)
-    if opcode != Opcode.FOOTER or start != offset or zlib.crc32(data[offset : footer_at + FOOTER_START.size]) != crc:
+    if (
+        opcode != Opcode.FOOTER
+        or start != before + offset
+        or zlib.crc32(data[offset : footer_at + FOOTER_START.size]) != crc
+    ):
         raise DamageError("the index at its end fails its checksum")
     while offset < footer_at:
         found = record_at(data, offset)

@@ -16,9 +16,10 @@ from rig.mcap_layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.mcap_reader import Log
 from rig.places import write_json
 from rig.recorder import Recorder, open_recorder
-from rig.run import discard, part_file, read_log
+from rig.run import discard, part_file
 from rig.run_file import read_record
 from rig.run_record import DIED, RECORDING_FILE, RUN_FILE, RunRecord
+from rig.run_samples import read_log
 from rig.sequencer import Ending
 
 _ENDINGS = {ending.value for ending in Ending}

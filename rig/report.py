@@ -19,6 +19,7 @@ from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_
 from rig.places import write_text
 from rig.results import Provenance
 from rig.tables import number, percent
+from rig.uncertainty_output import PROFILE_NOTE, profile_table, uncertainty_notes, uncertainty_pictures
 
 _SHOWN_PER_ROLE = 6
 _FIT_HEADER = ("bandwidth", "error, rms", "relative")
@@ -57,6 +58,7 @@ def write_report(
     shown = _shown(first.traces)
     groups = {
         "parameter_figures": [Picture.of("intervals", "Parameters", fit_plots.intervals(results, truth))],
+        "uncertainty_figures": uncertainty_pictures(results),
         "fit_figures": [_stribeck(result, recordings) for result in results],
         "convergence_figures": _convergence(results, truth),
         "recording_figures": [
@@ -72,6 +74,9 @@ def write_report(
         warnings=[f"{r.method}: {w}" for r in results for w in r.warnings],
         parameters=parameter_table(results, truth),
         parameter_notes=[*pinned_notes(results), *parameter_notes(results)],
+        uncertainty_notes=[line for result in results for line in uncertainty_notes(result)],
+        profiles=[profile_table(result) for result in results if result.profiles],
+        profile_note=PROFILE_NOTE,
         has_truth=truth is not None,
         comparison=comparison_table(comparison) if comparison else None,
         comparison_note=COMPARISON_NOTE,

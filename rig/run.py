@@ -9,10 +9,10 @@ import numpy as np
 
 from identification.recording import Array, Dataset, Recording, RecordingError
 from identification.recording import Bench as BenchConstants
-from rig import clocks
+from rig import clocks, run_samples
+from rig.alignment import aligned
 from rig.bench import Bench
 from rig.errors import InputError
-from rig.mcap_reader import Log, NotARecordingError, read_run
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
@@ -20,7 +20,8 @@ from rig.run_file import read_record, recorded_bench
 from rig.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, StageRecord
 from rig.weight_check import Weighing
 
-_CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage", "supply_voltage", "temperature")
+AVERAGED = frozenset({"current", "voltage"})
+"""Channels whose samples are means over the cycle that ends at their time."""
 
 
 class RunFolder:
@@ -148,63 +149,60 @@ def load_run(folder: Path) -> Dataset:
     finished = [segment for segment in record.segments if segment.kept and segment.end is not None]
     if not finished:
         # A recording that cannot be read at all is the better explanation.
-        read_log(folder / RECORDING_FILE)
+        run_samples.read_log(folder / RECORDING_FILE)
         raise InputError(f"{folder}: no stage was finished (state {record.state}: {record.message or 'writer died'})")
     bench = recorded_bench(record)
     recordings: list[Recording] = []
     for number in sorted({segment.part for segment in finished}):
         part = record.parts[number - 1]
         path = folder / part.file
-        log = read_log(path)
-        if log.damage is not None and part.state == "done":
-            raise InputError(f"{path}: damaged though the run was finished: {log.damage}; use `rig recover {folder}`")
+        mine = [segment for segment in finished if segment.part == number]
+        samples, damage = run_samples.by_segment(path, mine, whole=part.state == "done")
+        if damage is not None and part.state == "done":
+            raise InputError(f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`")
         digest = sha256_file(path)
         try:
-            recordings += [_recording(s, log, bench, path, digest) for s in finished if s.part == number]
+            recordings += [_recording(s, samples.pop(s.index), damage, bench, path, digest) for s in mine]
         except RecordingError as error:
             raise InputError(f"{path}: {error}") from error
     return Dataset(tuple(recordings))
 
 
-def read_log(path: Path) -> Log:
-    """Read a recording.
-
-    Raises:
-        InputError: It cannot be opened or is not a recording.
-    """
-    try:
-        return read_run(path)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except NotARecordingError as error:
-        raise InputError(str(error)) from error
-
-
-def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Path, digest: str) -> Recording:
-    mine = log.samples["segment"] == segment.index
-    if int(mine.sum()) != segment.samples:
+def _recording(
+    segment: SegmentRecord,
+    samples: dict[str, Array],
+    damage: str | None,
+    bench: BenchConstants,
+    path: Path,
+    digest: str,
+) -> Recording:
+    """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be held twice."""
+    fresh = samples.pop("fresh") != 0.0
+    if len(fresh) != segment.samples:
         raise InputError(
-            f"{path}: {segment.name}: {int(mine.sum())} of {segment.samples} samples are there, though it was finished"
-            f" ({log.damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
+            f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though it was finished"
+            f" ({damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
         )
-    stale = mine & (log.samples["fresh"] == 0)
-    used = mine & ~stale
-    channels: dict[str, Array] = {name: log.samples[name][used] for name in _CHANNELS}
-    if segment.stage == "hot_fire":
-        channels["pressure"] = log.samples["pressure"][used]
+    if not fresh.all():
+        for name in samples:
+            samples[name] = samples[name][fresh]
+    time, device_time = samples.pop("time"), samples.pop("device_time")
+    encoder_time = samples.pop("encoder_time")
+    notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
     # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
-    device_time = log.samples["device_time"][used]
-    notes = []
     if device_time.size > 1 and np.all(np.diff(device_time) > 0):
-        offset = log.samples["time"][used][0] - device_time[0]
-        channels["time"] = device_time + offset
+        device_time += time[0] - device_time[0]
+        time = device_time
     else:
-        channels["time"] = log.samples["time"][used]
-        notes.append("the drive's time stamps do not increase; the host's times are used")
-    stamps = (log.samples[name][used] for name in ("time", "host_time", "device_time", "encoder_time"))
-    notes += clocks.describe(*stamps)
-    if stale.any():
-        notes.append(f"{int(stale.sum())} samples left out: the answer of a device was missing")
+        notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
+    if not fresh.all():
+        notes.append(f"{int(np.sum(~fresh))} samples left out: the answer of a device was missing")
+    left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
+    if left_out:
+        notes.append(f"{', '.join(left_out)} not read: a run of this length would not fit into memory with them")
+    channels, words = aligned({**samples, "time": time}, encoder_time, AVERAGED, bench.gear_ratio)
+    if words:
+        notes.append(words)
     return Recording(
         name=segment.name,
         channels=channels,
@@ -212,7 +210,7 @@ def _recording(segment: SegmentRecord, log: Log, bench: BenchConstants, path: Pa
         stage="unloaded" if segment.stage == "unloaded" else "loaded",
         weight_mass=segment.weight_kg,
         role=segment.role,
-        averaged=frozenset({"current", "voltage"}),
+        averaged=AVERAGED,
         source=str(path),
         sha256=digest,
         notes=tuple(notes),

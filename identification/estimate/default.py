@@ -9,11 +9,13 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import prediction_error, varpro
-from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of
+from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, units_of
 from identification.estimate.prediction_error import Refined
+from identification.estimate.profile import profiles
 from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
-from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification
+from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification, Profile, Starts
 from identification.estimate.stretches import motion
+from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import Spread, block_sandwich
 from identification.model.ladder import NOMINAL
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
@@ -36,6 +38,7 @@ def identify(
     bandwidth_Hz: float | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
+    profile: bool = False,
 ) -> Identification:
     """Identify the nine parameters in two stages (five where nothing is loaded).
 
@@ -44,6 +47,7 @@ def identify(
         bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what each bears.
         rng: Unused; every method takes one.
         progress: Called with a stage's name and the share done.
+        profile: Whether to profile the likelihood of every parameter as well, which takes several times as long.
 
     Raises:
         RecordingError: The recordings cannot pin the model; the message says what is missing.
@@ -66,6 +70,9 @@ def identify(
     spread = block_sandwich(active, values, names, model.alpha)
     warnings: list[str] = []
     floors: Mapping[str, float] = {}
+    units = units_of(active)
+    starts: tuple[Starts, ...] = ()
+    curves: tuple[Profile, ...] = ()
     tell("joint", 0.0)
     refined = refine_recordings(fitted, values, names, model, bandwidth_Hz)
     if isinstance(refined, str):
@@ -74,12 +81,17 @@ def identify(
         before, after = fit_of(active, values, model.alpha), fit_of(active, refined.values, model.alpha)
         fault = refusal(refined, before.train_rms, after.train_rms)
         stages.append(joint_convergence(refined))
+        starts = refined.starts
         if fault:
             warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         else:
             values = dict(refined.values)
             spread = spread_of(refined)
             floors = floors_of(refined)
+            if profile:
+                curves = profiles(refined, units, lambda share: tell("profiles", share))
+    if profile and not curves:
+        warnings.append("no profiles: they are those of the prediction errors, which were not taken")
     tell("joint", 1.0)
     every = list(prepared.values())
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
@@ -97,6 +109,10 @@ def identify(
         stages=tuple(stages),
         fitted=dict(values),
         friction=model.friction,
+        starts=starts,
+        tradeoffs=tradeoffs(spread, values, units),
+        least_pinned=least_pinned(spread, values),
+        profiles=curves,
         warnings=tuple(warnings),
         traces=tuple(trace_of(p, values, model.alpha) for p in every),
         fits_by_recording=fits,

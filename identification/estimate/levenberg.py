@@ -33,6 +33,11 @@ def huber(residual: Array, threshold: float) -> Array:
     return np.asarray(size * (np.abs(residual) - 0.5 * size))
 
 
+def huber_weight(residual: Array, threshold: float) -> Array:
+    """Return by how much each residual counts beside one within the threshold, at most 1, shape of ``residual``."""
+    return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
+
+
 def huber_cost(residual: Array, threshold: float) -> float:
     """Return the sum of :func:`huber`."""
     return float(np.sum(huber(residual, threshold)))
@@ -64,8 +69,7 @@ def minimise(
     steps = 0
     while steps < most_steps:
         slope = jacobian(x, residual)
-        weight = np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300))
-        weighted = slope * weight[:, None]
+        weighted = slope * huber_weight(residual, threshold)[:, None]
         normal = slope.T @ weighted
         gradient = weighted.T @ residual
         scale = np.sqrt(np.diag(normal))

@@ -13,10 +13,11 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import default
-from identification.estimate.assemble import fit_of, parameter_table, trace_of
+from identification.estimate.assemble import fit_of, parameter_table, trace_of, units_of
 from identification.estimate.default import Progress, floors_of, free_names, refusal, solve_stages, spread_of
 from identification.estimate.long_refinement import refine_pieces
-from identification.estimate.result import Identification
+from identification.estimate.result import Identification, Starts
+from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import block_sandwich
 from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare, resting
 from identification.recording import Dataset, Recording
@@ -34,6 +35,7 @@ def identify_any_length(
     bandwidth_Hz: float | None = None,
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
+    profile: bool = False,
 ) -> Identification:
     """Identify by the default method, in pieces where the recordings are long; see :func:`default.identify`.
 
@@ -42,8 +44,12 @@ def identify_any_length(
     """
     fitted = dataset.part("fit")
     if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
-        return default.identify(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress)
-    return identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
+        return default.identify(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, profile=profile)
+    found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
+    if profile:
+        limit = f"no profiles: they are of recordings of {LONG_SAMPLES} samples together at most; cut them shorter"
+        found = replace(found, warnings=(*found.warnings, limit))
+    return found
 
 
 def pieces(recording: Recording) -> list[Recording]:
@@ -86,10 +92,12 @@ def identify_long(
     refined = refine_pieces(heads, every, values, names, model, bandwidth_Hz, lambda share: tell("joint", share))
     fault = refined if isinstance(refined, str) else ""
     floors: dict[str, float] = {}
+    starts: tuple[Starts, ...] = ()
     if not isinstance(refined, str):
         before, after = fit_of(fit, values, model.alpha), fit_of(fit, refined.values, model.alpha)
         fault = refusal(refined, before.train_rms, after.train_rms)
         stages.append(default.joint_convergence(refined))
+        starts = refined.starts
     if fault or isinstance(refined, str):
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
@@ -103,6 +111,11 @@ def identify_long(
         parameters=parameter_table(fit, values, spread, model, floors),
         fit=fit_of(fit, values, model.alpha, validate),
         stages=tuple(stages),
+        fitted=dict(values),
+        friction=model.friction,
+        starts=starts,
+        tradeoffs=tradeoffs(spread, values, units_of(fit)),
+        least_pinned=least_pinned(spread, values),
         warnings=tuple(warnings),
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},

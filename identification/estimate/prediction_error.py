@@ -19,6 +19,7 @@ from identification.estimate import levenberg
 from identification.estimate.instrumental import SOLVED, beside_inertia, covariances, defect, solve
 from identification.estimate.noise_level import CLIP, deviance, likeliest_noise, torque_noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.result import Starts
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
@@ -28,6 +29,8 @@ _START_STATICS = 7
 _STARTS = 3
 """Starts of the loaded stage that are followed to their end: the likeliest of the grid is not always in the basin."""
 _SEED_CLIP = 10.0
+SAME_END = 1.0
+"""-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 """Inertias tried, over the equation error's; it errs upward under noise."""
 
@@ -49,6 +52,8 @@ class Refined:
         iterations: Iterations of the joint fit.
         breakaways: Breakaways that entered.
         unsolved: Defect of the first stage's estimating equations: of any size where no start solved them.
+        joint: The joint problem, at the estimate.
+        starts: What each search began from came to.
     """
 
     values: Mapping[str, float]
@@ -63,6 +68,8 @@ class Refined:
     iterations: int
     breakaways: int
     unsolved: float
+    joint: Problem
+    starts: tuple[Starts, ...] = ()
 
 
 def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> list[tuple[Array, list[Array]]]:
@@ -112,6 +119,7 @@ def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -
         refine(problem)
         errors, deviations = problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise)
         ends.append((deviance(errors, deviations), problem.start, problem.begins))
+        problem.ends.append(ends[-1][0])
     _, problem.start, problem.begins = min(ends, key=lambda end: end[0])
 
 
@@ -168,6 +176,7 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
         except np.linalg.LinAlgError:
             # From a start without a rise, as the equation error finds it in slips, nothing tells its speed.
             continue
+        problem.ends.append(unsolved)
         if best is None or unsolved < best[0]:
             best = (unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise)
         if unsolved < SOLVED:
@@ -201,6 +210,7 @@ def refine_stages(
     first.noise, first.angle_noise = likeliest_noise(first, first.noise)
     inertia = [] if kernel.INERTIA in fixed else [kernel.INERTIA]
     unsolved = solve_first_stage(first, system, inertia)
+    starts = [Starts("unloaded", "defect of the estimating equations", tuple(first.ends), SOLVED, absolute=True)]
     evaluations += first.evaluations
     motions, begins, noise, free = tuple(unloaded), list(first.begins), first.noise, system
     vector = first.start
@@ -209,6 +219,7 @@ def refine_stages(
         second.angle_noise = first.angle_noise
         refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
         evaluations += second.evaluations
+        starts.append(Starts("loaded", "-2 log likelihood", tuple(second.ends), min(second.ends) + SAME_END))
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
         vector = second.start
     free = [*free, *inertia]
@@ -235,6 +246,8 @@ def refine_stages(
         iterations=joint.iterations,
         breakaways=joint.breakaways,
         unsolved=unsolved,
+        joint=joint,
+        starts=tuple(starts),
     )
 
 

@@ -69,6 +69,8 @@ class Problem:
         self.begins = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
         self.iterations = 0
+        self.ends: list[float] = []
+        """Final cost of every start that was followed."""
         self._out = [np.zeros(len(m.time)) for m in motions]
         self._spread = [np.zeros(len(m.time)) for m in motions]
         self._speeds = [np.zeros(len(m.time)) for m in motions]

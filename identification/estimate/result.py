@@ -103,6 +103,68 @@ class Convergence:
 
 
 @dataclass(frozen=True)
+class Starts:
+    """Where the starts of one search ended.
+
+    Attributes:
+        stage: ``unloaded`` or ``loaded``.
+        cost: What was compared, in words.
+        ends: Final cost of each start, in the order they were tried.
+        reached: Cost up to which a start has reached the best end.
+        absolute: Whether ``reached`` is a fixed limit, at which the search ends, and not one above the least end.
+    """
+
+    stage: str
+    cost: str
+    ends: tuple[float, ...]
+    reached: float
+    absolute: bool = False
+
+    @property
+    def best(self) -> int:
+        """How many starts reached the best end."""
+        return sum(end <= self.reached for end in self.ends)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Profile likelihood of one parameter, all others optimised at each point.
+
+    Attributes:
+        name: Of the parameter.
+        unit: Of ``values``.
+        values: Held, rising, shape (n,).
+        deviance: -2 log likelihood there above the estimate's, shape (n,).
+        low: Lower end of the 90 % range; None where the deviance does not get there within ``values``.
+        high: Upper end, alike.
+        scale: What the likelihood's own deviance was multiplied by, so that it bears out the interval.
+    """
+
+    name: str
+    unit: str
+    values: Array
+    deviance: Array
+    low: float | None
+    high: float | None
+    scale: float
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Two parameters that the recordings hardly tell apart, and what of them they do pin.
+
+    Attributes:
+        names: Both.
+        correlation: Of their estimates.
+        statement: In words, with the combination that is pinned.
+    """
+
+    names: tuple[str, str]
+    correlation: float
+    statement: str
+
+
+@dataclass(frozen=True)
 class Trace:
     """The signals of one recording as the fit saw them, all at the stated bandwidth, shape (n,)."""
 
@@ -137,6 +199,10 @@ class Identification:
         fitted: Name to the value the fit ended with, those that are not identifiable by themselves included: what a
             simulation of the fitted model needs.
         friction: Rung of :data:`identification.model.ladder.LADDER`.
+        starts: Where the starts of each search ended; empty where there was one start only.
+        tradeoffs: Pairs that the recordings hardly tell apart.
+        least_pinned: In words, what combination of parameters the recordings pin least.
+        profiles: Profile likelihoods, where asked for.
     """
 
     method: str
@@ -152,6 +218,10 @@ class Identification:
     seconds: float = 0.0
     fitted: Mapping[str, float] = field(default_factory=dict)
     friction: str = "stribeck"
+    starts: tuple[Starts, ...] = ()
+    tradeoffs: tuple[Tradeoff, ...] = ()
+    least_pinned: str = ""
+    profiles: tuple[Profile, ...] = ()
 
     @property
     def torque_unit(self) -> str:

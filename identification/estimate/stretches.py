@@ -8,6 +8,7 @@ import numpy as np
 
 from identification.contact_force import contact_moment
 from identification.estimate import innovations as kernel
+from identification.even import evened
 from identification.prepare import drive_torque, joint_angle, resting
 from identification.recording import Array, Recording
 from identification.signals import BoolArray, quantum
@@ -99,15 +100,17 @@ def motion(recording: Recording) -> Motion | None:
     """Return the stretches of a recording that start from rest, or None where the filter does not apply.
 
     It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque or current and at
-    least two breakaways.
+    least two breakaways. Single samples may be missing or late; stretches with longer holes are left out.
     """
-    angle = joint_angle(recording)
-    channels = recording.channels
-    if angle is None or not ({"torque", "current"} & channels.keys()):
+    if not ({"torque", "current"} & recording.channels.keys()):
         return None
-    step = quantum(angle)
-    intervals = np.diff(recording.time)
-    if step == 0.0 or float(np.ptp(intervals)) > 0.01 * recording.period:
+    even = evened(recording)
+    if even is None:
+        return None
+    recording, holes = even
+    angle = joint_angle(recording)
+    step = 0.0 if angle is None else quantum(angle)
+    if angle is None or step == 0.0:
         return None
     velocity = np.gradient(np.convolve(angle, np.ones(5) / 5.0, mode="same"), recording.time)
     at = recording.time
@@ -121,7 +124,7 @@ def motion(recording: Recording) -> Motion | None:
         extra = pendulum.mass * pendulum.length**2
         weight = pendulum.mass * recording.bench.gravity * pendulum.length
         torque = torque - weight * np.sin(angle - pendulum.zero)
-    table, seen = _table(angle, step)
+    table, seen = _table(angle, step, holes)
     if len(table) < 2:
         return None
     steps = np.ones(len(at))
@@ -149,8 +152,8 @@ def motion(recording: Recording) -> Motion | None:
     )
 
 
-def _table(angle: Array, step: float) -> tuple[Array, Array]:
-    """Return the kernel's table of stretches that start from rest, and where each has visibly moved."""
+def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
+    """Return the kernel's table of stretches that start from rest and have no holes, and where each visibly moved."""
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
     rows: list[tuple[float, float, float, float]] = []
@@ -162,6 +165,8 @@ def _table(angle: Array, step: float) -> tuple[Array, Array]:
         begin = max(int(start) - LEAD, 1)
         while begin < start and not rest[begin]:
             begin += 1
+        if np.any(holes[begin : int(stop)]):
+            continue
         if start == 0 or begin >= start or abs(travel) < LEAST_COUNTS * step or last - begin < LEAD:
             continue
         visible = int(start)

@@ -40,6 +40,11 @@ class Spread:
         c = self.covariance
         return self._half(float(c[k, k] + c[j, j] - 2.0 * c[j, k]))
 
+    def half_width_along(self, weights: Mapping[str, float]) -> float:
+        """Return that of a weighted sum of parameters."""
+        row = np.array([weights.get(name, 0.0) for name in self.names])
+        return self._half(float(row @ self.covariance @ row))
+
     def _half(self, variance: float) -> float:
         if not math.isfinite(variance) or variance < 0.0:
             return math.inf

@@ -26,6 +26,11 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     help="Also the paper's GA, differential evolution, CMA-ES and multi-start least squares, on one problem.",
 )
 @click.option(
+    "--profile",
+    is_flag=True,
+    help="Also the likelihood profile of every parameter, with the 90 % range that follows; ten seconds more or so.",
+)
+@click.option(
     "--plan",
     "sequence",
     metavar="SEQUENCE",
@@ -69,6 +74,7 @@ def command(
     source: Path | None,
     method: Literal["default", "paper", "both"],
     compared: bool,
+    profile: bool,
     sequence: str | None,
     bench: str,
     nominal: Path | None,
@@ -88,6 +94,7 @@ def command(
     Example:
       rig identify runs/demo
       rig identify runs/demo --compare
+      rig identify runs/demo --profile
       rig identify --plan figure10 --bench practical --nominal runs/demo/identify.json
       rig identify bench.yaml --method both --bandwidth 30 --json result.json
       rig identify monday.yaml --score friday.yaml
@@ -107,13 +114,15 @@ def command(
     assert source is not None
     if compared and method == "paper":
         raise click.UsageError("--compare sets the others beside the default method; leave out --method paper")
-    if method == "paper" and (ladder or score):
-        raise click.UsageError("--ladder and --score are of the default method; leave --method paper out")
+    if method == "paper" and (ladder or score or profile):
+        raise click.UsageError("--ladder, --score and --profile are of the default method; leave --method paper out")
     folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
-        outcome = identify_source(source, _METHODS[method], bandwidth, seed, bar, ladder=ladder, score=score)
+        outcome = identify_source(
+            source, _METHODS[method], bandwidth, seed, bar, ladder=ladder, score=score, profile=profile
+        )
         truth = truth_of(source)
         if compared:
             outcome = compare_methods(source, outcome, truth, bar)

@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from identification.recording import Array, Bench, Recording
-from rig.campaign import Campaign, ChannelSection, RecordingSection
+from rig.alignment import aligned
+from rig.campaign import ANGLE_TIME, Campaign, ChannelSection, RecordingSection
 from rig.configuration import Document, Loc, nearest
 from rig.errors import InputError
 from rig.provenance import sha256_file
@@ -46,6 +47,7 @@ def build(
     except OSError as error:
         raise InputError(f"{file}: cannot be read: {error.strerror or error}") from error
     channels, timing, mended = _mend(table, channels)
+    stamps = channels.pop(ANGLE_TIME, None)
     notes = [*table.notes, *mended]
     problems = list(value_errors(channels))
     if not problems:
@@ -73,7 +75,7 @@ def build(
         sha256=digest,
         notes=tuple(notes),
     )
-    return _cut(whole, timing)
+    return _cut(whole, timing, stamps)
 
 
 def _read_channels(
@@ -191,12 +193,12 @@ def _at(table: Table, error: UnusableError, channel: str) -> str:
     return f"{place}: {channel}{error}{hint}"
 
 
-def _cut(whole: Recording, timing: Timing) -> list[Recording]:
-    """Return one recording per stretch, numbered from 1 where there are several."""
+def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
+    """Return one recording per stretch, numbered from 1 where there are several, each on one clock."""
     n = len(whole.time)
     if timing.pieces == ((0, n),):
-        return [whole]
-    return [
+        return [_on_one_clock(whole, stamps)]
+    cut = [
         replace(
             whole,
             name=f"{whole.name}[{number}]",
@@ -204,6 +206,15 @@ def _cut(whole: Recording, timing: Timing) -> list[Recording]:
         )
         for number, (start, stop) in enumerate(timing.pieces, start=1)
     ]
+    parts = [None if stamps is None else stamps[start:stop] for start, stop in timing.pieces]
+    return [_on_one_clock(recording, part) for recording, part in zip(cut, parts, strict=True)]
+
+
+def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
+    if stamps is None:
+        return recording
+    channels, words = aligned(recording.channels, stamps, recording.averaged, recording.bench.gear_ratio)
+    return replace(recording, channels=channels, notes=(*recording.notes, words)) if words else recording
 
 
 def _is_constant(values: Array) -> bool:

@@ -46,6 +46,21 @@ def test_innovations_of_the_practical_bench_are_of_unit_size(practical_result: I
     assert practical_result.stages[-1].cost == pytest.approx(1.0, abs=0.1)
 
 
+def test_where_the_starts_ended_is_kept(practical_result: Identification) -> None:
+    unloaded, loaded = practical_result.starts
+    assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
+    assert unloaded.ends[-1] <= unloaded.reached
+    assert len(loaded.ends) == 3
+    assert 1 <= loaded.best <= 3
+    assert min(loaded.ends) < loaded.reached
+
+
+def test_friction_at_a_speed_is_pinned_better_than_its_parts(practical_result: Identification) -> None:
+    pairs = {t.names: t for t in practical_result.tradeoffs}
+    assert "only their sum at 0.3" in pairs["Mc", "sigma_2"].statement
+    assert practical_result.least_pinned.startswith("least pinned is omega_sL alone")
+
+
 def test_intervals_are_narrow_and_near_the_truth(practical_result: Identification) -> None:
     for name, value in TRUTH.items():
         parameter = practical_result.parameters[name]

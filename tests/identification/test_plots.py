@@ -6,14 +6,18 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from identification.estimate.result import Convergence, Fit, Identification, Parameter, Trace
+from identification.estimate.result import Convergence, Fit, Identification, Parameter, Profile, Starts, Trace
 from identification.plots import fit as fit_plots
+from identification.plots import profile as profile_plots
 from identification.plots import signals
 from identification.plots.spread import spread
 from identification.plots.style import MAX_POINTS, png
 from identification.recording import Bench, Recording
 
 UNIT = re.compile(r"\((deg|rad/s|N m|N|m/s|mm|s|%|1|kg|A)\)$")
+
+
+PROFILE = Profile("Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 2.0]), 6.85, None, 1.0)
 
 
 def trace(name: str = "run", samples: int = 20_001, motion: str = "rotary") -> tuple[Trace, Recording]:
@@ -57,6 +61,8 @@ def figures() -> dict[str, Figure]:
         "convergence": fit_plots.convergence(found.stages[0]),
         "convergence to the truth": fit_plots.convergence(found.stages[0], {"Mc": 7.1}),
         "intervals": fit_plots.intervals([found, result("paper")], {"Mc": 6.9}),
+        "profiles": profile_plots.profiles([PROFILE], list(found.parameters.values())),
+        "waterfall": profile_plots.waterfall([Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]),
         "spread": spread({"paper": {"Mc": [1.0, 0.0, np.inf]}}, {"Mc": 1.1, "Ms": 0.0}, names),
     }
 

@@ -1,0 +1,126 @@
+"""One time base out of two clocks: a joint encoder that samples by its own, beside a drive that samples by its.
+
+Latched by one SYNC the two agree but for drift of their stamps, which moves no sample. An encoder that runs free is
+some part of a period old whenever the drive's sample is taken, more or less as their clocks beat. A delay tau turns
+friction's slope into inertia, tau dF/domega: half a millisecond near the Stribeck speed is a quarter of the whole.
+Pure functions of arrays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from identification.recording import Array
+from identification.signals import quantum
+
+AGREE = 0.02
+"""Age of the encoder's samples, in periods, up to which they are as old as the drive's."""
+_SHARE = 0.01
+"""Share of samples that may be older, as single late stamps are."""
+_BLOCKS = 500
+_LEAST = 5.0
+"""Percentile of a block that counts as its least age: single stamps before their time do not."""
+_FILLED = 3
+"""Samples of the encoder in a row, overwritten before the drive's next, that are interpolated."""
+
+
+def taken_at(reference: Array, stamps: Array) -> Array:
+    """Return when each sample of another clock was taken, in the reference's time, s, shape (n,).
+
+    A sample is taken before it is logged, by as little as nothing where the clocks have just beaten. So the line from
+    one clock to the other is the highest that leaves next to no sample in the future: the edge of the lower convex hull
+    under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). What is always lost on the way stays unknown.
+
+    Args:
+        reference: The drive's time of each row, s, rising, shape (n,).
+        stamps: The encoder's own stamp of the angle in that row, s, not falling, shape (n,).
+    """
+    points = []
+    for block in np.array_split(np.arange(len(stamps)), min(_BLOCKS, max(len(stamps) // 20, 1))):
+        age = reference[block] - stamps[block]
+        least = float(np.percentile(age, _LEAST))
+        k = int(block[np.argmin(np.abs(age - least))])
+        points.append((float(stamps[k] - stamps[0]), float(reference[k] - stamps[k])))
+    hull: list[tuple[float, float]] = []
+    for x, y in points:
+        while len(hull) > 1 and _turns_down(hull[-2], hull[-1], (x, y)):
+            hull.pop()
+        hull.append((x, y))
+    middle = float(np.mean(stamps - stamps[0]))
+    k = min(max(int(np.searchsorted([x for x, _ in hull], middle)), 1), len(hull) - 1)
+    (x0, y0), (x1, y1) = (hull[k - 1], hull[k]) if len(hull) > 1 else (hull[0], hull[0])
+    slope = (y1 - y0) / (x1 - x0) if x1 > x0 else 0.0
+    return np.asarray(stamps + y0 + slope * (stamps - stamps[0] - x0))
+
+
+def _turns_down(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> bool:
+    return (b[0] - a[0]) * (c[1] - a[1]) <= (c[0] - a[0]) * (b[1] - a[1])
+
+
+def aligned(
+    channels: Mapping[str, Array], stamps: Array, averaged: frozenset[str], gear_ratio: float
+) -> tuple[dict[str, Array], str]:
+    """Return the channels on one time base, and what was done in words; unchanged where the clocks agree.
+
+    The finer encoder keeps its samples as counted. Where that is the joint's, everything else is brought onto its
+    instants; channels that are means stay means, over its period.
+
+    Args:
+        channels: ``time`` by the drive's clock and ``angle`` among them.
+        stamps: The encoder's own stamps of ``angle``, s, shape (n,).
+        averaged: Channels whose samples are means over the period that ends at their time.
+        gear_ratio: Motor turns per joint turn.
+    """
+    time, angle = channels["time"], channels["angle"]
+    period = float(np.median(np.diff(time)))
+    if not np.all(np.diff(stamps) >= 0.0):
+        return dict(channels), ""
+    taken = taken_at(time, stamps)
+    age = time - taken
+    if np.mean(np.abs(age) > AGREE * period) < _SHARE:
+        return dict(channels), ""
+    new = np.concatenate(([True], np.diff(stamps) > 0.0))
+    words = (
+        f"the joint encoder samples by a clock of its own: angles up to {1e3 * float(np.percentile(age, 99.0)):.2g} ms "
+        "older than the drive's samples"
+    )
+    motor = channels.get("motor_angle")
+    if motor is not None and not 0.0 < quantum(angle) < quantum(motor) / gear_ratio:
+        return {**channels, "angle": np.interp(time, taken[new], angle[new])}, f"{words}; brought onto the drive's time"
+    instants, counted, filled = _without_holes(taken[new], angle[new])
+    inside = (instants >= time[0]) & (instants <= time[-1])
+    instants, counted = instants[inside], counted[inside]
+    out = {name: _at(instants, time, values, name in averaged) for name, values in channels.items()}
+    words += "; the drive's samples brought onto the encoder's time"
+    if filled:
+        words += f", {filled} angles interpolated that were overwritten before they were read"
+    return {**out, "time": instants, "angle": counted}, words
+
+
+def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
+    """Return an encoder's samples with short holes filled by interpolated counts, and how many those are."""
+    steps = np.diff(taken)
+    missing = np.round(steps / float(np.median(steps))).astype(np.int64) - 1
+    missing = np.where((missing > 0) & (missing <= _FILLED), missing, 0)
+    extra = [taken[k] + steps[k] * np.arange(1, missing[k] + 1) / (missing[k] + 1) for k in np.flatnonzero(missing)]
+    if not extra:
+        return taken, angle, 0
+    instants = np.sort(np.concatenate([taken, *extra]))
+    values = np.interp(instants, taken, angle)
+    step = quantum(angle)
+    if step > 0.0:
+        values = angle[0] + np.round((values - angle[0]) / step) * step
+    return instants, values, int(missing.sum())
+
+
+def _at(instants: Array, time: Array, values: Array, mean: bool) -> Array:
+    """Return a channel at other instants; a mean as the mean over the period that ends there."""
+    if not mean:
+        return np.interp(instants, time, values)
+    period = float(np.median(np.diff(time)))
+    edges = np.concatenate(([time[0] - period], time))
+    total = np.concatenate(([0.0], np.cumsum(values * np.diff(edges))))
+    span = float(np.median(np.diff(instants)))
+    return np.asarray((np.interp(instants, edges, total) - np.interp(instants - span, edges, total)) / span)

@@ -1,0 +1,96 @@
+"""How sure an identification is: what trades off, bounds hit, starts and profiles, as text, record and pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from identification.estimate.result import Identification, Profile
+from identification.plots import profile as plots
+from rig.figures import Picture
+from rig.parameter_table import Table
+from rig.results import finite
+from rig.tables import interval, number
+
+PROFILE_NOTE = (
+    "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what the likelihood was "
+    "multiplied by, as its own curvature is not borne out by the scatter. Skew: upper over lower arm of the range."
+)
+
+
+def uncertainty_notes(result: Identification) -> list[str]:
+    """Return what trades off, which bounds were hit and how many starts reached the best end, a line each."""
+    lines = [pair.statement for pair in result.tradeoffs]
+    if result.least_pinned:
+        lines.append(result.least_pinned)
+    hit = [p.name for p in result.parameters.values() if p.at_bound]
+    lines.append(f"bounds hit: {', '.join(hit)}" if hit else "bounds hit: none")
+    lines += [
+        f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
+        + (f"solved its equations (defect up to {number(s.reached)})" if s.absolute else "ended at the best")
+        for s in result.starts
+    ]
+    return [f"{result.method}: {line}" for line in lines]
+
+
+def profile_table(result: Identification) -> Table:
+    """Return one row per profile: its 90 % range beside the interval."""
+    rows = [_profile_row(curve, result) for curve in result.profiles]
+    return Table(("parameter", "90 % interval", "profile", "skew", "scaled", "unit"), tuple(rows), (1, 2, 3, 4))
+
+
+def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
+    p = result.parameters[curve.name]
+    skew = None
+    if curve.low is not None and curve.high is not None:
+        here = result.fitted[curve.name]
+        skew = (curve.high - here) / (here - curve.low)
+    reach = interval(curve.low, curve.high) if skew is not None else _open(curve)
+    return curve.name, interval(p.low, p.high), reach, number(skew, 3), number(curve.scale, 3), curve.unit
+
+
+def _open(curve: Profile) -> str:
+    """Return a range of which one end or both lie beyond what was tried."""
+    low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
+    high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
+    return f"[{low}, {high}]"
+
+
+def uncertainty_record(result: Identification) -> dict[str, Any]:
+    """Return the keys that a result file has of this."""
+    return {
+        "tradeoffs": [
+            {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
+            for t in result.tradeoffs
+        ],
+        "least_pinned": result.least_pinned,
+        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
+        "starts": [
+            {"stage": s.stage, "cost": s.cost, "ends": [finite(e) for e in s.ends], "reached_best": s.best}
+            for s in result.starts
+        ],
+        "profiles": {
+            c.name: {
+                "unit": c.unit,
+                "values": [finite(v) for v in c.values],
+                "deviance": [finite(v) for v in c.deviance],
+                "low": finite(c.low),
+                "high": finite(c.high),
+                "scale": finite(c.scale),
+            }
+            for c in result.profiles
+        },
+    }
+
+
+def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
+    """Return profiles and waterfalls of the results that have them; one start alone makes no waterfall."""
+    pictures = []
+    for result in results:
+        several = [s for s in result.starts if len(s.ends) > 1]
+        if result.profiles:
+            made = plots.profiles(result.profiles, list(result.parameters.values()))
+            pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
+        if several:
+            pictures.append(Picture.of(f"starts_{result.method}", "Where the starts ended", plots.waterfall(several)))
+    return pictures

@@ -1,0 +1,98 @@
+"""Likelihood profiles: each point optimised, ranges that agree with the intervals, crossings where they were put."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.estimate import levenberg
+from identification.estimate.default import identify
+from identification.estimate.noise_level import CLIP
+from identification.estimate.prediction_error import Refined, refine_stages
+from identification.estimate.prediction_problem import INDEX
+from identification.estimate.profile import LEVEL, crossings, profiles
+from identification.estimate.result import Identification
+from identification.estimate.stretches import motion
+from identification.recording import Array, Dataset, Model, Recording
+
+from .synthetic import SYSTEM, TRUTH, sine
+
+UNITS = dict.fromkeys(TRUTH, "1")
+
+
+def refine(recording: Recording, model: Model) -> Refined:
+    moving = motion(recording)
+    assert moving is not None
+    return refine_stages([moving], [], {n: TRUTH[n] for n in SYSTEM}, model)
+
+
+@pytest.fixture(scope="module")
+def profiled(practical_pair: tuple[Recording, Recording]) -> Identification:
+    return identify(Dataset(practical_pair[:1]), profile=True)
+
+
+def test_every_fitted_parameter_has_one(profiled: Identification) -> None:
+    assert sorted(c.name for c in profiled.profiles) == sorted(SYSTEM)
+    for curve in profiled.profiles:
+        assert np.all(np.diff(curve.values) > 0.0)
+        middle = int(np.flatnonzero(curve.deviance == 0.0)[0])
+        assert curve.values[middle] == pytest.approx(profiled.fitted[curve.name], rel=1e-5)
+        assert np.all(np.diff(curve.deviance[middle:]) > 0.0)
+        assert np.all(np.diff(curve.deviance[: middle + 1]) < 0.0)
+        assert curve.unit == profiled.parameters[curve.name].unit
+
+
+def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(profiled: Identification) -> None:
+    for curve in profiled.profiles:
+        p = profiled.parameters[curve.name]
+        assert p.low is not None
+        assert p.high is not None
+        half = 0.5 * (p.high - p.low)
+        assert curve.low == pytest.approx(p.low, abs=0.05 * half), curve.name
+        assert curve.high == pytest.approx(p.high, abs=0.05 * half), curve.name
+
+
+def test_a_profile_is_the_least_cost_with_that_value_held(practical_pair: tuple[Recording, Recording]) -> None:
+    """Against another search over the others, from their values at the estimate."""
+    refined = refine(practical_pair[0], Model(fixed={"J": TRUTH["J"]}))
+    (curve,) = (c for c in profiles(refined, UNITS) if c.name == "sigma_2")
+    joint = refined.joint
+    place = joint.free.index(INDEX["sigma_2"])
+
+    def least(value: float) -> float:
+        def whole(x: Array) -> Array:
+            return np.insert(x, place, value)
+
+        found = levenberg.minimise(
+            lambda x: joint.residuals(whole(x)),
+            lambda x, here: np.delete(joint.jacobian(whole(x), here), place, axis=1),
+            np.delete(joint.origin(), place),
+            threshold=CLIP,
+            tolerance=1e-9,
+        )
+        return found.cost
+
+    middle = float(curve.values[int(np.argmin(curve.deviance))])
+    for k in (0, -1):
+        expected = 2.0 * curve.scale * (least(float(curve.values[k])) - least(middle))
+        assert curve.deviance[k] == pytest.approx(expected, rel=0.01)
+
+
+def test_crossings_of_a_parabola_and_of_a_skew_curve() -> None:
+    values = np.linspace(-3.0, 3.0, 7)
+    assert crossings(values, values**2) == pytest.approx((-(LEVEL**0.5), LEVEL**0.5))
+    low, high = crossings(values, np.where(values < 0.0, 4.0 * values**2, values**2))
+    assert low is not None
+    assert high == pytest.approx(LEVEL**0.5)
+    assert low == pytest.approx(-0.5 * LEVEL**0.5)
+
+
+def test_a_flat_side_has_no_end() -> None:
+    values = np.linspace(-3.0, 3.0, 7)
+    assert crossings(values, np.where(values > 0.0, np.minimum(values, 1.0), values**2))[1] is None
+
+
+def test_without_prediction_errors_there_is_none_and_it_is_said() -> None:
+    result = identify(Dataset((sine(),)), bandwidth_Hz=500.0, profile=True)
+    assert result.profiles == ()
+    assert any("no profiles" in w for w in result.warnings)

@@ -1,0 +1,62 @@
+"""How sure a result is, as text, record and pictures."""
+
+import json
+
+import numpy as np
+
+from identification.estimate.result import Fit, Identification, Parameter, Profile, Starts, Tradeoff
+from rig.uncertainty_output import profile_table, uncertainty_notes, uncertainty_pictures, uncertainty_record
+
+RESULT = Identification(
+    "default",
+    "rotary",
+    2.0,
+    {
+        "Mc": Parameter("Mc", "N m", 7.0, 6.9, 7.1),
+        "J": Parameter("J", "kg m^2", None, identifiable=False, at_bound=True, reason="no motion"),
+    },
+    Fit("N m", 40.0, 0.1, 0.01),
+    (),
+    fitted={"Mc": 7.0, "J": 0.0},
+    starts=(
+        Starts("unloaded", "defect", (20.0, 1.0), 3.0, absolute=True),
+        Starts("loaded", "-2 log likelihood", (-90.0, -100.0, -99.5), -99.0),
+    ),
+    tradeoffs=(Tradeoff(("Mc", "sigma_2"), -0.95, "Mc and sigma_2 trade off"),),
+    least_pinned="least pinned is Mc alone",
+    profiles=(
+        Profile("Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 4.0]), 6.9, 7.3, 0.5),
+        Profile("J", "kg m^2", np.array([0.0, 0.1]), np.array([0.0, np.inf]), None, 0.05, 1.0),
+    ),
+)
+
+
+def test_notes_name_what_trades_off_bounds_and_starts() -> None:
+    assert uncertainty_notes(RESULT) == [
+        "default: Mc and sigma_2 trade off",
+        "default: least pinned is Mc alone",
+        "default: bounds hit: J",
+        "default: starts of the unloaded stage: 1 of 2 solved its equations (defect up to 3)",
+        "default: starts of the loaded stage: 2 of 3 ended at the best",
+    ]
+
+
+def test_ranges_stand_beside_intervals_and_open_ones_say_so() -> None:
+    both, open_below = profile_table(RESULT).rows
+    assert both == ("Mc", "[6.9, 7.1]", "[6.9, 7.3]", "3", "0.5", "N m")
+    assert open_below == ("J", "-", "[< 0, 0.05]", "-", "1", "kg m^2")
+
+
+def test_the_record_is_json_without_infinities() -> None:
+    record = json.loads(json.dumps(uncertainty_record(RESULT), allow_nan=False))
+    assert record["bounds_hit"] == ["J"]
+    assert record["tradeoffs"][0]["names"] == ["Mc", "sigma_2"]
+    assert [s["reached_best"] for s in record["starts"]] == [1, 2]
+    assert record["profiles"]["J"]["deviance"] == [0.0, None]
+    assert record["profiles"]["Mc"]["high"] == 7.3
+
+
+def test_a_single_start_makes_no_waterfall() -> None:
+    assert [p.name for p in uncertainty_pictures([RESULT])] == ["profiles_default", "starts_default"]
+    bare = Identification("paper", "rotary", 2.0, {}, RESULT.fit, (), starts=(Starts("loaded", "cost", (1.0,), 2.0),))
+    assert uncertainty_pictures([bare]) == []
