@@ -9,6 +9,7 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
+from identification.diagnosis.crossing import told_apart
 from identification.diagnosis.generic import families
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import EXCESS, pruned, revisited
@@ -133,6 +134,7 @@ def search(
     if len(before.effects) > 1:
         progress("rivals, beside the other effects", 0.9)
         joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
+    joint, rounds = told_apart(views, unit, baseline, joint, rounds, terms, steps)
     return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
 
 

@@ -30,13 +30,18 @@ def transmitted(view: View) -> Array:
 
 
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    motor, gap = view.motor / view.recording.bench.gear_ratio, shape[0]
-    lead = play(motor, gap)
+    return rows(lead(view, shape[0]))
+
+
+def lead(view: View, gap: float) -> Array:
+    """Return how far the motor leads through a gap that its own encoders show where it begins in, rad, shape (m,)."""
+    motor = view.motor / view.recording.bench.gear_ratio
+    middle = play(motor, gap)
     known = _forgotten(motor, gap)
     if view.lag is None or not known.any():
-        return rows(lead)
-    zero = float(np.mean((view.lag - lead)[known]))
-    return rows(play(motor, gap, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero))
+        return middle
+    zero = float(np.mean((view.lag - middle)[known]))
+    return play(motor, gap, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
