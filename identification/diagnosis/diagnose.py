@@ -18,7 +18,7 @@ from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.generic import LINEAR_UNITS
 from identification.diagnosis.joint import Joint, estimates, fit, pinned
-from identification.diagnosis.locate import curve, location, maps
+from identification.diagnosis.locate import curve, location, maps, placed
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -122,7 +122,7 @@ def diagnose(
         },
         p_value=found.p_value,
         location=where,
-        curve=curve(drawn[0]) if verdict is Verdict.OUTSIDE_CATALOGUE and drawn else None,
+        curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
         maps=drawn,
         steps=found.steps,
         traces=_traces(found.baseline, scored),
@@ -245,7 +245,7 @@ def _effect(
     rows = stack.part(own.name)
     before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
     drawn = maps(stack, own, before, after, np.random.default_rng(0))
-    where = location(own, drawn[0] if drawn else None, before)
+    where = location(own, placed(drawn, entry.coordinate.split(":")[0]), before)
     place = found.final.effects[k].term.place
     if place is not None:
         index = round(found.final.effects[k].shape[place])

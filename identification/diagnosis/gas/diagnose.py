@@ -94,7 +94,7 @@ def diagnose_gas(
         },
         p_value=found.p_value,
         location=None if verdict is Verdict.NOTHING_MISSING else where,
-        curve=curve(drawn[0]) if verdict is Verdict.OUTSIDE_CATALOGUE and drawn else None,
+        curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
         maps=drawn,
         steps=found.steps,
         traces=(
