@@ -17,7 +17,7 @@ from identification.diagnosis.contest import Contender, Round, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.generic import LINEAR_UNITS
-from identification.diagnosis.joint import Joint, estimates, fit, pinned
+from identification.diagnosis.joint import Joint, estimates, pinned
 from identification.diagnosis.locate import curve, location, maps, placed
 from identification.diagnosis.result import (
     Diagnosis,
@@ -95,7 +95,7 @@ def diagnose(
     if gives:
         tell("the same on the valve's side", 0.0)
         here = views(fitted, bandwidth, True, dataset.recordings)
-        found = search(here, unit, fit(here, unit, first.nominal), terms, chance, tell)
+        found = search(here, unit, started(here, unit, first.nominal, dataset.model), terms, chance, tell)
     baseline = found.baseline
     aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)
