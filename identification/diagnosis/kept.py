@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
+from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
@@ -19,6 +20,8 @@ LEAST_FURTHER = 0.01
 """Gain of one more effect over what is explained already where it shows; less is the shape of what came before..."""
 NEARLY_ALL = 0.8
 """... unless it explains this share of what is left beyond the noise."""
+ALIKE = 0.25
+"""The same of two look-alikes: less is what the regressor of the first lacks of the physics."""
 SHAPE_ERROR = 1e-3
 """Gain of one more effect over what is explained already, below which no regressor is true enough to show it."""
 
@@ -57,8 +60,25 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
     parts = _touched(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
-    needed = math.inf if others < SHAPE_ERROR else NEARLY_ALL if others < LEAST_FURTHER else FURTHER_SHARE
+    needed = needed_share(others, any(alike(term.name, e.term.name) for e in without.effects))
     return gain / _beyond_noise(without, parts), needed
+
+
+def needed_share(others: float, look_alike: bool) -> float:
+    """Return the share of what is left that one more effect must explain; infinite where nothing would do.
+
+    Args:
+        others: Its gain over what the others explain in its equations.
+        look_alike: Whether one of them looks like it.
+    """
+    if others < (ALIKE if look_alike else SHAPE_ERROR):
+        return math.inf
+    return NEARLY_ALL if others < LEAST_FURTHER else FURTHER_SHARE
+
+
+def alike(one: str, other: str) -> bool:
+    """Whether the catalogue says that one of two effects looks like the other."""
+    return one in ENTRIES[other].look_alikes or other in ENTRIES[one].look_alikes
 
 
 def revisited(
