@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from scipy import stats
+
 from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
-from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
@@ -20,8 +21,8 @@ LEAST_FURTHER = 0.01
 """Gain of one more effect over what is explained already where it shows; less is the shape of what came before..."""
 NEARLY_ALL = 0.8
 """... unless it explains this share of what is left beyond the noise."""
-ALIKE = 0.25
-"""The same of two look-alikes: less is what the regressor of the first lacks of the physics."""
+SURE = float(stats.norm.isf(0.01))
+"""Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise."""
 SHAPE_ERROR = 1e-3
 """Gain of one more effect over what is explained already, below which no regressor is true enough to show it."""
 
@@ -42,7 +43,7 @@ def pruned(
             without = fit(views, unit, joint.nominal, rest, baseline)
             share, needed = _worth(baseline, without, joint, effect.term)
             trials.append((share / needed, share, needed, effect.term.name, without))
-        worth, share, needed, name, without = min(trials, key=lambda trial: trial[0])
+        worth, share, needed, name, without = min(trials, key=lambda trial: (trial[0], trial[-1].cost))
         if worth >= 1.0:
             break
         note = (
@@ -60,25 +61,22 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
     parts = _touched(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
-    needed = needed_share(others, any(alike(term.name, e.term.name) for e in without.effects))
-    return gain / _beyond_noise(without, parts), needed
+    needed = needed_share(others)
+    left = _beyond_noise(without, parts)
+    if left <= 1.0 and preference(joint, without) < SURE:
+        needed = math.inf
+    return gain / left, needed
 
 
-def needed_share(others: float, look_alike: bool) -> float:
+def needed_share(others: float) -> float:
     """Return the share of what is left that one more effect must explain; infinite where nothing would do.
 
     Args:
         others: Its gain over what the others explain in its equations.
-        look_alike: Whether one of them looks like it.
     """
-    if others < (ALIKE if look_alike else SHAPE_ERROR):
+    if others < SHAPE_ERROR:
         return math.inf
     return NEARLY_ALL if others < LEAST_FURTHER else FURTHER_SHARE
-
-
-def alike(one: str, other: str) -> bool:
-    """Whether the catalogue says that one of two effects looks like the other."""
-    return one in ENTRIES[other].look_alikes or other in ENTRIES[one].look_alikes
 
 
 def revisited(

@@ -11,7 +11,7 @@ import pytest
 from identification.diagnosis.begin import started
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Added, fit
-from identification.diagnosis.kept import alike, needed_share
+from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.search import chance
 from identification.diagnosis.stack import Candidate, wald
@@ -88,15 +88,6 @@ def test_two_effects_are_named_and_a_look_alike_of_the_first_is_taken_out_again(
     assert {e.name for e in found.effects} == set(both)
 
 
-@pytest.mark.parametrize(
-    ("others", "look_alike", "needed"),
-    [(0.1, False, 0.4), (0.1, True, math.inf), (0.3, True, 0.4), (0.005, False, 0.8), (0.0005, False, math.inf)],
-)
-def test_what_one_more_name_must_explain(others: float, look_alike: bool, needed: float) -> None:
-    assert needed_share(others, look_alike) == needed
-
-
-def test_look_alikes_are_those_of_the_catalogue_either_way() -> None:
-    assert alike("friction_memory", "presliding")
-    assert alike("presliding", "friction_memory")
-    assert not alike("friction_memory", "return_spring")
+@pytest.mark.parametrize(("others", "needed"), [(0.1, 0.4), (0.005, 0.8), (0.0005, math.inf)])
+def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
+    assert needed_share(others) == needed
