@@ -12,12 +12,13 @@ from time import perf_counter
 
 import numpy as np
 
+from identification.diagnosis.begin import NEAR_FLOOR, estimated, started
+from identification.diagnosis.contest import Contender, Round, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.generic import LINEAR_UNITS
-from identification.diagnosis.joint import Joint, estimates, fit, pinned
-from identification.diagnosis.locate import curve, location, maps
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.joint import Joint, estimates, pinned
+from identification.diagnosis.locate import curve, location, maps, placed
 from identification.diagnosis.result import (
     Diagnosis,
     Effect,
@@ -30,15 +31,14 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.search import LEVEL, Contender, Progress, Round, Search, probability, search
+from identification.diagnosis.search import LEVEL, Progress, Search, search
 from identification.diagnosis.stack import stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
 from identification.estimate.assemble import units_of
-from identification.estimate.default import free_names, solve_stages
 from identification.prepare import default_bandwidth, prepare, torque_unit
-from identification.recording import Bench, Dataset, Recording, RecordingError
+from identification.recording import Bench, Dataset, RecordingError
 
 GREATEST_BANDWIDTH_HZ = 25.0
 """Above this hardly any effect of the catalogue adds to what is below, and noise does."""
@@ -52,8 +52,6 @@ ADEQUATE = 0.7
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
 UNLIKELY = 0.05
 """Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
-NEAR_FLOOR = 1.5
-"""Mean square of the mismatch over that of the noise, below which it counts as explained."""
 
 
 def diagnose(
@@ -76,7 +74,7 @@ def diagnose(
     Raises:
         RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be granted.
     """
-    started = perf_counter()
+    clock = perf_counter()
     tell: Progress = progress or (lambda _stage, _share: None)
     chance = rng or np.random.default_rng(0)
     fitted, held = dataset.part("fit"), dataset.part("validate")
@@ -85,19 +83,19 @@ def diagnose(
     bandwidth = bandwidth_Hz or min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in fitted))
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
-    start = _nominal(dataset, fitted, bandwidth)
+    start = estimated(dataset, fitted, bandwidth)
     left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
     terms = [t for t in TERMS if t.name not in left_out]
     here = views(fitted, bandwidth, campaign=dataset.recordings)
-    first = fit(here, unit, start)
+    first = started(here, unit, start, dataset.model)
     if onlooker is not None:
         onlooker(first)
-    found = search(here, unit, first, terms, chance, tell)
+    found = search(here, unit, first, terms, chance, tell, GIVING)
     gives = any(e.term.name in GIVING for e in found.final.effects)
     if gives:
         tell("the same on the valve's side", 0.0)
         here = views(fitted, bandwidth, True, dataset.recordings)
-        found = search(here, unit, fit(here, unit, start), terms, chance, tell)
+        found = search(here, unit, started(here, unit, first.nominal, dataset.model), terms, chance, tell)
     baseline = found.baseline
     aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)
@@ -124,12 +122,12 @@ def diagnose(
         },
         p_value=found.p_value,
         location=where,
-        curve=curve(drawn[0]) if verdict is Verdict.OUTSIDE_CATALOGUE and drawn else None,
+        curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
         maps=drawn,
         steps=found.steps,
         traces=_traces(found.baseline, scored),
         warnings=_warnings(dataset, here),
-        seconds=perf_counter() - started,
+        seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
 
@@ -137,15 +135,6 @@ def diagnose(
 def _slides(bench: Bench) -> bool:
     """Whether a linear bench is described without the motor that turns behind it."""
     return bench.motion == "linear" and bench.gear_ratio == 1.0
-
-
-def _nominal(dataset: Dataset, recordings: Sequence[Recording], bandwidth: float) -> Nominal:
-    prepared = [prepare(r, bandwidth) for r in recordings]
-    unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
-    loaded = [p for p in prepared if p.recording.stage == "loaded"]
-    model = dataset.model
-    values, _ = solve_stages(unloaded, loaded, model, lambda _stage, _share: None)
-    return Nominal(values, free_names(values, model), model.alpha)
 
 
 @dataclass(frozen=True)
@@ -256,7 +245,7 @@ def _effect(
     rows = stack.part(own.name)
     before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
     drawn = maps(stack, own, before, after, np.random.default_rng(0))
-    where = location(own, drawn[0] if drawn else None, before)
+    where = location(own, placed(drawn, entry.coordinate.split(":")[0]), before)
     place = found.final.effects[k].term.place
     if place is not None:
         index = round(found.final.effects[k].shape[place])

@@ -23,6 +23,10 @@ ROUNDS = 12
 """Most Gauss-Newton rounds of one joint fit."""
 SETTLED = 1e-4
 """Relative change of the cost at which it ends."""
+DAMPING = 0.3
+"""Share of a step that is taken where the whole of it made things worse..."""
+MOST_FAILURES = 2
+"""... and how often that is tried."""
 REACHES = (1.0, 0.2)
 """How far continuous shapes are sought in the first rounds, over their full reach."""
 FACTOR = 4.0
@@ -86,6 +90,7 @@ def fit(
     """
     nominal, effects = start, tuple(effects)
     best: Joint | None = None
+    step, share, failures = np.zeros(0), 1.0, 0
     stack = None if before is None else before.stack
     for k in range(ROUNDS):
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
@@ -93,13 +98,18 @@ def fit(
         if k < len(REACHES):
             for place in range(len(effects)):
                 effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
-        step, effects, residual = _solve(here, effects)
+        onward, effects, residual = _solve(here, effects)
         joint = Joint(nominal, effects, here.equations, residual, here)
-        if best is not None and joint.cost > (1.0 - SETTLED) * best.cost:
+        if best is None or joint.cost < (1.0 - SETTLED) * best.cost:
+            best, step, share = joint, onward, min(1.0, 2.0 * share)
+        elif joint.cost < (1.0 + SETTLED) * best.cost:
             best = joint if joint.cost < best.cost else best
             break
-        best = joint
-        nominal = replace(nominal.moved(step), hidden=hidden_load(effects))
+        else:
+            failures, share = failures + 1, DAMPING * share
+            if failures > MOST_FAILURES:
+                break
+        nominal = replace(best.nominal.moved(share * step), hidden=hidden_load(best.effects))
     assert best is not None
     return replace(best, stack=granting(best.stack, _directions(best.stack, best.effects)))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -17,6 +19,8 @@ from identification.recording import Array
 BINS = 16
 LEAST_ROWS = 5
 DRAWS = 499
+AS_MUCH = 0.8
+"""Share of an effect's own coordinate over the best one's, from which on the two explain the same."""
 OWN_RECORDING = 2.0
 """Mean square of a recording's mismatch over the noise, from which on the mismatch shows in it."""
 
@@ -32,6 +36,7 @@ def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.
         rng: For the bands.
     """
     block = stack.block[stack.part(equation.name)]
+    sense = equation.rows(lambda v: v.sense)[:, 0]
     found = []
     for coordinate in COORDINATES:
         if any(coordinate.values(v) is None for v in equation.views):
@@ -40,8 +45,15 @@ def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.
         linear = equation.views[0].recording.bench.motion == "linear"
         unit = LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit
         made = mapped(equation, coordinate.name, unit, values, before, after, block, stack.blocks, rng)
-        if made is not None:
-            found.append(made)
+        if made is None:
+            continue
+        if coordinate.by_direction:
+            sided = mapped(
+                equation, coordinate.name, unit, values, sense * before, sense * after, block, stack.blocks, rng
+            )
+            if sided is not None and sided.share > made.share:
+                made = replace(sided, against_motion=True)
+        found.append(made)
     return tuple(sorted(found, key=lambda m: -m.share))
 
 
@@ -61,6 +73,13 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
     return Location(found.coordinate, found.unit, ranges(found), found.share, names)
 
 
+def placed(drawn: Sequence[Map], coordinate: str) -> Map | None:
+    """Return the map over an effect's own coordinate where it explains about as much as any, else the best one."""
+    own = next((m for m in drawn if m.coordinate == coordinate), None)
+    best = drawn[0] if drawn else None
+    return own if own is not None and best is not None and own.share >= AS_MUCH * best.share else best
+
+
 def ranges(found: Map) -> tuple[tuple[float, float], ...]:
     """Return the stretches of a map's coordinate in which the mismatch is beyond its band."""
     outside = (found.low > 0.0) | (found.high < 0.0)
@@ -75,8 +94,11 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
     return tuple(stretches)
 
 
-def curve(found: Map) -> Curve:
-    """Return a map's mean as an empirical curve of what is missing."""
+def curve(drawn: Sequence[Map]) -> Curve | None:
+    """Return the best map's mean as an empirical curve of what is missing, which has one sign for both directions."""
+    found = next((m for m in drawn if not m.against_motion), None)
+    if found is None:
+        return None
     return Curve(found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean)
 
 

@@ -6,7 +6,7 @@ Written with the rise dM = Ms - Mc and log omega_s, which keep a joint fit in th
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,6 +14,8 @@ import numpy as np
 from identification.diagnosis.view import View
 from identification.recording import Array
 
+RISE = 0.5
+"""Static over Coulomb friction, less one, where a rise is only supposed."""
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
 _RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
@@ -59,6 +61,8 @@ class Nominal:
 
     def borne(self, view: View) -> Array:
         """Return the magnitude of the torque that turns with the joint and that the gear bears, N m."""
+        if not any(self.hidden):
+            return np.abs(view.known)
         sine, cosine, slope, constant = self.hidden
         unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
         return np.asarray(np.abs(view.known - unknown))
@@ -104,6 +108,16 @@ class Nominal:
                     rise += float(step[self.free.index(static)])
                 values[static] = values[coulomb] + max(rise, 1e-6 * values[coulomb])
         return replace(self, values=values)
+
+    def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
+        """Return these values with friction that falls from half as much again by a speed, all but ``fixed`` free."""
+        values = dict(self.values)
+        for coulomb, static, speed in _RISES:
+            if static in values and static not in fixed:
+                values[static] = (1.0 + RISE) * values[coulomb]
+            if speed in values and speed not in fixed:
+                values[speed] = omega_s
+        return replace(self, values=values, free=tuple(n for n in values if n not in fixed))
 
     def _level(self, speed: Array, names: tuple[str, str, str], viscous: str) -> Array:
         coulomb, static, omega = (self.get(n) for n in names)

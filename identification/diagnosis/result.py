@@ -109,7 +109,7 @@ class Shift:
 
 @dataclass(frozen=True)
 class Map:
-    """The mismatch against one coordinate, by direction of motion, with simultaneous 90 % bands.
+    """The mismatch against one coordinate, with simultaneous 90 % bands.
 
     Attributes:
         equation: ``torque``, ``transmission``, ``voltage`` or ``breakaway``.
@@ -122,6 +122,7 @@ class Map:
         high: Upper band, shape (b,).
         after: Mean mismatch in each after correction, shape (b,).
         share: Share of the mismatch's power that the curve explains.
+        against_motion: The mismatch was taken times the direction of motion, as friction acts.
     """
 
     equation: str
@@ -134,6 +135,7 @@ class Map:
     high: Array
     after: Array
     share: float
+    against_motion: bool = False
 
 
 @dataclass(frozen=True)

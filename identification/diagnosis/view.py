@@ -142,10 +142,27 @@ def views(
     """
     every = campaign or recordings
     starts = dict(zip(map(id, every), run_starts(every), strict=True))
-    found = tuple(_view(r, k, starts[id(r)], bandwidth_Hz, valve_side) for k, r in enumerate(recordings))
+    found = _one_origin([_view(r, k, starts[id(r)], bandwidth_Hz, valve_side) for k, r in enumerate(recordings)])
     if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
         return found
     return tuple(replace(v, moving=v.unsteady) for v in found)
+
+
+def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
+    """Return the views with the motor's angle counted from one origin, as the joint's encoder has it.
+
+    A motor encoder that counts from power-on loses its origin between recordings, and what is periodic in the motor's
+    angle its phase. It is lost where the encoders' difference changes between recordings by more than it does in any.
+    """
+    both = [v for v in found if v.lag is not None]
+    if len(both) < 2:
+        return tuple(found)
+    zeros = {v.index: float(np.median(v.lag)) for v in both if v.lag is not None}
+    within = max(float(np.ptp(v.lag)) for v in both if v.lag is not None)
+    if float(np.ptp(list(zeros.values()))) <= within:
+        return tuple(found)
+    gear = both[0].recording.bench.gear_ratio
+    return tuple(replace(v, motor=v.motor - gear * zeros.get(v.index, 0.0)) for v in found)
 
 
 def run_starts(recordings: Sequence[Recording]) -> list[float]:

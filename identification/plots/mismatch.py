@@ -111,7 +111,8 @@ def _map(axis: Axes, one: Map) -> None:
     axis.plot(x, after, color=BLUE, linewidth=1.3, linestyle="--", marker="s", markersize=2.5, label="after")
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(one.coordinate, unit))
-    axis.set_ylabel(f"mismatch ({residual_unit})")
+    sided = " against the motion" if one.against_motion else ""
+    axis.set_ylabel(f"mismatch{sided} ({residual_unit})")
     axis.set_title(f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left")
 
 

@@ -124,6 +124,15 @@ def test_coupling_has_a_loop_that_speed_does_not_change() -> None:
     assert widths[1] == pytest.approx(widths[0], rel=0.03)
 
 
+def test_coupling_takes_no_longer_than_a_gap_of_its_size() -> None:
+    """The shaft's damping is in series with it, and does not slow it."""
+    most = 0.01
+    coupling = Track({"coupling_hysteresis": {"torque_Nm": 2.0, "deflection_rad": most}}, sine(2.0))
+    gap = Track({"backlash": {"gap_rad": 2.0 * most}}, sine(2.0))
+    crossing = [np.sum(np.abs((t.motor - t.angle)[500:]) < 0.9 * most) for t in (coupling, gap)]
+    assert crossing[0] == pytest.approx(crossing[1], rel=0.1)
+
+
 @pytest.mark.parametrize("deflection", [1e-4, 5e-3])
 def test_coupling_takes_energy_and_never_gives_any(deflection: float) -> None:
     effect = {"coupling_hysteresis": {"torque_Nm": 2.0, "deflection_rad": deflection}}

@@ -13,6 +13,7 @@ from time import perf_counter
 import numpy as np
 from scipy import stats
 
+from identification.diagnosis.contest import probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.gas.burns import Burn, burns, noise
 from identification.diagnosis.gas.constants import CONSTANTS, VOLUME
@@ -33,7 +34,7 @@ from identification.diagnosis.result import (
     Shift,
     Verdict,
 )
-from identification.diagnosis.search import LEVEL, probability
+from identification.diagnosis.search import LEVEL
 from identification.diagnosis.wording import finding, title
 from identification.estimate.uncertainty import CONFIDENCE
 from identification.recording import Dataset, RecordingError
@@ -93,7 +94,7 @@ def diagnose_gas(
         },
         p_value=found.p_value,
         location=None if verdict is Verdict.NOTHING_MISSING else where,
-        curve=curve(drawn[0]) if verdict is Verdict.OUTSIDE_CATALOGUE and drawn else None,
+        curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
         maps=drawn,
         steps=found.steps,
         traces=(

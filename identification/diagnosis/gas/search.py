@@ -9,22 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
+from identification.diagnosis.contest import SIMPLER_IF
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, believed, fit
 from identification.diagnosis.gas.rows import candidates, families, padded, stacked, starts
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
+from identification.diagnosis.kept import EXCESS, FURTHER_SHARE, LEAST_FURTHER, NEARLY_ALL
 from identification.diagnosis.result import Step
-from identification.diagnosis.search import (
-    EXCESS,
-    FURTHER_SHARE,
-    LEAST_FURTHER,
-    LEVEL,
-    NEARLY_ALL,
-    RARE,
-    SIMPLER_IF,
-    chance,
-)
+from identification.diagnosis.search import LEVEL, RARE, chance
 from identification.diagnosis.stack import Stack
 from identification.recording import Array
 

@@ -79,6 +79,8 @@ def label_kg(view: View) -> float:
 
 
 def _swing(view: View, nominal: Nominal, shape: Shape) -> Array:
+    if not view.loaded:
+        return np.zeros((2, len(view.time)))
     since = view.time - view.time[0]
     envelope = _load(view, nominal) * np.exp(-since / shape[1])
     phase = 2.0 * np.pi * shape[0] * since

@@ -39,16 +39,16 @@ def dahl(angle: Array, level: Array, stiffness: float) -> Array:
 
 
 @compiled
-def play(angle: Array, gap: float) -> Array:
+def play(angle: Array, gap: float, start: float = 0.0) -> Array:
     """Return how far the driving side leads the driven one through a gap, within +- gap/2, shape (m,).
 
     The driven side stands, held by its friction, until a flank carries it. Over torque instead of angle it is the force
-    of one Maxwell-slip element.
+    of one Maxwell-slip element. ``start`` is the lead at the first sample.
     """
     out = np.empty_like(angle)
     half = 0.5 * gap
-    lead = 0.0
-    out[0] = 0.0
+    lead = min(max(start, -half), half)
+    out[0] = lead
     for k in range(1, len(angle)):
         lead = min(max(lead + angle[k] - angle[k - 1], -half), half)
         out[k] = lead

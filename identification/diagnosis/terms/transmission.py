@@ -9,12 +9,15 @@ from identification.diagnosis.terms.memory import play
 from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, one, polar, rows, shaped
 from identification.diagnosis.view import View
 from identification.recording import Array
+from identification.signals import BoolArray
 
 TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
 SLIPS_PER_RECORDING = 12
+FIRST_SAMPLES = 20
+"""Over which the encoders are asked where in its gap, or loop, a recording begins."""
 
 
 def _both_encoders(view: View) -> bool:
@@ -27,13 +30,43 @@ def transmitted(view: View) -> Array:
 
 
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    return rows(play(view.motor / view.recording.bench.gear_ratio, shape[0]))
+    return rows(lead(view, shape[0]))
+
+
+def lead(view: View, gap: float) -> Array:
+    """Return how far the motor leads through a gap that its own encoders show where it begins in, rad, shape (m,)."""
+    motor = view.motor / view.recording.bench.gear_ratio
+    middle = play(motor, gap)
+    known = _forgotten(motor, gap)
+    if view.lag is None or not known.any():
+        return middle
+    zero = float(np.mean((view.lag - middle)[known]))
+    return play(motor, gap, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    torque = transmitted(view)
-    behind = torque - play(torque, 2.0 * shape[0])
-    return rows(np.clip(behind / shape[0], -1.0, 1.0))
+    torque, width = transmitted(view), shape[0]
+    state = _sheared(torque, width)
+    known = _forgotten(torque, 2.0 * width)
+    if view.lag is None or not known.any():
+        return rows(state)
+    mean = float(np.mean(state[known]))
+    spread = state[known] - mean
+    slope = float(spread @ view.lag[known]) / max(float(spread @ spread), 1e-300)
+    if slope <= 0.0:
+        return rows(state)
+    first = mean + (float(np.mean(view.lag[:FIRST_SAMPLES])) - float(np.mean(view.lag[known]))) / slope
+    return rows(_sheared(torque, width, float(torque[0]) - width * min(max(first, -1.0), 1.0)))
+
+
+def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
+    """Return the loop's deflection over its greatest one, from the torque by which the play leads at first."""
+    return np.asarray(np.clip((torque - play(torque, 2.0 * width, start)) / width, -1.0, 1.0))
+
+
+def _forgotten(series: Array, gap: float) -> BoolArray:
+    """Mark samples by which a play has been crossed, so that where it began no longer matters."""
+    return np.asarray(np.maximum.accumulate(series) - np.minimum.accumulate(series) >= gap)
 
 
 def _loops(context: Context) -> list[Shape]:

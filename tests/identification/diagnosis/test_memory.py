@@ -51,3 +51,13 @@ def test_a_warming_body_ends_at_its_loss() -> None:
     run = np.linspace(0.0, 600.0, 6001)
     rise = heated(np.full(6001, 3.0), run, 0.0, 60.0)
     assert rise == pytest.approx(3.0 * (1.0 - np.exp(-run / 60.0)), abs=1e-9)
+
+
+def test_a_play_forgets_where_it_began_once_it_was_crossed() -> None:
+    angle = np.concatenate([np.linspace(0.0, 0.3, 50), np.linspace(0.3, 0.0, 50)])
+    middle, ahead = play(angle, 0.2), play(angle, 0.2, 0.1)
+    assert ahead[0] == pytest.approx(0.1)
+    crossed = np.maximum.accumulate(angle) - np.minimum.accumulate(angle) >= 0.2
+    assert ahead[crossed] == pytest.approx(middle[crossed])
+    assert np.max(np.abs(ahead - middle)) == pytest.approx(0.1)
+    assert play(angle, 0.2, 5.0)[0] == pytest.approx(0.1), "no further than a flank"

@@ -21,7 +21,7 @@ from drivers.mock.plant.effects.motor import (
 )
 from drivers.mock.plant.effects.outside import OUTSIDE_END, TRAVEL_LENGTH, TRAVEL_TORQUE, outside_torque
 from drivers.mock.plant.effects.sensing import Histories, sense
-from drivers.mock.plant.effects.shaft import give_way, mesh_error, shaft_torque
+from drivers.mock.plant.effects.shaft import deflection, give_way, mesh_error, shaft_torque
 from drivers.mock.plant.effects.state import (
     BRISTLES,
     EXTERNAL,
@@ -136,8 +136,11 @@ def integrate(
             theta += 0.5 * h * omega
             error, steepness = mesh_error(theta, e)
             twist = rotor - theta - error
+            before = deflection(play, e)
             given, play = give_way(twist, play, e)
-            carried = shaft_torque(twist, turning - omega * (1.0 + steepness), given, damping, e)
+            # The coupling is in series with the shaft, whose damping does not slow it.
+            rate = turning - omega * (1.0 + steepness) - (given - before) / h
+            carried = shaft_torque(twist, rate, given, damping, e)
             transmitted = carried * (1.0 + steepness)
             turning += h * (torque - carried) / rotor_inertia
             omega, held, bristles, work = move_joint(omega, held, bristles, transmitted + external + strange, h, w, e)

@@ -38,7 +38,7 @@ def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vec
 
     Args:
         twist: rad.
-        rate: Its rate, rad/s.
+        rate: Its rate without the coupling's, rad/s.
         given: Deflection of the coupling's hysteresis, rad.
         damping: N m s/rad.
         e: Effect vector.
@@ -52,6 +52,13 @@ def shaft_torque(twist: float, rate: float, given: float, damping: float, e: Vec
     if twist < -half:
         return float(min(stiffness * (twist + half - given) + damping * rate, 0.0))
     return 0.0
+
+
+@inlined
+def deflection(play: float, e: Vector) -> float:
+    """Return the deflection of the coupling's hysteresis where its play stands, rad."""
+    most = e[HYSTERESIS_DEFLECTION]
+    return float(most * min(max(play / e[HYSTERESIS_TORQUE], -1.0), 1.0)) if most > 0.0 else 0.0
 
 
 @inlined
@@ -79,7 +86,7 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
         play = stiffness * (beyond + side * most) / (1.0 + stiffness * most / width) - side * width
         if abs(play) > width:
             play = stiffness * (beyond - math.copysign(most, play)) - side * width
-    return most * min(max(play / width, -1.0), 1.0), play
+    return deflection(play, e), play
 
 
 @inlined

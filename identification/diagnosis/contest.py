@@ -1,0 +1,104 @@
+"""What effects are weighed by: which of two fits the data prefer, how many numbers they took, what is plausible."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.terms.term import Context
+from identification.diagnosis.view import View
+
+SIMPLER_IF = 1.0
+"""Standard errors of preference below which the effect with fewer parameters is taken."""
+SAME = 0.01
+"""Square of the difference of two fits over the square of their mismatch, below which they are the same."""
+USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
+"""Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges suit."""
+
+
+@dataclass(frozen=True)
+class Contender:
+    """An effect fitted jointly, and how far the data prefer the chosen one to it.
+
+    ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica 57 (1989) 307).
+    ``beyond`` says which parameter would have to be beyond its plausible range; empty where none.
+    """
+
+    name: str
+    joint: Joint
+    preference: float
+    beyond: str
+
+
+@dataclass(frozen=True)
+class Round:
+    """One effect taken: the contenders it won against, best first, itself not among them."""
+
+    name: str
+    rivals: tuple[Contender, ...]
+
+
+def preference(chosen: Joint, rival: Joint) -> float:
+    """Return how far the data prefer ``chosen``, in standard errors of the difference by blocks."""
+    stack = chosen.stack
+    loss = stack.sums((rival.residual**2 - chosen.residual**2)[:, None])[:, 0]
+    spread = float(np.std(loss, ddof=1)) * math.sqrt(len(loss))
+    return float(np.sum(loss)) / spread if spread > 0.0 else 0.0
+
+
+def probability(preferred: float) -> float:
+    """Return the probability that goes with a preference."""
+    return float(stats.norm.cdf(preferred))
+
+
+def implausible(joint: Joint) -> str:
+    """Say which parameter of the last effect is beyond its range in the catalogue, at the scale of this bench."""
+    last = joint.effects[-1]
+    views = joint.equations[0].views
+    found = last.parameters(Context(views, joint.nominal))
+    scales = _scales(views)
+    for q in ENTRIES[last.term.name].parameters:
+        scale = scales.get(q.unit, 1.0)
+        low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
+        high = q.high * max(1.0, scale)
+        if not low <= found[q.name] <= high:
+            return f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
+    return ""
+
+
+def _scales(views: Sequence[View]) -> dict[str, float]:
+    """Return by unit how much larger this bench is than the one that the catalogue's ranges were written for."""
+    torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
+    speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
+    angle = max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
+    return {
+        "N m": torque,
+        "N m/s": torque,
+        "N m/rad": torque / angle,
+        "N m s/rad": torque / speed,
+        "N m s^2/rad^2": torque / speed**2,
+        "kg m^2": torque * angle / speed**2,
+    }
+
+
+def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
+    """Return which of these fits, best first, has the fewest numbers among those hardly worse than the best."""
+    near = [k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < SIMPLER_IF]
+    return min(near, key=lambda k: (sizes[k], k))
+
+
+def numbers(effect: Added) -> int:
+    """Return how many numbers of an effect the data choose."""
+    return effect.term.freedom + len(effect.coefficients)
+
+
+def again(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
+    """Whether a rival is the chosen effect over again, with more numbers: a special case is no alias."""
+    difference = its.residual - best.residual
+    return numbers(rival) > numbers(chosen) and float(difference @ difference) < SAME * best.cost

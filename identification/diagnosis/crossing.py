@@ -1,0 +1,137 @@
+"""What tells a gap from a coupling's hysteresis: the torque that passes while one side moves and the other stands.
+
+Where friction holds the valve until the loop is closed both move alike, to within the encoders. But a gap is crossed
+without torque, T = J_r domega_m/dt, and a loop with one that rises: T = J_r domega_m/dt + w (s + u), where J_r is the
+rotor's inertia, w the torque that closes the loop, s the direction, and u from -1 to 1 how far it has come.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnosis.contest import Contender, Round
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.result import Step
+from identification.diagnosis.terms.term import Term
+from identification.diagnosis.terms.transmission import lead
+from identification.diagnosis.view import View
+from identification.recording import Array
+from identification.signals import central_difference
+
+PAIR = ("backlash", "coupling_hysteresis")
+INNER = 0.6
+"""Share of the way that counts, about its middle: at the flanks torque has begun to pass."""
+LEAST_SPEED_RAD_S = 0.02
+LEAST_SAMPLES = 5
+LEAST_CROSSINGS = 10
+CARRIED = 0.1
+"""Torque that closes the loop, over that of the motion, from which it is no gap."""
+SLACK = 0.025
+"""Standard deviation of that share where there is a gap, as measured on simulated rigs."""
+
+
+@dataclass(frozen=True)
+class Crossing:
+    """What the crossings of a gap say.
+
+    Attributes:
+        torque: That closes the loop, N m; about zero for a gap.
+        share: Of the torque of the motion.
+        error: Standard error of the share, by crossings, and what a gap itself came to.
+    """
+
+    torque: float
+    share: float
+    error: float
+
+
+def crossed(views: Sequence[View], gap: float) -> Crossing | None:
+    """Return what the torque does while a gap of this size is crossed; None where too few crossings last long enough.
+
+    Args:
+        views: On the valve's side.
+        gap: rad; twice the deflection of a loop.
+    """
+    parts, torques, moving = [], [], []
+    for view in views:
+        if view.lag is None:
+            continue
+        columns, way = _columns(view, gap)
+        parts += [columns[a:b] for a, b in way]
+        torques += [view.raw_torque[a:b] for a, b in way]
+        moving.append(np.abs(view.torque[~view.still]))
+    if len(parts) < LEAST_CROSSINGS:
+        return None
+    columns, torque = np.concatenate(parts), np.concatenate(torques)
+    bread = np.linalg.pinv(columns.T @ columns, hermitian=True)
+    found = bread @ (columns.T @ torque)
+    scores = np.stack([c.T @ (t - c @ found) for c, t in zip(parts, torques, strict=True)])
+    spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[1, 1]))
+    usual = float(np.median(np.concatenate(moving)))
+    return Crossing(float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK))
+
+
+def _columns(view: View, gap: float) -> tuple[Array, list[tuple[int, int]]]:
+    """Return (regressors of the drive's torque, shape (m, 2)) and from where to where each crossing lasts."""
+    gear = view.recording.bench.gear_ratio
+    speed = view.motor_speed / gear
+    way = lead(view, gap) / (0.5 * gap)
+    inside = (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
+    turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
+    columns = np.stack([central_difference(speed, view.step), np.sign(speed) + way], axis=1)
+    return columns, [(int(a), int(b)) for a, b in turns.reshape(-1, 2) if b - a >= LEAST_SAMPLES]
+
+
+def told_apart(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    terms: Sequence[Term],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Decide between a gap and a coupling's loop, where one of them was named, by what passes during a crossing."""
+    named = [e for e in joint.effects if e.term.name in PAIR]
+    by_name = {t.name: t for t in terms}
+    if not named or not set(PAIR) <= by_name.keys():
+        return joint, rounds
+    own = min(named, key=lambda e: PAIR.index(e.term.name))
+    if len(named) > 1:
+        # A gap and a loop in one transmission add up to what one of them alone could be.
+        joint = fit(views, unit, joint.nominal, [e for e in joint.effects if e is own or e not in named], baseline)
+        rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
+        own = next(e for e in joint.effects if e.term.name == own.term.name)
+    gap = own.shape[0] if own.term.name == "backlash" else 2.0 * own.coefficients[0]
+    seen = crossed(views, gap)
+    other = _other(own, by_name, gap, seen)
+    rest = tuple(e for e in joint.effects if e is not own)
+    beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
+    prefers_loop = 0.0 if seen is None else (seen.share - CARRIED) / seen.error
+    prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
+    best, loser, name = (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
+    rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
+    if seen is None:
+        note = "no crossing lasts long enough to tell a gap from a loop"
+    else:
+        note = f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's torque"
+    steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
+    out = [
+        Round(name, (rival, *(r for r in taken.rivals if r.name not in PAIR))) if taken.name == own.term.name else taken
+        for taken in rounds
+    ]
+    return best, out
+
+
+def _other(own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None) -> Added:
+    """Return the other of the pair, as large as the one that was named; the loop with the torque that was seen."""
+    if own.term.name != "backlash":
+        return Added(by_name["backlash"], (gap,), (1.0,))
+    term = by_name["coupling_hysteresis"]
+    if seen is None or seen.torque <= 0.0:
+        return Added(term, (1.0,), (0.5 * gap,))
+    return Added(replace(term, refine={}), (seen.torque,), (0.5 * gap,))

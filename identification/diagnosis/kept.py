@@ -1,0 +1,135 @@
+"""Which of the effects added are kept: what each is worth beside the others, and whether a rival does as well."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from scipy import stats
+
+from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.result import Step
+from identification.diagnosis.terms.term import Term
+from identification.diagnosis.view import View
+
+EXCESS = 1.5
+"""Mean square of the mismatch over that of the noise, up to which the noise may have been taken too small."""
+FURTHER_SHARE = 0.4
+"""Share of what is left beyond the noise that one more effect must explain; less is the first one's own shape."""
+LEAST_FURTHER = 0.01
+"""Gain of one more effect over what is explained already where it shows; less is the shape of what came before..."""
+NEARLY_ALL = 0.8
+"""... unless it explains this share of what is left beyond the noise."""
+SURE = float(stats.norm.isf(0.01))
+"""Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise."""
+SHAPE_ERROR = 1e-3
+"""Gain of one more effect over what is explained already, below which no regressor is true enough to show it."""
+
+
+def pruned(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Take out effects that explain too little of what is left without them, the least of them first."""
+    while len(joint.effects) > 1:
+        trials = []
+        for effect in joint.effects:
+            rest = tuple(e for e in joint.effects if e is not effect)
+            without = fit(views, unit, joint.nominal, rest, baseline)
+            share, needed = _worth(baseline, without, joint, effect.term)
+            trials.append((share / needed, share, needed, effect.term.name, without))
+        worth, share, needed, name, without = min(trials, key=lambda trial: (trial[0], trial[-1].cost))
+        if worth >= 1.0:
+            break
+        note = (
+            f"explains {100.0 * share:.0f} % of what is left beyond the noise without it, where {100.0 * needed:.0f} % "
+            "make one more name"
+        )
+        steps.append(Step("remove", name, None, without.cost - joint.cost, note))
+        joint = without
+        rounds = [r for r in rounds if r.name != name]
+    return joint, rounds
+
+
+def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[float, float]:
+    """Return the share of what is left beyond the noise that one effect explains, and the share that it must."""
+    parts = _touched(joint, term)
+    gain = _squares(without, parts) - _squares(joint, parts)
+    others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
+    needed = needed_share(others)
+    left = _beyond_noise(without, parts)
+    if left <= 1.0 and preference(joint, without) < SURE:
+        needed = math.inf
+    return gain / left, needed
+
+
+def needed_share(others: float) -> float:
+    """Return the share of what is left that one more effect must explain; infinite where nothing would do.
+
+    Args:
+        others: Its gain over what the others explain in its equations.
+    """
+    if others < SHAPE_ERROR:
+        return math.inf
+    return NEARLY_ALL if others < LEAST_FURTHER else FURTHER_SHARE
+
+
+def revisited(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    rounds: list[Round],
+    dropped: Sequence[Added],
+    steps: list[Step],
+) -> tuple[Joint, list[Round]]:
+    """Hold every effect against its rivals again, now that the others are in the model: what was missing misled.
+
+    What was taken out again is a rival of all that stayed.
+    """
+    for place, taken in enumerate(rounds):
+        others = tuple(e for e in joint.effects if e.term.name != taken.name)
+        own = next(e for e in joint.effects if e.term.name == taken.name)
+        tried = {e.term.name: e for e in (*(r.joint.effects[-1] for r in taken.rivals), *dropped)}
+        trials = [(own, joint)]
+        for name, added in tried.items():
+            if name != own.term.name and all(e.term.name != name for e in others):
+                trials.append((added, fit(views, unit, joint.nominal, (*others, added), baseline)))
+        ranked = sorted(trials, key=lambda trial: trial[1].cost)
+        sound = [trial for trial in ranked if trial[0] is own or not implausible(trial[1])]
+        chosen, best = sound[simplest([j for _, j in sound], [numbers(e) for e, _ in sound])]
+        if chosen is not own:
+            note = f"beside the others, preferred to {taken.name} by {preference(best, joint):.1f} standard errors"
+            steps.append(Step("swap", chosen.term.name, None, joint.cost - best.cost, note))
+        rivals = tuple(
+            Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))
+            for e, j in ranked
+            if e is not chosen and not again(e, j, chosen, best)
+        )
+        joint = best
+        rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]
+    return joint, rounds
+
+
+def _touched(joint: Joint, term: Term) -> list[slice]:
+    """Return the rows of the equations that an effect touches.
+
+    A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
+    """
+    names = [e.name for e in joint.equations if e.name in term.columns]
+    return [joint.stack.part(name) for name in names if name != "breakaway"]
+
+
+def _squares(joint: Joint, parts: Sequence[slice]) -> float:
+    return sum((float(joint.residual[rows] @ joint.residual[rows]) for rows in parts), 0.0)
+
+
+def _beyond_noise(joint: Joint, parts: Sequence[slice]) -> float:
+    """Return the sum of whitened squares beyond the noise."""
+    beyond = [max(_squares(joint, [rows]) - EXCESS * (rows.stop - rows.start), 0.0) for rows in parts]
+    return 1.0 + float(sum(beyond))

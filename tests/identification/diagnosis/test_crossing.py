@@ -1,0 +1,66 @@
+"""A gap and a coupling's loop move alike; the torque of the crossing tells them apart."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import pytest
+
+from identification.diagnosis.contest import Round
+from identification.diagnosis.crossing import CARRIED, crossed, told_apart
+from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.result import Verdict
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.view import View, views
+from identification.recording import Dataset, Model, Recording
+
+from .benches import campaign, nominal_fit
+
+HALF_RAD, CLOSES_N_M = 0.003, 3.0
+TERM = {t.name: t for t in TERMS}
+
+
+@lru_cache
+def recordings(name: str) -> tuple[Recording, ...]:
+    effects = {
+        "backlash": {"gap_rad": 2.0 * HALF_RAD},
+        "coupling_hysteresis": {"deflection_rad": HALF_RAD, "torque_Nm": CLOSES_N_M},
+    }
+    return campaign({name: effects[name]}, 11, 8.0)
+
+
+def valve_side(name: str) -> tuple[View, ...]:
+    return views([r for r in recordings(name) if r.role == "fit"], 25.0, True)
+
+
+def test_a_gap_is_crossed_without_torque() -> None:
+    seen = crossed(valve_side("backlash"), 2.0 * HALF_RAD)
+    assert seen is not None
+    assert seen.share < 0.5 * CARRIED
+
+
+def test_a_loop_closes_with_its_torque() -> None:
+    seen = crossed(valve_side("coupling_hysteresis"), 2.0 * HALF_RAD)
+    assert seen is not None
+    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.05)
+
+
+@pytest.mark.parametrize("name", ["backlash", "coupling_hysteresis"])
+def test_each_is_named_and_the_other_rejected(name: str) -> None:
+    found = diagnose(Dataset(recordings(name), Model()))
+    assert found.verdict is Verdict.NAMED
+    assert [e.name for e in found.effects] == [name]
+    assert [r.why_not != "" for r in found.effects[0].rivals if r.name in ("backlash", "coupling_hysteresis")] == [True]
+
+
+def test_what_is_crossed_too_fast_to_see_stays_open() -> None:
+    gap = 1e-4
+    here = valve_side("backlash")
+    assert crossed(here, gap) is None
+    start = nominal_fit(recordings("backlash"))
+    baseline = fit(here, "N m", start.nominal)
+    own = Added(TERM["backlash"], (gap,), (1.0,))
+    named = Joint(baseline.nominal, (own,), baseline.equations, baseline.residual, baseline.stack)
+    _, rounds = told_apart(here, "N m", baseline, named, [Round("backlash", ())], TERMS, [])
+    assert [(r.name, r.preference) for r in rounds[0].rivals] == [("coupling_hysteresis", 0.0)]
