@@ -29,6 +29,7 @@ _START_STATICS = 7
 _STARTS = 3
 """Starts of the loaded stage that are followed to their end: the likeliest of the grid is not always in the basin."""
 _SEED_CLIP = 10.0
+_LEAST_RESOLVED = 0.05
 SAME_END = 1.0
 """-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
@@ -112,15 +113,27 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
 
 
 def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> None:
-    """Refine from each start in turn; leave the problem at the likeliest end."""
+    """Refine the loaded stage from each start in turn; leave the problem at the likeliest end.
+
+    Ends whose Stribeck speed no sample resolves count only where there are no others: there the rise takes no part in
+    any prediction and only fits noise, at times better than the truth does.
+    """
     ends = []
     for vector, times in starts or [(problem.start, problem.begins)]:
         problem.start, problem.begins = vector, times
         refine(problem)
         errors, deviations = problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise)
-        ends.append((deviance(errors, deviations), problem.start, problem.begins))
-        problem.ends.append(ends[-1][0])
-    _, problem.start, problem.begins = min(ends, key=lambda end: end[0])
+        ends.append((not _resolved(problem), deviance(errors, deviations), problem.start, problem.begins))
+        problem.ends.append(ends[-1][1])
+    *_, problem.start, problem.begins = min(ends, key=lambda end: end[:2])
+
+
+def _resolved(problem: Problem) -> bool:
+    """Return whether load friction falls over more than a share of the speed that its fall adds within a period."""
+    p = problem.start
+    moment = float(np.median(np.concatenate([m.breakaway_moment for m in problem.motions])))
+    period = max(m.recording.period for m in problem.motions)
+    return bool(p[kernel.OMEGA_SL] > _LEAST_RESOLVED * moment * p[kernel.DMU] * period / p[kernel.INERTIA])
 
 
 def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
