@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def plan_experiment(
         for k, stage in enumerate(sequence.value.stages)
         if stage.stage == "hot_fire"
     )
-    values, source = _nominal_values(nominal_file)
+    values, source, weakest = _nominal_values(nominal_file)
     noise = NOISE_SHARE * bench.value.limits.current_A if current_noise_A is None else current_noise_A
     torque = min(limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A)
     nominal = Nominal(
@@ -107,20 +108,22 @@ def plan_experiment(
         weights=_weights(bench.value, loaded),
     )
     frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
-    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress)
+    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, weakest)
     stages = [_with(stage, e) for stage, e in zip(sequence.value.stages, found.stages, strict=True)]
     proposed = sequence.value.model_copy(update={"name": f"{sequence.value.name}-proposed", "stages": tuple(stages)})
     return Experiment(sequence.value, nominal, source, noise, found, proposed, seed, time.perf_counter() - started)
 
 
-def _nominal_values(path: Path | None) -> tuple[dict[str, float], str]:
-    """Return nominal values and where they came from; what an identification left open comes from the catalogue.
+def _nominal_values(path: Path | None) -> tuple[dict[str, float], str, str | None]:
+    """Return nominal values, where they came from, and the parameter that was pinned worst, if that is known.
+
+    What an identification left open comes from the catalogue.
 
     Raises:
         InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
     """
     if path is None:
-        return dict(NOMINAL), "the catalogue's nominal values"
+        return dict(NOMINAL), "the catalogue's nominal values", None
     try:
         raw = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -132,13 +135,20 @@ def _nominal_values(path: Path | None) -> tuple[dict[str, float], str]:
     try:
         known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
         found = {n: float(v) for n, v in known.items() if v is not None}
+        widths = {n: _half_width(raw["parameters"][n]) for n in known}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
     open_names = [n for n in NAMES if n not in found]
     words = f"the identification {path}"
     if open_names:
         words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
-    return {**NOMINAL, **found}, words
+    return {**NOMINAL, **found}, words, max(widths, key=lambda n: widths[n]) if widths else None
+
+
+def _half_width(parameter: dict[str, Any]) -> float:
+    """Return a parameter's relative half width in a result file; infinite where it was left open."""
+    value, low, high = (parameter[key] for key in ("value", "low", "high"))
+    return math.inf if not value or low is None or high is None else 0.5 * (high - low) / abs(value)
 
 
 def _joint_step(bench: Bench) -> float:

@@ -36,6 +36,8 @@ def text(experiment: Experiment) -> str:
         "",
         f"{experiment.sequence.name}: {_words(now)}",
         f"{experiment.proposed.name}: {_words(then)}",
+        f"aimed at {experiment.proposal.weakest}, which is pinned worst now; where another parameter comes out wider, "
+        "run both and identify them together",
         "",
         table(["stage", "kg", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1,)),
         "",
@@ -92,6 +94,7 @@ def _record(experiment: Experiment, bench: str) -> dict[str, Any]:
         "bench": bench,
         "nominal": {"source": experiment.nominal_source, "values": dict(experiment.nominal.values)},
         "current_noise_A": experiment.current_noise_A,
+        "aimed_at": experiment.proposal.weakest,
         "present": _pinned_record(experiment.sequence, experiment.proposal.present),
         "proposed": _pinned_record(experiment.proposed, experiment.proposal.pinned),
         "fisher_half_widths": {n: finite(w) for n, w in experiment.proposal.promised.half_widths.items()},

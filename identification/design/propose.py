@@ -2,8 +2,9 @@
 
 Informations of stages add, so each stage gets a list of candidates that are judged once; stages then exchange their
 candidate for a better one in turn until none is better (Fedorov, Theory of Optimal Experiments, 1972, ch. 3). The best
-is refined by small random changes. What is minimised is the greatest relative interval of the nine (a minimax design).
-In the end the best few designs are rehearsed, and the rehearsal decides.
+is refined by small random changes. What is minimised is the relative interval of the parameter that the present
+excitation pins worst, as long as no other becomes useless by it. In the end the best few designs are rehearsed, and the
+rehearsal decides.
 """
 
 from __future__ import annotations
@@ -39,11 +40,13 @@ _MARGIN = 0.85
 """Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
 _FOLLOWING_MARGIN = 0.5
 """The same for the following error, which rests on the assumed drive loop."""
-_SLOWEST_HZ, _FASTEST_HZ = 0.1, 5.0
+_SLOWEST_HZ, _FASTEST_HZ = 0.05, 5.0
 _SLOWEST_SPEED = 0.04
 """Least peak speed of a random sine, over the speed limit: slower ones creep."""
 _LEAST_ANGLE = math.radians(1.0)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
+_USELESS = 0.1
+"""Relative half width beyond which another parameter's interval counts against a design."""
 _SPREAD = 0.25
 """Standard deviation of the logarithm of a refinement's change."""
 
@@ -87,6 +90,7 @@ class Proposal:
     """What the present excitation pins, what is proposed instead, and what that would pin.
 
     Attributes:
+        weakest: The parameter that is to be pinned better.
         present: By the rehearsal of the present excitation.
         stages: The proposal; the present excitation where nothing better was found.
         pinned: By its rehearsal.
@@ -95,6 +99,7 @@ class Proposal:
         rehearsed: Whole experiments rehearsed.
     """
 
+    weakest: str
     present: Pinned
     stages: tuple[Excitation, ...]
     pinned: Pinned
@@ -121,8 +126,9 @@ def propose(
     bounds: Bounds,
     rng: np.random.Generator,
     progress: Progress | None = None,
+    weakest: str | None = None,
 ) -> Proposal:
-    """Search for the excitation that narrows the widest relative interval most.
+    """Search for the excitation that narrows one parameter's relative interval most.
 
     Args:
         frames: The stages; number, duration and load state of each stay.
@@ -130,9 +136,12 @@ def propose(
         bounds: Limits of the bench.
         rng: Source of all randomness.
         progress: Called with what is done and its share.
+        weakest: That parameter; None for the one that a rehearsal of the present excitation pins worst.
     """
     tell = progress or (lambda _label, _share: None)
     judge = _Judge(nominal, bounds)
+    present_pinned = _rehearsed([PlannedStage(f.render(f.present), f.present.weight) for f in frames], nominal, 0)
+    target = weakest or present_pinned.weakest
     lists: list[list[_Judged]] = []
     for number, frame in enumerate(frames):
         present = judge.of(frame, frame.present, within=False)
@@ -142,25 +151,25 @@ def propose(
             lists[-1] += [] if found is None else [found]
             tell("candidates", (number + (k + 1) / CANDIDATES) / len(frames))
     present_choice = [each[0] for each in lists]
-    choice = _exchange(present_choice, lists)
+    choice = _exchange(present_choice, lists, target)
     designs = [present_choice, choice]
     for k in range(REFINEMENTS):
         for number, frame in enumerate(frames):
             found = judge.of(frame, _changed(choice[number].excitation, frame, bounds, rng))
             if found is not None:
-                choice = _exchange(choice, [[found] if j == number else [] for j in range(len(frames))])
+                choice = _exchange(choice, [[found] if j == number else [] for j in range(len(frames))], target)
         tell("refinement", (k + 1) / REFINEMENTS)
-    designs += [choice, *_others(present_choice, choice, lists)]
-    rehearsed: list[Pinned] = []
-    for k, design in enumerate(designs):
+    designs += [choice, *_others(present_choice, choice, lists, target)]
+    rehearsed = [present_pinned]
+    for k, design in enumerate(designs[1:], 1):
         planned = [
             PlannedStage(f.render(c.excitation), c.excitation.weight) for f, c in zip(frames, design, strict=True)
         ]
-        runs = [rehearse(planned, nominal, np.random.default_rng((seed, k))) for seed in range(REHEARSALS)]
-        rehearsed.append(max(runs, key=lambda pins: pins.worst))
-        tell("rehearsal", (k + 1) / len(designs))
-    best = min(range(len(designs)), key=lambda k: rehearsed[k].worst)
+        rehearsed.append(_rehearsed(planned, nominal, k))
+        tell("rehearsal", k / (len(designs) - 1))
+    best = min(range(len(designs)), key=lambda k: _merit(rehearsed[k], target))
     return Proposal(
+        weakest=target,
         present=rehearsed[0],
         stages=tuple(c.excitation for c in designs[best]),
         pinned=rehearsed[best],
@@ -171,26 +180,32 @@ def propose(
 
 
 def _others(
-    present: Sequence[_Judged], choice: Sequence[_Judged], lists: Sequence[Sequence[_Judged]]
+    present: Sequence[_Judged], choice: Sequence[_Judged], lists: Sequence[Sequence[_Judged]], target: str
 ) -> list[list[_Judged]]:
     """Return the designs that come next: for each stage alone, the best few candidates in place of the chosen one."""
     out = []
     for number, candidates in enumerate(lists):
         designs = [[*choice[:number], c, *choice[number + 1 :]] for c in candidates if c is not present[number]]
-        out += sorted(designs, key=_loss)[:RUNNERS_UP]
+        out += sorted(designs, key=lambda design: _loss(design, target))[:RUNNERS_UP]
     return out
 
 
-def _exchange(choice: list[_Judged], lists: Sequence[Sequence[_Judged]]) -> list[_Judged]:
-    """Exchange one stage's candidate at a time as long as that narrows the widest interval."""
-    best = _loss(choice)
+def _rehearsed(planned: Sequence[PlannedStage], nominal: Nominal, number: int) -> Pinned:
+    """Return the worst of the rehearsals of one design."""
+    runs = [rehearse(planned, nominal, np.random.default_rng((seed, number))) for seed in range(REHEARSALS)]
+    return max(runs, key=lambda pins: pins.worst)
+
+
+def _exchange(choice: list[_Judged], lists: Sequence[Sequence[_Judged]], target: str) -> list[_Judged]:
+    """Exchange one stage's candidate at a time as long as that narrows the target's interval."""
+    best = _loss(choice, target)
     improved = True
     while improved:
         improved = False
         for number, candidates in enumerate(lists):
             for candidate in candidates:
                 trial = [*choice[:number], candidate, *choice[number + 1 :]]
-                loss = _loss(trial)
+                loss = _loss(trial, target)
                 if loss < best:
                     choice, best, improved = trial, loss, True
     return choice
@@ -200,10 +215,15 @@ def _pins(choice: Sequence[_Judged]) -> Pinned:
     return pinned([c.information for c in choice], any(c.excitation.weight > 0.0 for c in choice))
 
 
-def _loss(choice: Sequence[_Judged]) -> tuple[float, float]:
-    """Return the widest relative interval, and the sum of those that are finite, which decides where it is equal."""
-    widths = _pins(choice).half_widths.values()
-    return max(widths), sum(w if math.isfinite(w) else 1e3 for w in widths)
+def _merit(pins: Pinned, target: str) -> float:
+    """Return the target's relative half width, more where another parameter's is beyond use; the less the better."""
+    return pins.half_widths[target] * max(1.0, pins.worst / max(_USELESS, pins.half_widths[target]))
+
+
+def _loss(choice: Sequence[_Judged], target: str) -> tuple[float, float]:
+    """Return the merit, and the sum of the intervals that are finite, which decides where it is equal."""
+    pins = _pins(choice)
+    return _merit(pins, target), sum(w if math.isfinite(w) else 1e3 for w in pins.half_widths.values())
 
 
 @dataclass

@@ -119,7 +119,8 @@ def test_a_proposal_keeps_the_limits_and_is_no_worse() -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     tight = nominal()
     found = propose(frames((0.0,)), tight, bounds, np.random.default_rng(1))
-    assert found.pinned.worst <= found.present.worst
+    assert found.weakest == found.present.weakest
+    assert found.pinned.half_widths[found.weakest] <= found.present.half_widths[found.weakest]
     assert found.judged > 5
     for frame, e in zip(frames((0.0,)), found.stages, strict=True):
         if e == frame.present:
