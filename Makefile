@@ -61,7 +61,7 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --dist loadfile
 
 plan-study: $(VENV)/.runtime
 	$(BIN)/python benchmarks/plan_study.py --benches 20
