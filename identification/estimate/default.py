@@ -28,6 +28,8 @@ UNSOLVED = 10.0
 """Greatest defect of the first stage's estimating equations at which the refined values are taken."""
 NOISE_EXCESS = 2.0
 """Greatest torque noise, over the torque's own scatter, at which the refined values are taken."""
+STRAYED = 10.0
+"""Greatest growth of the loaded stage's deviance over its search at which the refined values are taken."""
 NO_WORSE = 1.3
 """Greatest growth of the equation error at which the refined values are taken; the true values made it up to 1.14."""
 
@@ -233,6 +235,8 @@ def refusal(refined: Refined, before: float, after: float) -> str:
         )
     if refined.unsolved > UNSOLVED:
         return f"no start solves the estimating equations of the unloaded stage (defect {refined.unsolved:.3g})"
+    if refined.strayed > STRAYED:
+        return f"the loaded stage's search ends less likely than it began (deviance {refined.strayed:+.0f})"
     if after > NO_WORSE * before:
         return f"the refined values raise the equation error from {before:.3g} to {after:.3g}"
     return ""

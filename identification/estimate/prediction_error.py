@@ -52,6 +52,8 @@ class Refined:
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Breakaways that entered.
+        strayed: Deviance at the loaded stage's end above that at its likeliest start; positive where the least squares,
+            whose weights are held, left the basin for a place that is less likely.
         unsolved: Defect of the first stage's estimating equations: of any size where no start solved them.
         joint: The joint problem, at the estimate.
         starts: What each search began from came to.
@@ -68,6 +70,7 @@ class Refined:
     evaluations: int
     iterations: int
     breakaways: int
+    strayed: float
     unsolved: float
     joint: Problem
     starts: tuple[Starts, ...] = ()
@@ -112,20 +115,27 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
     return [(p, times) for _, p, times in ranked[:_STARTS]]
 
 
-def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> None:
+def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> float:
     """Refine the loaded stage from each start in turn; leave the problem at the likeliest end.
+
+    Returns its deviance above that of the likeliest start.
 
     Ends whose Stribeck speed no sample resolves count only where there are no others: there the rise takes no part in
     any prediction and only fits noise, at times better than the truth does.
     """
-    ends = []
+    ends, begun = [], []
     for vector, times in starts or [(problem.start, problem.begins)]:
         problem.start, problem.begins = vector, times
+        begun.append(_deviance(problem))
         refine(problem)
-        errors, deviations = problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise)
-        ends.append((not _resolved(problem), deviance(errors, deviations), problem.start, problem.begins))
+        ends.append((not _resolved(problem), _deviance(problem), problem.start, problem.begins))
         problem.ends.append(ends[-1][1])
-    *_, problem.start, problem.begins = min(ends, key=lambda end: end[:2])
+    _, reached, problem.start, problem.begins = min(ends, key=lambda end: end[:2])
+    return reached - min(begun)
+
+
+def _deviance(problem: Problem) -> float:
+    return deviance(*problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise))
 
 
 def _resolved(problem: Problem) -> bool:
@@ -225,12 +235,12 @@ def refine_stages(
     unsolved = solve_first_stage(first, system, inertia)
     starts = [Starts("unloaded", "defect of the estimating equations", tuple(first.ends), SOLVED, absolute=True)]
     evaluations += first.evaluations
-    motions, begins, noise, free = tuple(unloaded), list(first.begins), first.noise, system
+    motions, begins, noise, free, strayed = tuple(unloaded), list(first.begins), first.noise, system, 0.0
     vector = first.start
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
         second.angle_noise = first.angle_noise
-        refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
+        strayed = refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
         evaluations += second.evaluations
         starts.append(Starts("loaded", "-2 log likelihood", tuple(second.ends), min(second.ends) + SAME_END))
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
@@ -258,6 +268,7 @@ def refine_stages(
         evaluations=evaluations + joint.evaluations,
         iterations=joint.iterations,
         breakaways=joint.breakaways,
+        strayed=strayed,
         unsolved=unsolved,
         joint=joint,
         starts=tuple(starts),
