@@ -150,11 +150,11 @@ def _inertia_step(problem: Problem) -> tuple[float, float]:
     x = problem.origin()
     residual = problem.residuals(x)
     jacobian = problem.jacobian(x, residual)
-    influence = _influence(problem, instruments(problem, jacobian), jacobian, residual)
+    influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, residual)
     return -float(influence @ (residual * _weight(residual))), float(np.linalg.norm(influence))
 
 
-def _influence(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
+def influence_on_inertia(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
     """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
     j = problem.free.index(kernel.INERTIA)
     alone = _orthogonal(z, j)
@@ -193,7 +193,7 @@ def covariances(problem: Problem) -> Covariances:
     widen, achieved = _scatter(problem, jacobian[:, others], residual)[: len(others) - problem.breakaways], floor
     if kernel.INERTIA in problem.free:
         j = problem.free.index(kernel.INERTIA)
-        influence = _influence(problem, z, jacobian, residual)
+        influence = influence_on_inertia(problem, z, jacobian, residual)
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(floor, j, variance)
         widen = np.insert(widen, j, _scatter_of_inertia(problem, z, jacobian, residual))

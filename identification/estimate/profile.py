@@ -19,6 +19,7 @@ import numpy as np
 from scipy import stats
 
 from identification.estimate import innovations as kernel
+from identification.estimate.instrumental import influence_on_inertia
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_cost, huber_weight
 from identification.estimate.noise_level import CLIP
@@ -217,12 +218,11 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
     """
     problem, x = criterion.problem, criterion.x
     jacobian = problem.jacobian(x, criterion.residual)
-    z = instruments(problem, jacobian)
-    bread = np.linalg.inv(z.T @ (jacobian * huber_weight(criterion.residual, CLIP)[:, None]))[criterion.inertia]
+    influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, criterion.residual)
     shape = _tangent(criterion.normal(x, criterion.residual).matrix, along)
 
     def equation(residual: Array) -> float:
-        return float(bread @ (z.T @ (residual * huber_weight(residual, CLIP))))
+        return float(influence @ (residual * huber_weight(residual, CLIP)))
 
     origin = equation(criterion.residual)
     steps, costs, errors = [0.0], [0.0], [0.0]
