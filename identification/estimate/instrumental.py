@@ -31,6 +31,8 @@ _LONGEST_LOG = 0.4
 _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
+_PRIOR = 1.0
+"""Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch."""
 _CHORD_SETTLED = 0.02
 
 
@@ -177,8 +179,8 @@ def covariances(problem: Problem) -> Covariances:
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
     The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
-    known, at the floor, and what its error does to them; where the scatter of the scores from stretch to stretch (Liang
-    and Zeger, Biometrika 73 (1986) 13) says more than the noise model, that much more.
+    known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
+    what its error does to them. The inertia's variance is not lowered by its scores' scatter.
     """
     x = problem.origin()
     problem.weigh()
@@ -190,15 +192,14 @@ def covariances(problem: Problem) -> Covariances:
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     others = [k for k in range(jacobian.shape[1]) if k >= count or problem.free[k] != kernel.INERTIA]
-    widen, achieved = _scatter(problem, jacobian[:, others], residual)[: len(others) - problem.breakaways], floor
+    spread, achieved = _scatter(problem, jacobian[:, others], residual)[: len(others) - problem.breakaways], floor
     if kernel.INERTIA in problem.free:
         j = problem.free.index(kernel.INERTIA)
         influence = influence_on_inertia(problem, z, jacobian, residual)
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(floor, j, variance)
-        widen = np.insert(widen, j, _scatter_of_inertia(problem, z, jacobian, residual))
-    widen = np.maximum(widen, 1.0)
-    return Covariances(achieved * np.outer(widen, widen) * scale, floor * scale)
+        spread = np.insert(spread, j, max(_scatter_of_inertia(problem, z, jacobian, residual), 1.0))
+    return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale)
 
 
 def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
@@ -216,14 +217,24 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
 def _scatter(problem: Problem, jacobian: Array, residual: Array) -> Array:
     """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
 
-    Ratio of the clustered to the plain standard deviation of each unknown of least squares.
+    Ratio of the clustered to the plain standard deviation of each unknown of least squares, drawn toward one as by
+    :data:`_PRIOR` stretch that scatters as it should. It may be below one: the drive's loop takes a part of the
+    current's noise out again, and what errs at the beginning of a stretch is made good by its end.
     """
     weight = _weight(residual)
-    bread = np.linalg.inv(jacobian.T @ (jacobian * weight[:, None]))
-    scores = np.zeros((problem.breakaways, jacobian.shape[1]))
-    np.add.at(scores, problem.owners.astype(np.int64), jacobian * (residual * weight)[:, None])
-    plain, clustered = (bread @ m @ bread.T for m in (jacobian.T @ jacobian, scores.T @ scores))
-    return np.asarray(np.sqrt(np.diag(clustered) / np.diag(plain)))
+    scale = np.linalg.norm(jacobian, axis=0)
+    scale[scale == 0.0] = 1.0
+    scaled = jacobian / scale
+    # A stretch may say nothing of its own breakaway time.
+    influence = scaled @ np.linalg.pinv(scaled.T @ (scaled * weight[:, None]), hermitian=True)
+    owners = problem.owners.astype(np.int64)
+    plain, sums = np.zeros((2, problem.breakaways, jacobian.shape[1]))
+    np.add.at(plain, owners, influence**2)
+    np.add.at(sums, owners, influence * (residual * weight)[:, None])
+    total = np.maximum(np.sum(plain, axis=0), 1e-300)
+    stretches = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
+    squared = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
+    return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
 
 
 def _scatter_of_inertia(problem: Problem, z: Array, jacobian: Array, residual: Array) -> float:

@@ -29,6 +29,8 @@ _START_STATICS = 7
 _STARTS = 3
 """Starts of the loaded stage that are followed to their end: the likeliest of the grid is not always in the basin."""
 _SEED_CLIP = 10.0
+_SEEKS = 3
+"""Fits in turn with a search of the breakaway times."""
 _LEAST_RESOLVED = 0.05
 SAME_END = 1.0
 """-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
@@ -153,15 +155,15 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
     for factor in tempering:
         problem.noise = noise * factor
         problem.weigh()
-        found = levenberg.minimise(
-            problem.residuals,
-            problem.jacobian,
-            problem.origin(),
-            threshold=CLIP,
-            tolerance=1e-4 if factor > 1.0 else 1e-7,
-        )
-        problem.keep(found.x)
-        problem.iterations += found.steps
+        tolerance = 1e-4 if factor > 1.0 else 1e-7
+        for _ in range(_SEEKS if factor == 1.0 else 1):
+            found = levenberg.minimise(
+                problem.residuals, problem.jacobian, problem.origin(), threshold=CLIP, tolerance=tolerance
+            )
+            problem.keep(found.x)
+            problem.iterations += found.steps
+            if factor > 1.0 or not problem.seek_breakaways(CLIP):
+                break
         solution = problem.origin()
     problem.noise = noise
     problem.weigh()

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from identification.estimate import innovations as kernel
+from identification.estimate.levenberg import huber
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
@@ -29,6 +30,10 @@ LOGARITHMIC = (kernel.OMEGA_SF, kernel.OMEGA_SL, kernel.INERTIA)
 _FARTHEST_LOG = 6.0
 """Farthest, in logarithm, that one fit may take them from its start: beyond, the filter's arithmetic overflows."""
 _TIME_SCALE_S = 1e-3
+_SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
+"""Where else a breakaway is looked for."""
+_LEAST_GAIN = 0.5
+"""Of a stretch's Huber cost, for its breakaway to move."""
 
 
 def pack(values: Mapping[str, float]) -> Array:
@@ -174,6 +179,28 @@ class Problem:
         out[:, :count] = parameters
         out[np.arange(len(here)), count + self.owners.astype(np.int64)] = times
         return out
+
+    def seek_breakaways(self, threshold: float) -> bool:
+        """Move each breakaway to the likeliest of a grid of times around it; return whether any moved.
+
+        The measured torque crosses the static limit more than once where it is noisy, so a breakaway time has several
+        minima, and one stretch in the wrong one pulls the static limit by several standard errors. No stretch sees
+        another's time, so each is judged by its own Huber cost, at these parameters.
+        """
+        origin, count = self.origin(), len(self.free)
+        owners = self.owners.astype(np.int64)
+        best = np.bincount(owners, huber(self.residuals(origin), threshold))
+        shift = np.zeros(self.breakaways)
+        least = best - _LEAST_GAIN
+        for step in _SHIFTS_S:
+            there = origin.copy()
+            there[count:] += step / _TIME_SCALE_S
+            cost = np.bincount(owners, huber(self.residuals(there), threshold))
+            better = cost < least
+            least, shift = np.where(better, cost, least), np.where(better, step, shift)
+        origin[count:] += shift / _TIME_SCALE_S
+        self.keep(origin)
+        return bool(np.any(shift != 0.0))
 
     def keep(self, x: Array) -> None:
         """Make this free vector the new start."""

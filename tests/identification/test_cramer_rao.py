@@ -84,11 +84,11 @@ def test_an_estimate_reaches_the_floor_and_none_beats_it(estimates: list[Refined
     assert 0.6 < over < 1.4  # 25 errors over their floors, correlated within a seed
 
 
-def test_the_floor_lies_below_the_achieved_interval(estimates: list[Refined]) -> None:
-    for r in estimates:
-        share = np.sqrt(np.diag(r.floor) / np.diag(r.covariance))
-        assert np.all(share < 1.02)
-        assert np.median(share) > 0.4
+def test_intervals_are_as_wide_as_the_floor_where_the_noise_is_as_assumed(estimates: list[Refined]) -> None:
+    # Each comes from the scatter over a few stretches, so that it may fall below; their mean square does not.
+    over = np.array([np.diag(r.covariance) / np.diag(r.floor) for r in estimates])
+    assert 0.85 < np.sqrt(np.mean(over)) < 1.5
+    assert np.all(over > 0.25)
 
 
 def test_the_noise_is_found(estimates: list[Refined]) -> None:
