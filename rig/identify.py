@@ -86,6 +86,7 @@ def identify_source(
     ladder: bool = False,
     score: Path | None = None,
     profile: bool = False,
+    draws: int = 0,
 ) -> Outcome:
     """Identify a run folder or campaign file.
 
@@ -98,6 +99,7 @@ def identify_source(
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
+        draws: Bootstrap draws of the default method, 0 for none.
 
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
@@ -119,9 +121,9 @@ def identify_source(
             progress(f"{method}: {stage}", share)
 
         try:
-            estimate = (
-                partial(identify_any_length, profile=True) if profile and method == "default" else METHODS[method]
-            )
+            estimate = METHODS[method]
+            if method == "default":
+                estimate = partial(identify_any_length, profile=profile, draws=draws)
             result = estimate(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
         except RecordingError as error:
             raise InputError(f"{source}: {error}") from error

@@ -18,7 +18,7 @@ from rig.report import write_report
 from rig.results import identification_record
 from rig.tables import number, percent, table
 from rig.transfer_output import transfer_notes, transfer_record, transfer_table
-from rig.uncertainty_output import PROFILE_NOTE, profile_table, uncertainty_notes, uncertainty_record
+from rig.uncertainty_output import uncertainty_notes, uncertainty_record, uncertainty_tables
 
 RESULT_FILE = "identify.json"
 _NUMBER = re.compile(r"\d[\d.e+-]*")
@@ -32,9 +32,8 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
     lines += pinned_notes(outcome.results)
     for result in outcome.results:
         lines += uncertainty_notes(result)
-        if result.profiles:
-            cells = profile_table(result)
-            lines += ["", table(cells.header, cells.rows, cells.right), PROFILE_NOTE, ""]
+        for cells, note in uncertainty_tables(result):
+            lines += ["", table(cells.header, cells.rows, cells.right), note, ""]
     if outcome.comparison:
         compared = comparison_table(outcome.comparison)
         lines += ["", table(compared.header, compared.rows, compared.right), COMPARISON_NOTE, ""]

@@ -19,7 +19,7 @@ from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_
 from rig.places import write_text
 from rig.results import Provenance
 from rig.tables import number, percent
-from rig.uncertainty_output import PROFILE_NOTE, profile_table, uncertainty_notes, uncertainty_pictures
+from rig.uncertainty_output import uncertainty_notes, uncertainty_pictures, uncertainty_tables
 
 _SHOWN_PER_ROLE = 6
 _FIT_HEADER = ("bandwidth", "error, rms", "relative")
@@ -75,8 +75,7 @@ def write_report(
         parameters=parameter_table(results, truth),
         parameter_notes=[*pinned_notes(results), *parameter_notes(results)],
         uncertainty_notes=[line for result in results for line in uncertainty_notes(result)],
-        profiles=[profile_table(result) for result in results if result.profiles],
-        profile_note=PROFILE_NOTE,
+        uncertainty_tables=[each for result in results for each in uncertainty_tables(result)],
         has_truth=truth is not None,
         comparison=comparison_table(comparison) if comparison else None,
         comparison_note=COMPARISON_NOTE,

@@ -10,10 +10,18 @@ import numpy as np
 
 from identification.estimate import prediction_error, varpro
 from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, units_of
+from identification.estimate.bootstrap import bootstrap
 from identification.estimate.prediction_error import Refined
 from identification.estimate.profile import profiles
 from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
-from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification, Profile, Starts
+from identification.estimate.result import (
+    SYSTEM_PARAMETERS,
+    Convergence,
+    Identification,
+    Profile,
+    Resampled,
+    Starts,
+)
 from identification.estimate.stretches import motion
 from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import Spread, block_sandwich
@@ -41,15 +49,17 @@ def identify(
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
     profile: bool = False,
+    draws: int = 0,
 ) -> Identification:
     """Identify the nine parameters in two stages (five where nothing is loaded).
 
     Args:
         dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once at the end.
         bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what each bears.
-        rng: Unused; every method takes one.
+        rng: Draws the stretches of the bootstrap.
         progress: Called with a stage's name and the share done.
         profile: Whether to profile the likelihood of every parameter as well, which takes several times as long.
+        draws: Bootstrap draws, 0 for none.
 
     Raises:
         RecordingError: The recordings cannot pin the model; the message says what is missing.
@@ -75,6 +85,7 @@ def identify(
     units = units_of(active)
     starts: tuple[Starts, ...] = ()
     curves: tuple[Profile, ...] = ()
+    resampled: tuple[Resampled, ...] = ()
     tell("joint", 0.0)
     refined = refine_recordings(fitted, values, names, model, bandwidth_Hz)
     if isinstance(refined, str):
@@ -92,8 +103,13 @@ def identify(
             floors = floors_of(refined)
             if profile:
                 curves = profiles(refined, units, lambda share: tell("profiles", share))
-    if profile and not curves:
-        warnings.append("no profiles: they are those of the prediction errors, which were not taken")
+            if draws:
+                resampled = bootstrap(
+                    refined, units, draws, rng or np.random.default_rng(0), lambda share: tell("bootstrap", share)
+                )
+    if (profile and not curves) or (draws and not resampled):
+        what = " and ".join(w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked)
+        warnings.append(f"no {what}: of the prediction errors alone, which were not taken")
     tell("joint", 1.0)
     every = list(prepared.values())
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
@@ -115,6 +131,7 @@ def identify(
         tradeoffs=tradeoffs(spread, values, units),
         least_pinned=least_pinned(spread, values),
         profiles=curves,
+        resampled=resampled,
         warnings=tuple(warnings),
         traces=tuple(trace_of(p, values, model.alpha) for p in every),
         fits_by_recording=fits,

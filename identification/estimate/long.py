@@ -36,6 +36,7 @@ def identify_any_length(
     rng: np.random.Generator | None = None,
     progress: Progress | None = None,
     profile: bool = False,
+    draws: int = 0,
 ) -> Identification:
     """Identify by the default method, in pieces where the recordings are long; see :func:`default.identify`.
 
@@ -44,10 +45,15 @@ def identify_any_length(
     """
     fitted = dataset.part("fit")
     if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
-        return default.identify(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, profile=profile)
+        return default.identify(
+            dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, profile=profile, draws=draws
+        )
     found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
-    if profile:
-        limit = f"no profiles: they are of recordings of {LONG_SAMPLES} samples together at most; cut them shorter"
+    if profile or draws:
+        limit = (
+            f"no profiles or bootstrap: they are of recordings of {LONG_SAMPLES} samples together at most; cut them "
+            "shorter"
+        )
         found = replace(found, warnings=(*found.warnings, limit))
     return found
 

@@ -181,6 +181,27 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class Resampled:
+    """Spread of one parameter over bootstrap draws of the stretches of motion.
+
+    Attributes:
+        name: Of the parameter.
+        unit: Its unit.
+        low: Lower end of the central 90 % of the draws; None where too few were solved.
+        high: Upper end.
+        draws: How many were made.
+        solved: How many of them could be solved.
+    """
+
+    name: str
+    unit: str
+    low: float | None
+    high: float | None
+    draws: int
+    solved: int
+
+
+@dataclass(frozen=True)
 class Identification:
     """Result of one identification of one dataset by one method.
 
@@ -203,6 +224,7 @@ class Identification:
         tradeoffs: Pairs that the recordings hardly tell apart.
         least_pinned: In words, what combination of parameters the recordings pin least.
         profiles: Profile likelihoods, where asked for.
+        resampled: Spread over bootstrap draws, where asked for.
     """
 
     method: str
@@ -222,6 +244,7 @@ class Identification:
     tradeoffs: tuple[Tradeoff, ...] = ()
     least_pinned: str = ""
     profiles: tuple[Profile, ...] = ()
+    resampled: tuple[Resampled, ...] = ()
 
     @property
     def torque_unit(self) -> str:

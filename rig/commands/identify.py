@@ -31,6 +31,13 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     help="Also the likelihood profile of every parameter, with the 90 % range that follows; ten seconds more or so.",
 )
 @click.option(
+    "--bootstrap",
+    "draws",
+    metavar="N",
+    type=click.IntRange(min=20),
+    help="Also the spread over N draws of the stretches of motion, with replacement; half a second each or so.",
+)
+@click.option(
     "--plan",
     "sequence",
     metavar="SEQUENCE",
@@ -75,6 +82,7 @@ def command(
     method: Literal["default", "paper", "both"],
     compared: bool,
     profile: bool,
+    draws: int | None,
     sequence: str | None,
     bench: str,
     nominal: Path | None,
@@ -95,6 +103,7 @@ def command(
       rig identify runs/demo
       rig identify runs/demo --compare
       rig identify runs/demo --profile
+      rig identify runs/demo --bootstrap 100
       rig identify --plan figure10 --bench practical --nominal runs/demo/identify.json
       rig identify bench.yaml --method both --bandwidth 30 --json result.json
       rig identify monday.yaml --score friday.yaml
@@ -114,14 +123,24 @@ def command(
     assert source is not None
     if compared and method == "paper":
         raise click.UsageError("--compare sets the others beside the default method; leave out --method paper")
-    if method == "paper" and (ladder or score or profile):
-        raise click.UsageError("--ladder, --score and --profile are of the default method; leave --method paper out")
+    if method == "paper" and (ladder or score or profile or draws):
+        raise click.UsageError(
+            "--ladder, --score, --profile and --bootstrap are of the default method; leave --method paper out"
+        )
     folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
         outcome = identify_source(
-            source, _METHODS[method], bandwidth, seed, bar, ladder=ladder, score=score, profile=profile
+            source,
+            _METHODS[method],
+            bandwidth,
+            seed,
+            bar,
+            ladder=ladder,
+            score=score,
+            profile=profile,
+            draws=draws or 0,
         )
         truth = truth_of(source)
         if compared:

@@ -4,8 +4,15 @@ import json
 
 import numpy as np
 
-from identification.estimate.result import Fit, Identification, Parameter, Profile, Starts, Tradeoff
-from rig.uncertainty_output import profile_table, uncertainty_notes, uncertainty_pictures, uncertainty_record
+from identification.estimate.result import Fit, Identification, Parameter, Profile, Resampled, Starts, Tradeoff
+from rig.uncertainty_output import (
+    bootstrap_table,
+    profile_table,
+    uncertainty_notes,
+    uncertainty_pictures,
+    uncertainty_record,
+    uncertainty_tables,
+)
 
 RESULT = Identification(
     "default",
@@ -28,6 +35,7 @@ RESULT = Identification(
         Profile("Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 4.0]), 6.9, 7.3, 0.5),
         Profile("J", "kg m^2", np.array([0.0, 0.1]), np.array([0.0, np.inf]), None, 0.05, 1.0),
     ),
+    resampled=(Resampled("Mc", "N m", 6.95, 7.08, 100, 98), Resampled("J", "kg m^2", None, None, 100, 3)),
 )
 
 
@@ -47,6 +55,14 @@ def test_ranges_stand_beside_intervals_and_open_ones_say_so() -> None:
     assert open_below == ("J", "-", "[< 0, 0.05]", "-", "1", "kg m^2")
 
 
+def test_draws_stand_beside_intervals() -> None:
+    assert bootstrap_table(RESULT).rows == (
+        ("Mc", "[6.9, 7.1]", "[6.95, 7.08]", "98 of 100", "N m"),
+        ("J", "-", "-", "3 of 100", "kg m^2"),
+    )
+    assert len(uncertainty_tables(RESULT)) == 2
+
+
 def test_the_record_is_json_without_infinities() -> None:
     record = json.loads(json.dumps(uncertainty_record(RESULT), allow_nan=False))
     assert record["bounds_hit"] == ["J"]
@@ -54,6 +70,7 @@ def test_the_record_is_json_without_infinities() -> None:
     assert [s["reached_best"] for s in record["starts"]] == [1, 2]
     assert record["profiles"]["J"]["deviance"] == [0.0, None]
     assert record["profiles"]["Mc"]["high"] == 7.3
+    assert record["bootstrap"]["J"] == {"unit": "kg m^2", "low": None, "high": None, "draws": 100, "solved": 3}
 
 
 def test_a_single_start_makes_no_waterfall() -> None:
