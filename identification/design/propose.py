@@ -1,22 +1,22 @@
 """Which excitation, within a bench's limits and in the same time, would pin the weakest parameter best.
 
-Informations of stages add, so each stage gets a list of candidates that are judged once; stages then exchange their
-candidate for a better one in turn until none is better (Fedorov, Theory of Optimal Experiments, 1972, ch. 3). The best
-is refined by small random changes. What is minimised is the relative interval of the parameter that the present
-excitation pins worst, as long as no other becomes useless by it. In the end the best few designs are rehearsed, and the
-rehearsal decides.
+Informations of stages add and grow with time. So many sines are judged once on short stages, and a convex problem
+shares the time among them (:mod:`identification.design.shares`). The few that get a share take the place of the stages:
+one sine alone leaves parameters that trade off, and a slow one beside a fast one, or a light weight beside a heavy one,
+tells them apart. What rests on the drive loop that was assumed is dropped: each sine that gets a share is judged with
+softer and stiffer drives too. In the end the best few designs are rehearsed with those drives, which decides.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.design.pinning import (
+    NOTHING,
     Information,
     Nominal,
     Pinned,
@@ -26,28 +26,35 @@ from identification.design.pinning import (
     stage_response,
 )
 from identification.design.rehearsal import rehearse
+from identification.design.shares import best_shares
 from identification.recording import Array
 
-CANDIDATES = 60
-"""Random excitations judged per stage."""
-REFINEMENTS = 40
-"""Small changes tried per stage afterwards."""
-RUNNERS_UP = 4
-"""Designs per stage that are rehearsed beside the best."""
-REHEARSALS = 1
-"""Runs per rehearsal, with noise of their own; the worst counts."""
+CANDIDATES = 40
+"""Random excitations judged for each of unloaded and loaded stages."""
+REFINEMENTS = 24
+"""Small changes tried afterwards of those that get a share."""
+DESIGNS = 4
+"""Designs that are rehearsed beside the present one, at most."""
+PARTS = 2
+"""Stages that take the place of the unloaded ones, and of the loaded ones, at most."""
+TRIAL_S = 10.0
+"""Duration of the stage on which an excitation is judged."""
+LEAST_S = 4.0
+"""Least duration of a proposed stage."""
+STIFFNESSES = (0.75, 1.35)
+"""Drives, beside the one assumed, that a proposal must bear: their velocity gain over its."""
 _MARGIN = 0.85
 """Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
 _FOLLOWING_MARGIN = 0.5
 """The same for the following error, which rests on the assumed drive loop."""
-_SLOWEST_HZ, _FASTEST_HZ = 0.05, 5.0
-_SLOWEST_SPEED = 0.04
-"""Least peak speed of a random sine, over the speed limit: slower ones creep."""
-_LEAST_ANGLE = math.radians(1.0)
+_SLOWEST_HZ, _FASTEST_HZ = 0.15, 2.5
+_LEAST_ACCELERATION, _GREATEST_ACCELERATION = 0.3, 15.0
+"""Of a random sine at its ends, rad/s^2. The less it is the longer the shaft is near rest; below, it creeps."""
+_LEAST_ANGLE = math.radians(0.6)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _USELESS = 0.1
 """Relative half width beyond which another parameter's interval counts against a design."""
-_SPREAD = 0.25
+_SPREAD = 0.2
 """Standard deviation of the logarithm of a refinement's change."""
 
 Tone = tuple[float, float]
@@ -57,19 +64,33 @@ Progress = Callable[[str, float], None]
 
 @dataclass(frozen=True)
 class Excitation:
-    """Sines about a centre, and the weight on the lever, kg."""
+    """Sines about a centre, the weight on the lever, kg, and their duration, s."""
 
     tones: tuple[Tone, ...]
     weight: float
+    seconds: float
 
 
 @dataclass(frozen=True)
 class Frame:
-    """What stays of a stage: whether it is loaded, what is commanded now, and how a command becomes joint angles."""
+    """A stage as it is: whether loaded, what is commanded, the time it takes, s, and how commands become joint angles.
+
+    ``pause`` is what a stage takes beside its excitation, s.
+    """
 
     loaded: bool
     present: Excitation
+    total: float
+    pause: float
     render: Callable[[Excitation], Array]
+
+
+@dataclass(frozen=True)
+class Part:
+    """A proposed stage: the number of the stage whose settings it has, and its excitation."""
+
+    frame: int
+    excitation: Excitation
 
 
 @dataclass(frozen=True)
@@ -101,22 +122,31 @@ class Proposal:
 
     weakest: str
     present: Pinned
-    stages: tuple[Excitation, ...]
+    stages: tuple[Part, ...]
     pinned: Pinned
     promised: Pinned
     judged: int
     rehearsed: int
 
 
+@dataclass(eq=False)
+class _Candidate:
+    """An excitation on a short stage, and its information per second; ``sturdy`` once other drives bear it."""
+
+    part: Part
+    rate: Information
+    sturdy: bool = False
+
+
 @dataclass(frozen=True)
-class _Judged:
-    excitation: Excitation
-    information: Information
+class _Design:
+    parts: tuple[Part, ...]
+    promised: Pinned
 
 
 def present_pins(frames: Sequence[Frame], nominal: Nominal) -> Pinned:
     """Return what the excitation of these stages pins as it stands."""
-    found = [stage_information(PlannedStage(f.render(f.present), f.present.weight), nominal) for f in frames]
+    found = [stage_information(_planned(f, f.present), nominal) for f in frames]
     return pinned(found, any(f.loaded for f in frames))
 
 
@@ -131,7 +161,7 @@ def propose(
     """Search for the excitation that narrows one parameter's relative interval most.
 
     Args:
-        frames: The stages; number, duration and load state of each stay.
+        frames: The stages; their total time stays, and so do unloaded and loaded ones.
         nominal: The model.
         bounds: Limits of the bench.
         rng: Source of all randomness.
@@ -139,80 +169,44 @@ def propose(
         weakest: That parameter; None for the one that a rehearsal of the present excitation pins worst.
     """
     tell = progress or (lambda _label, _share: None)
-    judge = _Judge(nominal, bounds)
-    present_pinned = _rehearsed([PlannedStage(f.render(f.present), f.present.weight) for f in frames], nominal, 0)
-    target = weakest or present_pinned.weakest
-    lists: list[list[_Judged]] = []
-    for number, frame in enumerate(frames):
-        present = judge.of(frame, frame.present, within=False)
-        lists.append([] if present is None else [present])
+    present = tuple(Part(k, f.present) for k, f in enumerate(frames))
+    best = now = _rehearsed(frames, present, nominal)
+    target = weakest or now.weakest
+    search = _Search(frames, nominal, bounds, rng, target)
+    kinds = sorted({f.loaded for f in frames})
+    for number, loaded in enumerate(kinds):
         for k in range(CANDIDATES):
-            found = judge.of(frame, _random(frame, bounds, rng))
-            lists[-1] += [] if found is None else [found]
-            tell("candidates", (number + (k + 1) / CANDIDATES) / len(frames))
-    present_choice = [each[0] for each in lists]
-    choice = _exchange(present_choice, lists, target)
-    designs = [present_choice, choice]
+            search.add(search.random(loaded))
+            tell("candidates", (number + (k + 1) / CANDIDATES) / len(kinds))
     for k in range(REFINEMENTS):
-        for number, frame in enumerate(frames):
-            found = judge.of(frame, _changed(choice[number].excitation, frame, bounds, rng))
-            if found is not None:
-                choice = _exchange(choice, [[found] if j == number else [] for j in range(len(frames))], target)
+        search.add(search.changed())
         tell("refinement", (k + 1) / REFINEMENTS)
-    designs += [choice, *_others(present_choice, choice, lists, target)]
-    rehearsed = [present_pinned]
-    for k, design in enumerate(designs[1:], 1):
-        planned = [
-            PlannedStage(f.render(c.excitation), c.excitation.weight) for f, c in zip(frames, design, strict=True)
-        ]
-        rehearsed.append(_rehearsed(planned, nominal, k))
-        tell("rehearsal", k / (len(designs) - 1))
-    best = min(range(len(designs)), key=lambda k: _merit(rehearsed[k], target))
-    return Proposal(
-        weakest=target,
-        present=rehearsed[0],
-        stages=tuple(c.excitation for c in designs[best]),
-        pinned=rehearsed[best],
-        promised=_pins(designs[best]),
-        judged=judge.count,
-        rehearsed=len(designs),
-    )
+    designs = search.designs()
+    chosen = _Design(present, present_pins(frames, nominal))
+    tried = 0
+    for k, design in enumerate(designs):
+        if _merit(design.promised, target) > _merit(best, target):
+            break  # a rehearsal is seldom better than the information, and designs come the most promising first
+        found = _rehearsed(frames, design.parts, nominal)
+        tried += 1
+        if _merit(found, target) < _merit(best, target):
+            best, chosen = found, design
+        tell("rehearsal", (k + 1) / len(designs))
+    return Proposal(target, now, chosen.parts, best, chosen.promised, search.count, 1 + tried)
 
 
-def _others(
-    present: Sequence[_Judged], choice: Sequence[_Judged], lists: Sequence[Sequence[_Judged]], target: str
-) -> list[list[_Judged]]:
-    """Return the designs that come next: for each stage alone, the best few candidates in place of the chosen one."""
-    out = []
-    for number, candidates in enumerate(lists):
-        designs = [[*choice[:number], c, *choice[number + 1 :]] for c in candidates if c is not present[number]]
-        out += sorted(designs, key=lambda design: _loss(design, target))[:RUNNERS_UP]
-    return out
+def _planned(frame: Frame, excitation: Excitation) -> PlannedStage:
+    return PlannedStage(frame.render(excitation), excitation.weight)
 
 
-def _rehearsed(planned: Sequence[PlannedStage], nominal: Nominal, number: int) -> Pinned:
-    """Return the worst of the rehearsals of one design."""
-    runs = [rehearse(planned, nominal, np.random.default_rng((seed, number))) for seed in range(REHEARSALS)]
-    return max(runs, key=lambda pins: pins.worst)
-
-
-def _exchange(choice: list[_Judged], lists: Sequence[Sequence[_Judged]], target: str) -> list[_Judged]:
-    """Exchange one stage's candidate at a time as long as that narrows the target's interval."""
-    best = _loss(choice, target)
-    improved = True
-    while improved:
-        improved = False
-        for number, candidates in enumerate(lists):
-            for candidate in candidates:
-                trial = [*choice[:number], candidate, *choice[number + 1 :]]
-                loss = _loss(trial, target)
-                if loss < best:
-                    choice, best, improved = trial, loss, True
-    return choice
-
-
-def _pins(choice: Sequence[_Judged]) -> Pinned:
-    return pinned([c.information for c in choice], any(c.excitation.weight > 0.0 for c in choice))
+def _rehearsed(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> Pinned:
+    """Return the worst of the rehearsals of one design, with drives that are softer and stiffer than assumed."""
+    stages = [_planned(frames[p.frame], p.excitation) for p in parts]
+    runs = [
+        rehearse(stages, replace(nominal, stiffness=stiffness), np.random.default_rng(k))
+        for k, stiffness in enumerate(STIFFNESSES)
+    ]
+    return Pinned({name: max(run.half_widths[name] for run in runs) for name in runs[0].half_widths})
 
 
 def _merit(pins: Pinned, target: str) -> float:
@@ -220,63 +214,142 @@ def _merit(pins: Pinned, target: str) -> float:
     return pins.half_widths[target] * max(1.0, pins.worst / max(_USELESS, pins.half_widths[target]))
 
 
-def _loss(choice: Sequence[_Judged], target: str) -> tuple[float, float]:
-    """Return the merit, and the sum of the intervals that are finite, which decides where it is equal."""
-    pins = _pins(choice)
-    return _merit(pins, target), sum(w if math.isfinite(w) else 1e3 for w in pins.half_widths.values())
-
-
 @dataclass
-class _Judge:
-    """Simulates excitations and keeps those within the limits."""
+class _Search:
+    """Simulates excitations, keeps those within the limits, and shares the time among them."""
 
+    frames: Sequence[Frame]
     nominal: Nominal
     bounds: Bounds
+    rng: np.random.Generator
+    target: str
+    pool: list[_Candidate] = field(default_factory=list)
     count: int = 0
 
-    def of(self, frame: Frame, excitation: Excitation, within: bool = True) -> _Judged | None:
-        """Return an excitation with its information, or None where it breaks a limit (``within``)."""
+    def add(self, part: Part | None) -> None:
+        """Judge an excitation on a short stage and keep it where it says anything."""
+        rate = None if part is None else self._rate(part, self.nominal)
+        if part is not None and rate is not None:
+            self.pool.append(_Candidate(part, rate))
+
+    def random(self, loaded: bool) -> Part:
+        """Return a sine, logarithmically uniform in frequency and acceleration, under one of the weights."""
+        b, rng = self.bounds, self.rng
+        number = [f.loaded for f in self.frames].index(loaded)
+        frequency = _log_uniform(rng, _SLOWEST_HZ, min(_FASTEST_HZ, b.highest_Hz))
+        acceleration = _log_uniform(rng, _LEAST_ACCELERATION, _GREATEST_ACCELERATION)
+        pace = 2.0 * math.pi * frequency
+        reach = 0.5 * _MARGIN * (b.angle_max - b.angle_min)
+        amplitude = max(min(reach, acceleration / pace**2, _MARGIN * b.speed / pace), _LEAST_ANGLE)
+        # Friction rises with the weight, and so does what is seen of the load's: half of all are the heaviest.
+        heaviest = max(b.weights) if rng.random() < 0.5 else float(rng.choice(b.weights))
+        return Part(number, Excitation(((amplitude, frequency),), heaviest if loaded else 0.0, self._trial(number)))
+
+    def changed(self) -> Part | None:
+        """Return a small change of an excitation that gets a share, and now and then the next weight up or down."""
+        if not self._complete(self.pool):
+            return None
+        shares = self._shares(self.pool)
+        part = self.pool[int(self.rng.choice(len(shares), p=shares))].part
+        e, ladder = part.excitation, sorted({*self.bounds.weights, part.excitation.weight})
+        ((amplitude, frequency),) = e.tones
+        wider, faster = np.exp(_SPREAD * self.rng.standard_normal(2))
+        frequency = min(frequency * float(faster), self.bounds.highest_Hz)
+        least = max(_LEAST_ANGLE, _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2)
+        tone = (max(amplitude * float(wider), least), frequency)
+        weight = e.weight
+        if self.frames[part.frame].loaded and self.rng.random() < 0.3:
+            place = ladder.index(weight) + int(self.rng.choice([-1, 1]))
+            weight = ladder[min(max(place, 0), len(ladder) - 1)]
+        return replace(part, excitation=replace(e, tones=(tone,), weight=weight))
+
+    def designs(self) -> list[_Design]:
+        """Return the best design, and those that do without one of its excitations, the most promising first."""
+        best = self._design(list(self.pool))
+        if best is None:
+            return []
+        found = [best]
+        for candidate in best[1]:
+            without = self._design([c for c in self.pool if c is not candidate])
+            found += [without] if without is not None else []
+        ranked = sorted((design for design, _ in found), key=lambda d: _merit(d.promised, self.target))
+        return ranked[:DESIGNS]
+
+    def _design(self, pool: list[_Candidate]) -> tuple[_Design, list[_Candidate]] | None:
+        """Return the best design from a pool in which every part is sturdy; None where a kind of stage has none."""
+        while self._complete(pool):
+            chosen = self._few(pool)
+            doubtful = [c for c in chosen if not c.sturdy]
+            for candidate in doubtful:
+                if not self._sturdy(candidate):
+                    pool.remove(candidate)
+                    self.pool.remove(candidate)
+            if not doubtful:
+                return self._timed(chosen), chosen
+        return None
+
+    def _complete(self, pool: Sequence[_Candidate]) -> bool:
+        return {self.frames[c.part.frame].loaded for c in pool} == {f.loaded for f in self.frames}
+
+    def _shares(self, pool: Sequence[_Candidate]) -> Array:
+        return best_shares([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))
+
+    def _few(self, pool: Sequence[_Candidate]) -> list[_Candidate]:
+        """Return those with the greatest shares, a few of each kind."""
+        ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
+        room = max(1, int(sum(f.total for f in self.frames) / LEAST_S / len({f.loaded for f in self.frames})))
+        out = []
+        for loaded in sorted({f.loaded for f in self.frames}):
+            out += [c for c in ranked if self.frames[c.part.frame].loaded == loaded][: min(PARTS, room)]
+        return out
+
+    def _timed(self, chosen: Sequence[_Candidate]) -> _Design:
+        """Share the whole time among a few excitations, to a tenth of a second."""
+        total = sum(f.total for f in self.frames)
+        least = min(LEAST_S, total / len(chosen))
+        spans = least + (total - least * len(chosen)) * self._shares(chosen)
+        cuts = np.round(np.concatenate([[0.0], np.cumsum(spans)]), 1)
+        cuts[-1] = total
+        parts, informations = [], []
+        for candidate, span in zip(chosen, np.diff(cuts), strict=True):
+            part = candidate.part
+            seconds = float(span) - self.frames[part.frame].pause
+            parts.append(replace(part, excitation=replace(part.excitation, seconds=round(seconds, 3))))
+            informations.append(Information(candidate.rate.normal * float(span)))
+        order = sorted(range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight))
+        return _Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))
+
+    def _sturdy(self, candidate: _Candidate) -> bool:
+        """Judge a candidate with other drives; its information becomes the mean; False where one does not bear it."""
+        rates = [self._rate(candidate.part, replace(self.nominal, stiffness=stiffness)) for stiffness in STIFFNESSES]
+        known = [rate for rate in rates if rate is not None]
+        candidate.sturdy = len(known) == len(rates)
+        candidate.rate = Information(np.mean([r.normal for r in (candidate.rate, *known)], axis=0))
+        return candidate.sturdy
+
+    def _trial(self, number: int) -> float:
+        return min(TRIAL_S, self.frames[number].present.seconds)
+
+    def _rate(self, part: Part, nominal: Nominal) -> Information | None:
+        """Return an excitation's information per second; None where it breaks a limit or says nothing."""
         b = self.bounds
-        stage = PlannedStage(frame.render(excitation), excitation.weight)
-        if within:
-            middle = 0.5 * (b.angle_max + b.angle_min)
-            reach = float(np.max(np.abs(stage.command - middle)))
-            fastest = float(np.max(np.abs(np.diff(stage.command)))) / self.nominal.sensors.period
-            if reach > 0.5 * _MARGIN * (b.angle_max - b.angle_min) or fastest > _MARGIN * b.speed:
-                return None
+        stage = _planned(self.frames[part.frame], part.excitation)
+        middle = 0.5 * (b.angle_max + b.angle_min)
+        reach = float(np.max(np.abs(stage.command - middle)))
+        fastest = float(np.max(np.abs(np.diff(stage.command)))) / nominal.sensors.period
+        if reach > 0.5 * _MARGIN * (b.angle_max - b.angle_min) or fastest > _MARGIN * b.speed:
+            return None
         self.count += 1
-        response = stage_response(stage, self.nominal)
-        if within and not (
+        response = stage_response(stage, nominal)
+        if not (
             response.peak_speed < _MARGIN * b.speed
             and response.peak_torque < _MARGIN * b.torque
             and response.peak_following < _FOLLOWING_MARGIN * b.following
         ):
             return None
-        return _Judged(excitation, stage_information(stage, self.nominal, response))
+        found = stage_information(stage, nominal, response)
+        return None if found is NOTHING else Information(found.normal / (len(stage.command) * nominal.sensors.period))
 
 
-def _random(frame: Frame, bounds: Bounds, rng: np.random.Generator) -> Excitation:
-    """Return one or two sines, logarithmically uniform in frequency and peak speed, under one of the weights."""
-    reach = 0.5 * _MARGIN * (bounds.angle_max - bounds.angle_min)
-    tones: list[Tone] = []
-    for _ in range(int(rng.integers(1, 3))):
-        frequency = float(np.exp(rng.uniform(np.log(_SLOWEST_HZ), np.log(min(_FASTEST_HZ, bounds.highest_Hz)))))
-        speed = bounds.speed * float(np.exp(rng.uniform(np.log(_SLOWEST_SPEED), np.log(_MARGIN))))
-        tones.append((max(min(reach, speed / (2.0 * math.pi * frequency)), _LEAST_ANGLE), frequency))
-    weight = float(rng.choice(bounds.weights)) if frame.loaded else 0.0
-    return Excitation(tuple(tones), weight)
-
-
-def _changed(excitation: Excitation, frame: Frame, bounds: Bounds, rng: np.random.Generator) -> Excitation:
-    """Return a small change of amplitudes and frequencies, and now and then the next weight up or down."""
-    factors = np.exp(_SPREAD * rng.standard_normal((len(excitation.tones), 2)))
-    tones = tuple(
-        (max(a * float(wider), _LEAST_ANGLE), min(f * float(faster), bounds.highest_Hz))
-        for (a, f), (wider, faster) in zip(excitation.tones, factors, strict=True)
-    )
-    weight = excitation.weight
-    if frame.loaded and rng.random() < 0.5:
-        ladder = sorted({*bounds.weights, weight})
-        place = ladder.index(weight) + int(rng.choice([-1, 1]))
-        weight = ladder[min(max(place, 0), len(ladder) - 1)]
-    return dataclasses.replace(excitation, tones=tones, weight=weight)
+def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:
+    return float(np.exp(rng.uniform(math.log(low), math.log(high))))
