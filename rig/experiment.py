@@ -199,5 +199,6 @@ def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
     """Return a stage with other tones about the same centre, once, rounded as they will be written."""
     tones = tuple(Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4)) for a, f in e.tones)
     changes = {"name": name, "tones": tones, "weight_kg": e.weight, "duration_s": e.seconds, "repeats": 1}
+    changes |= {"ramp_in_s": e.ramp, "ramp_out_s": e.ramp}
     # What a limit of the old stage's time was meant for is not what is proposed; the plan gives a bound of its own.
     return stage.model_copy(update={**changes, "time_limit_s": None})

@@ -29,11 +29,11 @@ from identification.design.rehearsal import rehearse
 from identification.design.shares import best_shares
 from identification.recording import Array
 
-CANDIDATES = 40
+CANDIDATES = 30
 """Random excitations judged for each of unloaded and loaded stages."""
-REFINEMENTS = 24
+REFINEMENTS = 16
 """Small changes tried afterwards of those that get a share."""
-DESIGNS = 4
+DESIGNS = 3
 """Designs that are rehearsed beside the present one, at most."""
 PARTS = 2
 """Stages that take the place of the unloaded ones, and of the loaded ones, at most."""
@@ -48,10 +48,11 @@ _MARGIN = 0.85
 _FOLLOWING_MARGIN = 0.5
 """The same for the following error, which rests on the assumed drive loop."""
 _SLOWEST_HZ, _FASTEST_HZ = 0.15, 2.5
-_LEAST_ACCELERATION, _GREATEST_ACCELERATION = 0.3, 15.0
+_LEAST_ACCELERATION, _GREATEST_ACCELERATION = 0.45, 15.0
 """Of a random sine at its ends, rad/s^2. The less it is the longer the shaft is near rest; below, it creeps."""
 _LEAST_ANGLE = math.radians(0.6)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
+_RAMP_ACCELERATION, _LEAST_RAMP_S = 2.0, 0.05
 _USELESS = 0.1
 """Relative half width beyond which another parameter's interval counts against a design."""
 _SPREAD = 0.2
@@ -69,6 +70,20 @@ class Excitation:
     tones: tuple[Tone, ...]
     weight: float
     seconds: float
+
+    @property
+    def ramp(self) -> float:
+        """Time in which a proposal fades in and out, s: short, since on the way the shaft creeps or nearly stops.
+
+        One stretch in which the filter loses it widened the interval of omega_sL twofold.
+        """
+        speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
+        return round(min(max(speed / _RAMP_ACCELERATION, _LEAST_RAMP_S), 1.0), 3)
+
+    def lasting(self, seconds: float) -> Excitation:
+        """Return the same for as many half periods of its sine as the time has room for: it ends where it began."""
+        pace = 2.0 * self.tones[0][1]
+        return replace(self, seconds=round(max(1.0, math.floor(seconds * pace + 1e-6)) / pace, 3))
 
 
 @dataclass(frozen=True)
@@ -243,7 +258,8 @@ class _Search:
         amplitude = max(min(reach, acceleration / pace**2, _MARGIN * b.speed / pace), _LEAST_ANGLE)
         # Friction rises with the weight, and so does what is seen of the load's: half of all are the heaviest.
         heaviest = max(b.weights) if rng.random() < 0.5 else float(rng.choice(b.weights))
-        return Part(number, Excitation(((amplitude, frequency),), heaviest if loaded else 0.0, self._trial(number)))
+        found = Excitation(((amplitude, frequency),), heaviest if loaded else 0.0, 0.0)
+        return Part(number, found.lasting(self._trial(number)))
 
     def changed(self) -> Part | None:
         """Return a small change of an excitation that gets a share, and now and then the next weight up or down."""
@@ -261,7 +277,8 @@ class _Search:
         if self.frames[part.frame].loaded and self.rng.random() < 0.3:
             place = ladder.index(weight) + int(self.rng.choice([-1, 1]))
             weight = ladder[min(max(place, 0), len(ladder) - 1)]
-        return replace(part, excitation=replace(e, tones=(tone,), weight=weight))
+        changed = replace(e, tones=(tone,), weight=weight).lasting(self._trial(part.frame))
+        return replace(part, excitation=changed)
 
     def designs(self) -> list[_Design]:
         """Return the best design, and those that do without one of its excitations, the most promising first."""
@@ -304,17 +321,15 @@ class _Search:
         return out
 
     def _timed(self, chosen: Sequence[_Candidate]) -> _Design:
-        """Share the whole time among a few excitations, to a tenth of a second."""
+        """Share the whole time among a few excitations, each rounded down to half periods."""
         total = sum(f.total for f in self.frames)
         least = min(LEAST_S, total / len(chosen))
         spans = least + (total - least * len(chosen)) * self._shares(chosen)
-        cuts = np.round(np.concatenate([[0.0], np.cumsum(spans)]), 1)
-        cuts[-1] = total
         parts, informations = [], []
-        for candidate, span in zip(chosen, np.diff(cuts), strict=True):
+        for candidate, span in zip(chosen, spans, strict=True):
             part = candidate.part
             seconds = float(span) - self.frames[part.frame].pause
-            parts.append(replace(part, excitation=replace(part.excitation, seconds=round(seconds, 3))))
+            parts.append(replace(part, excitation=part.excitation.lasting(seconds)))
             informations.append(Information(candidate.rate.normal * float(span)))
         order = sorted(range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight))
         return _Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))

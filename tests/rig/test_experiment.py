@@ -42,7 +42,7 @@ def test_the_proposal_runs(sequence: Path, tmp_path: Path, capsys: pytest.Captur
     assert set(record["present"]["relative_half_widths"]) == {"Mc", "Ms", "omega_sf", "sigma_2", "J"}
     proposed = yaml.safe_load((out / "proposal.yaml").read_text())
     times = [stage["duration_s"] + stage.get("settle_s", 0.2) for stage in proposed["stages"]]
-    assert sum(times) == pytest.approx(8.2)
+    assert 5.0 < sum(times) <= 8.2 + 1e-6
     assert proposed == record["proposed"]["sequence"]
     assert status(["run", str(out / "proposal.yaml"), "--dry-run"]) == 0
 
