@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from drivers.amt21 import COUNTS_PER_TURN
+from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.pinning import NAMES, Nominal, Sensors
-from identification.design.propose import Bounds, Excitation, Frame, Part, Proposal, propose
+from identification.design.propose import Proposal, propose
 from identification.model.nominal import NOMINAL
 from rig.bench import Bench, EncoderSection, ServoSection
 from rig.configuration import Document

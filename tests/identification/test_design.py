@@ -7,7 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from identification.design import propose as search
+from identification.design import propose as proposing
+from identification.design import search
+from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.forward import respond, usual_loop
 from identification.design.pinning import (
     NAMES,
@@ -20,7 +22,7 @@ from identification.design.pinning import (
     stage_information,
     stage_response,
 )
-from identification.design.propose import Bounds, Excitation, Frame, Part, present_pins, propose
+from identification.design.propose import present_pins, propose
 from identification.design.rehearsal import rehearse
 from identification.design.shares import best_shares
 from identification.model.nominal import NOMINAL
@@ -153,8 +155,8 @@ def test_what_tells_two_trading_parameters_apart_gets_its_share() -> None:
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("CANDIDATES", 8), ("REFINEMENTS", 3), ("DESIGNS", 1)):
-        monkeypatch.setattr(search, name, value)
+    for module, name, value in ((proposing, "CANDIDATES", 8), (proposing, "REFINEMENTS", 3), (search, "DESIGNS", 1)):
+        monkeypatch.setattr(module, name, value)
 
 
 def frames(weights: tuple[float, ...]) -> list[Frame]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from identification.design import propose
+from identification.design import propose, search
 from rig.cli import status
 
 SEQUENCE = """\
@@ -19,8 +19,8 @@ stages:
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("CANDIDATES", 8), ("REFINEMENTS", 2), ("DESIGNS", 1)):
-        monkeypatch.setattr(propose, name, value)
+    for module, name, value in ((propose, "CANDIDATES", 8), (propose, "REFINEMENTS", 2), (search, "DESIGNS", 1)):
+        monkeypatch.setattr(module, name, value)
 
 
 @pytest.fixture
