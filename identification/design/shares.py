@@ -35,9 +35,8 @@ def best_shares(rates: Sequence[Information], target: str, loaded: bool) -> Arra
     worth = np.where(np.array(NAMES[:count]) == target, 1.0, _OTHERS) / scale**2
     shares = np.full(len(rates), 1.0 / len(rates))
     for _ in range(_ROUNDS):
-        total = np.einsum("i,ikl->kl", shares, normals)
-        spread = np.linalg.inv(total + _FLOOR * np.eye(count))
-        gradient = np.einsum("k,kl,ilm,mk->i", worth, spread, normals, spread, optimize=True)
+        spread = np.linalg.inv(np.tensordot(shares, normals, 1) + _FLOOR * np.eye(count))
+        gradient = np.tensordot(normals, (spread * worth) @ spread, 2)
         shares = shares * np.sqrt(np.maximum(gradient, 0.0))
         shares /= np.sum(shares)
     return np.asarray(shares)
