@@ -3,7 +3,8 @@
 Each bench: the nine constants of the practical bench each within 40 % (redrawn until the static limits stand at least
 20 % above the Coulomb levels). `rig run figure10`, `rig identify`, `rig identify --plan figure10` on that result, `rig
 run` of the proposal, `rig identify` of it. The weakest parameter is that with the widest relative interval after
-Figure 10; its interval then over its interval after the proposal is the gain. Both runs last equally long.
+Figure 10; its interval then over its interval after the proposal is the gain. The proposal lasts no
+longer than Figure 10.
 
     python benchmarks/plan_study.py --benches 20
 """
@@ -100,7 +101,8 @@ def study(seed: int, scratch: Path) -> list[str]:
     known = [(truth[n], p.low, p.high) for n, p in second.parameters.items()]
     held = sum(low is not None and high is not None and low <= true <= high for true, low, high in known)
     tones = "; ".join(
-        f"{s.weight_kg:g} kg: " + ", ".join(f"{t.amplitude_deg:.3g} deg at {t.frequency_Hz:.3g} Hz" for t in s.tones)
+        f"{s.duration_s:.3g} s, {s.weight_kg:g} kg: "
+        + ", ".join(f"{t.amplitude_deg:.3g} deg at {t.frequency_Hz:.3g} Hz" for t in s.tones)
         for s in experiment.proposed.stages
     )
     return [

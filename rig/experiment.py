@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from drivers.amt21 import COUNTS_PER_TURN
+from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.pinning import NAMES, Nominal, Sensors
-from identification.design.propose import Bounds, Excitation, Frame, Proposal, propose
+from identification.design.propose import Proposal, propose
 from identification.model.nominal import NOMINAL
 from rig.bench import Bench, EncoderSection, ServoSection
 from rig.configuration import Document
@@ -26,7 +27,7 @@ from rig.sequence import Array, Sequence, StageSection, Tone, excitation
 
 NOISE_SHARE = 1e-3
 """Current noise, as a share of the bench's current limit, where it is not given."""
-WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0)
+WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Masses to choose from, beside those of the sequence, where the bench file lists none."""
 
 
@@ -63,7 +64,7 @@ def plan_experiment(
     seed: int,
     progress: Callable[[str, float], None],
 ) -> Experiment:
-    """Judge a sequence on the nominal model of a bench, and search for a better one of the same stages and duration.
+    """Judge a sequence on the nominal model of a bench, and search for a better one of the same duration.
 
     Args:
         sequence: The experiment in mind.
@@ -109,8 +110,8 @@ def plan_experiment(
     )
     frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
     found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, weakest)
-    stages = [_with(stage, e) for stage, e in zip(sequence.value.stages, found.stages, strict=True)]
-    proposed = sequence.value.model_copy(update={"name": f"{sequence.value.name}-proposed", "stages": tuple(stages)})
+    stages = _stages(sequence.value.stages, frames, found.stages)
+    proposed = sequence.value.model_copy(update={"name": f"{sequence.value.name}-proposed", "stages": stages})
     return Experiment(sequence.value, nominal, source, noise, found, proposed, seed, time.perf_counter() - started)
 
 
@@ -169,19 +170,36 @@ def _weights(bench: Bench, loaded: list[StageSection]) -> tuple[float, ...]:
 
 
 def _frame(stage: StageSection, cycle_s: float) -> Frame:
-    present = Excitation(tuple((math.radians(t.amplitude_deg), t.frequency_Hz) for t in stage.tones), stage.weight_kg)
+    tones = tuple((math.radians(t.amplitude_deg), t.frequency_Hz) for t in stage.tones)
+    present = Excitation(tones, stage.weight_kg, stage.duration_s)
 
     def render(e: Excitation) -> Array:
         """Return the joint angles of all repeats; the phases of the sequence hold only for its own tones."""
-        section = stage if e is present else _with(stage, e)
+        section = stage if e is present else _with(stage, e, stage.name)
         once = np.concatenate([np.zeros(round(section.settle_s / cycle_s)), excitation(section, cycle_s)])
         once[: round(section.settle_s / cycle_s)] = math.radians(section.center_deg)
         return np.tile(once, section.repeats)
 
-    return Frame(stage.stage == "loaded", present, render)
+    total = stage.repeats * (stage.settle_s + stage.duration_s)
+    return Frame(stage.stage == "loaded", present, total, stage.settle_s, render)
 
 
-def _with(stage: StageSection, e: Excitation) -> StageSection:
-    """Return a stage with other tones about the same centre, rounded as they will be written."""
+def _stages(stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]) -> tuple[StageSection, ...]:
+    """Return the stages of a proposal; those in place of one stage bear its name and a number."""
+    out = []
+    for number, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
+        own = [p.excitation for p in parts if p.frame == number]
+        if own == [frame.present]:
+            out.append(stage)  # as it is, with its phases and repeats
+        else:
+            out += [_with(stage, e, f"{stage.name}-{k}") for k, e in enumerate(own, 1)]
+    return tuple(out)
+
+
+def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
+    """Return a stage with other tones about the same centre, once, rounded as they will be written."""
     tones = tuple(Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4)) for a, f in e.tones)
-    return stage.model_copy(update={"tones": tones, "weight_kg": e.weight})
+    changes = {"name": name, "tones": tones, "weight_kg": e.weight, "duration_s": e.seconds, "repeats": 1}
+    changes |= {"ramp_in_s": e.ramp, "ramp_out_s": e.ramp}
+    # What a limit of the old stage's time was meant for is not what is proposed; the plan gives a bound of its own.
+    return stage.model_copy(update={**changes, "time_limit_s": None})

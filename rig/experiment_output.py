@@ -39,7 +39,7 @@ def text(experiment: Experiment) -> str:
         f"aimed at {experiment.proposal.weakest}, which is pinned worst now; where another parameter comes out wider, "
         "run both and identify them together",
         "",
-        table(["stage", "kg", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1,)),
+        table(["stage", "kg", "s", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1, 2)),
         "",
         f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; a stiff "
         f"drive loop is assumed; {experiment.proposal.judged} excitations judged, "
@@ -130,4 +130,4 @@ def _gain(now: Pinned, then: Pinned, name: str) -> str:
 
 def _stage(stage: StageSection) -> list[str]:
     tones = ", ".join(f"{t.amplitude_deg:g} at {t.frequency_Hz:g}" for t in stage.tones)
-    return [stage.name, f"{stage.weight_kg:g}", tones]
+    return [stage.name, f"{stage.weight_kg:g}", f"{stage.duration_s:g}", tones]

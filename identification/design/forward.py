@@ -32,6 +32,8 @@ class Loop:
         integral: Of the velocity loop, 1/s.
         filter_Hz: First-order filter on the measured speed.
         torque_limit: N m.
+        count: Joint angle of one step of the encoder that the drive follows, rad; 0 for an exact one. At the speeds of
+            a Stribeck curve its steps come through the speed filter as torque.
     """
 
     position_gain: float
@@ -39,12 +41,13 @@ class Loop:
     integral: float
     filter_Hz: float
     torque_limit: float
+    count: float = 0.0
 
 
-def usual_loop(inertia: float, torque_limit: float) -> Loop:
+def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
     """Return a stiff servo loop: velocity bandwidth 95 Hz, a tenth of that for the position."""
     position = 0.1 * _VELOCITY_BANDWIDTH
-    return Loop(position, inertia * _VELOCITY_BANDWIDTH, position, 400.0, torque_limit)
+    return Loop(position, inertia * _VELOCITY_BANDWIDTH, position, 400.0, torque_limit, count)
 
 
 @dataclass(frozen=True)
@@ -89,7 +92,7 @@ def respond(
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
-    gains = np.array([loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit])
+    gains = np.array([loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit, loop.count])
     angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
     lost = np.zeros_like(command) if disturbance is None else disturbance
     _follow(command, period, pack(parameters), moment, alpha, gains, steps, lost, angle, torque, peaks)
@@ -113,15 +116,18 @@ def _follow(
     """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are linearly implicit."""
     h = period / steps
     static = p[_MC] + p[_DM] + moment * (p[_MU_C] + p[_DMU])
-    theta, omega, seen, integral = command[0], 0.0, 0.0, 0.0
+    theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
     angle[0] = theta
     for k in range(1, len(command)):
         rate = (command[k] - command[k - 1]) / period
         total = 0.0
         for i in range(steps):
             target = command[k - 1] + rate * h * (i + 0.5)
-            seen += gains[3] * (omega - seen)
-            error = gains[0] * (target - theta) + rate - seen
+            last, measured = measured, theta
+            if count > 0.0:
+                measured = count * math.floor(theta / count)
+            seen += gains[3] * ((measured - last) / h - seen)
+            error = gains[0] * (target - measured) + rate - seen
             drive = gains[1] * (error + integral)
             if abs(drive) <= gains[4] or drive * error < 0.0:
                 integral += gains[2] * h * error

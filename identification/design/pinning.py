@@ -2,9 +2,9 @@
 
 The nominal response, with the bench's noise, is put through its sensors and handed to the very residuals that the
 default method minimises. So the information knows of the encoder's quantisation, of the current's noise, of unknown
-breakaway times, and of what the estimator leaves out around them. Like the default method's intervals, those here are
-the wider of the information's and of the sandwich over stretches: where the filter is not quite true to the motion, the
-bare information promises several times too much.
+breakaway times, and of what the estimator leaves out around them. As in the default method's intervals, the
+sensitivities are means over a stage's stretches: a stretch's own hold the current's noise, and where no two stretches
+are alike they promise more than the estimator can have.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ import numpy as np
 from scipy import stats
 
 from identification.design.forward import Response, respond, usual_loop
-from identification.estimate import innovations as kernel
-from identification.estimate.information import reduce, settle
+from identification.estimate.information import settle
+from identification.estimate.instruments import instruments
 from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack
+from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import CONFIDENCE
@@ -31,11 +31,9 @@ LEAST_BREAKAWAYS = 4
 """Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
 
 NOISE_SEED = 0
-LUCK = 3.0
-"""Information of one stretch of motion over the median one's that is believed."""
-GREATEST_RMS, GREATEST_PEAK = 1.1, 6.0
-"""Size of the nominal model's own residuals, in units of their noise, above which the filter has lost the shaft (it
-creeps, or sticks and slips below what the encoder resolves) and its slopes would promise far too much."""
+GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
+"""Size of the nominal model's own residuals, in units of their noise, and correlation of neighbours, above which the
+filter has lost the shaft (it creeps, or nearly stops and goes on) and its slopes would promise far too much."""
 
 
 @dataclass(frozen=True)
@@ -63,18 +61,16 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Information:
-    """What a stage says about the nine, each relative to its value, in the order of NAMES; both add over stages.
+    """What a stage says about the nine, each relative to its value, in the order of NAMES; it adds over stages.
 
     Attributes:
         normal: Fisher information, shape (9, 9).
-        meat: Sum of squares of the stretches' scores, shape (9, 9): equal to it where the model is true.
     """
 
     normal: Array
-    meat: Array
 
 
-NOTHING = Information(np.zeros((len(NAMES), len(NAMES))), np.zeros((len(NAMES), len(NAMES))))
+NOTHING = Information(np.zeros((len(NAMES), len(NAMES))))
 
 
 @dataclass(frozen=True)
@@ -96,13 +92,17 @@ class Pinned:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m."""
+    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m.
+
+    ``stiffness`` is the drive's velocity gain over the one assumed, which the inertia stands for.
+    """
 
     values: Mapping[str, float]
     bench: Bench
     sensors: Sensors
     torque_limit: float
     alpha: float = 2.0
+    stiffness: float = 1.0
 
     def moment(self, weight: float) -> float:
         """Return F_P L1 of a weight on the lever, N m."""
@@ -120,7 +120,7 @@ def stage_response(
         rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
         share: Of the noise that is in the torque itself.
     """
-    loop = usual_loop(nominal.values["J"], nominal.torque_limit)
+    loop = usual_loop(nominal.stiffness * nominal.values["J"], nominal.torque_limit, nominal.sensors.joint_step)
     moment, sensors = nominal.moment(stage.weight), nominal.sensors
     chance = rng or np.random.default_rng(NOISE_SEED)
     noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
@@ -138,15 +138,38 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
         nominal: The model.
         response: Of the stage, where it is already known.
     """
-    response = response or stage_response(stage, nominal)
-    sensors = nominal.sensors
-    steps = np.floor(response.angle / sensors.joint_step)
-    time = np.asarray(sensors.period * np.arange(len(stage.command)), dtype=np.float64)
-    recording = Recording(
+    found = motion(_recording(stage, nominal, response or stage_response(stage, nominal)))
+    if found is None or len(found.table) < LEAST_BREAKAWAYS:
+        return NOTHING
+    names = NAMES if stage.weight else SYSTEM_PARAMETERS
+    free = [INDEX[n] for n in names]
+    problem = Problem([found], pack(nominal.values), free, Model(alpha=nominal.alpha), nominal.sensors.torque_noise)
+    problem.begins = [found.static_crossing(static_limit(problem.start, found))]
+    settle(problem, CLIP)
+    problem.weigh()
+    x = problem.origin()
+    residual = problem.residuals(x)
+    if not _follows(residual[: len(residual) - problem.breakaways]):
+        return NOTHING
+    jacobian = problem.jacobian(x, residual)
+    others = instruments(problem, jacobian)
+    mean = others + (jacobian - others) / problem.siblings[:, None]
+    own, along = mean[:, : len(names)], mean[:, len(names) :]
+    cross, power = own.T @ along, np.sum(along**2, axis=0)
+    turn = _turn(names, nominal)
+    normal = np.zeros((len(NAMES), len(NAMES)))
+    normal[: len(names), : len(names)] = turn.T @ (own.T @ own - cross / power @ cross.T) @ turn
+    return Information(normal)
+
+
+def _recording(stage: PlannedStage, nominal: Nominal, response: Response) -> Recording:
+    """Return what the bench would log of a response."""
+    step = nominal.sensors.joint_step
+    return Recording(
         name="planned",
         channels={
-            "time": time,
-            "angle": np.asarray(steps * sensors.joint_step),
+            "time": np.asarray(nominal.sensors.period * np.arange(len(stage.command)), dtype=np.float64),
+            "angle": np.asarray(np.floor(response.angle / step) * step),
             "torque": response.torque,
         },
         bench=nominal.bench,
@@ -154,21 +177,17 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
         weight_mass=stage.weight,
         averaged=frozenset({"torque"}),
     )
-    found = motion(recording)
-    if found is None or len(found.table) < LEAST_BREAKAWAYS:
-        return NOTHING
-    names = NAMES if stage.weight else SYSTEM_PARAMETERS
-    free = [INDEX[n] for n in names]
-    problem = Problem([found], pack(nominal.values), free, Model(alpha=nominal.alpha), sensors.torque_noise)
-    limit = problem.start[kernel.MC] + problem.start[kernel.DM]
-    if stage.weight:
-        limit += nominal.moment(stage.weight) * (problem.start[kernel.MU_C] + problem.start[kernel.DMU])
-    problem.begins = [found.static_crossing(float(limit))]
-    settle(problem, CLIP)
-    reduced = reduce(problem, CLIP)
-    if not reduced.rms < GREATEST_RMS or not reduced.peak < GREATEST_PEAK:
-        return NOTHING
-    # From the search's coordinates (logarithms, rises) to relative changes of the named parameters.
+
+
+def _follows(errors: Array) -> bool:
+    """Return whether prediction errors over their deviations are what they are where the filter holds the shaft."""
+    power = float(np.mean(errors**2))
+    white = abs(float(np.mean(errors[1:] * errors[:-1]))) < WHITE * power
+    return power < GREATEST_RMS**2 and float(np.max(np.abs(errors))) < GREATEST_PEAK and white
+
+
+def _turn(names: Sequence[str], nominal: Nominal) -> Array:
+    """Return the map from relative changes of named parameters to the search's coordinates (logarithms, rises)."""
     turn = np.eye(len(names))
     for k, name in enumerate(names):
         if INDEX[name] not in LOGARITHMIC:
@@ -176,41 +195,21 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
         if static in names:
             turn[names.index(static), names.index(coulomb)] = -nominal.values[coulomb]
-    normal, meat = np.zeros((2, len(NAMES), len(NAMES)))
-    stretches = len(reduced.scores)
-    typical = _typical(reduced.normals)
-    scores = typical[:, None] * reduced.scores @ turn
-    normal[: len(names), : len(names)] = turn.T @ np.einsum("j,jkl->kl", typical, reduced.normals) @ turn
-    meat[: len(names), : len(names)] = scores.T @ scores * stretches / (stretches - 1)
-    return Information(normal, meat)
-
-
-def _typical(normals: Array) -> Array:
-    """Return weights, shape (m,), by which no stretch says more than three times what the median one says of anything.
-
-    Under a heavy weight the shaft breaks away within one sample, and now and then a sample falls just so that it says
-    ten times more than the others. The next run has other luck.
-    """
-    told = np.diagonal(normals, axis1=1, axis2=2)
-    usual = np.median(told, axis=0)
-    share = LUCK * usual / np.maximum(told, 1e-300)
-    return np.asarray(np.min(np.where(usual > 0.0, np.minimum(share, 1.0), 1.0), axis=1))
+    return turn
 
 
 def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
     """Return how tightly stages together pin each parameter: the nine, or five where none of them is ``loaded``."""
     names = NAMES if loaded else SYSTEM_PARAMETERS
     total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]
-    meat = np.sum([i.meat for i in informations], axis=0)[: len(names), : len(names)]
     seen = np.flatnonzero(np.diag(total) > 0.0)
     widths = dict.fromkeys(names, math.inf)
     scale = np.sqrt(np.diag(total)[seen])
     values, vectors = np.linalg.eigh(total[np.ix_(seen, seen)] / np.outer(scale, scale))
     clear = values >= 1e-12 * np.max(values, initial=0.0)
     bread = (vectors[:, clear] / values[clear]) @ vectors[:, clear].T / np.outer(scale, scale)
-    sandwich = bread @ meat[np.ix_(seen, seen)] @ bread
     quantile = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
     for k, place in enumerate(seen):
         if not np.any(np.abs(vectors[k, ~clear]) > 1e-6):
-            widths[names[place]] = quantile * math.sqrt(max(bread[k, k], sandwich[k, k]))
+            widths[names[place]] = quantile * math.sqrt(bread[k, k])
     return Pinned(widths)

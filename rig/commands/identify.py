@@ -96,7 +96,8 @@ def command(
 ) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
-    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one.
+    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one that takes no
+    longer. It may have more stages, and other weights.
 
     \b
     Example:

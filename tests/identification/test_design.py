@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from identification.design import propose as search
+from identification.design import propose as proposing
+from identification.design import search
+from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.forward import respond, usual_loop
 from identification.design.pinning import (
     NAMES,
     NOTHING,
+    Information,
     Nominal,
     PlannedStage,
     Sensors,
@@ -20,8 +22,9 @@ from identification.design.pinning import (
     stage_information,
     stage_response,
 )
-from identification.design.propose import Bounds, Excitation, Frame, present_pins, propose
+from identification.design.propose import present_pins, propose
 from identification.design.rehearsal import rehearse
+from identification.design.shares import best_shares
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
 
@@ -101,36 +104,105 @@ def test_the_rehearsal_repeats_and_knows_what_it_cannot_do() -> None:
     assert math.isinf(still.worst)
 
 
+def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
+    """At 0.05 rad/s, where Stribeck curves fall, its steps come through the drive's speed filter."""
+    angle = 0.05 * PERIOD * np.arange(2000)
+    torques = [
+        respond(angle, PERIOD, NOMINAL, 0.0, 2.0, usual_loop(NOMINAL["J"], 75.0, step)).torque[1000:]
+        for step in (0.0, 2.0 * np.pi / 409600.0)
+    ]
+    exact, coarse = (float(np.std(np.diff(t))) for t in torques)
+    assert coarse > 2.0 * exact + 0.01
+
+
+def test_unlike_stretches_promise_less_than_like_ones() -> None:
+    """The estimator's sensitivities are means over stretches, and so are these."""
+    time = PERIOD * np.arange(20000)
+    uneven = np.radians(20.0) * np.sin(2.0 * np.pi * 0.2 * time + 2.0 * np.sin(2.0 * np.pi * 0.07 * time)) * 0.8
+    like, unlike = (
+        pinned([stage_information(PlannedStage(c, 0.0), nominal())], loaded=False)
+        for c in (command(20.0, 0.2), np.asarray(uneven * np.minimum(time, 1.0)))
+    )
+    assert unlike.half_widths["sigma_2"] > like.half_widths["sigma_2"]
+
+
+def rates(*diagonals: tuple[float, ...]) -> list[Information]:
+    found = []
+    for diagonal in diagonals:
+        normal = np.zeros((len(NAMES), len(NAMES)))
+        normal[:5, :5] = np.diag(diagonal)
+        found.append(Information(normal))
+    return found
+
+
+def test_shares_are_those_of_neyman() -> None:
+    """Where each excitation pins its own parameter, its share is as the root of weight over information."""
+    share = best_shares(rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0)), "J", loaded=False)
+    others, target = np.sqrt(4 * 0.01 / 1.0), np.sqrt(1.0 / 4.0)
+    assert share == pytest.approx(np.array([others, target]) / (others + target), rel=1e-3)
+
+
+def test_what_tells_two_trading_parameters_apart_gets_its_share() -> None:
+    trading = rates((1.0, 1.0, 1.0, 1.0, 1.0))[0].normal.copy()
+    trading[0, 1] = trading[1, 0] = 0.9999
+    apart = rates((0.0, 1.0, 0.0, 0.0, 0.0))[0]
+    useless = rates((1e-6,) * 5)[0]
+    share = best_shares([Information(trading), apart, useless], "Mc", loaded=False)
+    assert share[0] > 0.3
+    assert share[1] > 0.3
+    assert share[2] < 1e-3
+
+
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("CANDIDATES", 6), ("REFINEMENTS", 3), ("RUNNERS_UP", 1)):
-        monkeypatch.setattr(search, name, value)
+    for module, name, value in ((proposing, "CANDIDATES", 8), (proposing, "REFINEMENTS", 3), (search, "DESIGNS", 1)):
+        monkeypatch.setattr(module, name, value)
 
 
 def frames(weights: tuple[float, ...]) -> list[Frame]:
-    def render_for() -> Callable[[Excitation], Array]:
-        return lambda e: np.asarray(sum(command(math.degrees(a), f, 10.0) for a, f in e.tones))
+    def render(e: Excitation) -> Array:
+        return np.asarray(sum(command(math.degrees(a), f, e.seconds) for a, f in e.tones))
 
-    return [Frame(w > 0.0, Excitation(((math.radians(20.0), 0.2),), w), render_for()) for w in weights]
+    return [Frame(w > 0.0, Excitation(((math.radians(20.0), 0.2),), w, 12.0), 12.0, 0.0, render) for w in weights]
 
 
 @pytest.mark.usefixtures("few")
-def test_a_proposal_keeps_the_limits_and_is_no_worse() -> None:
+def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse() -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
-    tight = nominal()
-    found = propose(frames((0.0,)), tight, bounds, np.random.default_rng(1))
-    assert found.weakest == found.present.weakest
-    assert found.pinned.half_widths[found.weakest] <= found.present.half_widths[found.weakest]
+    stages = frames((0.0,))
+    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
+    assert found.stages != (Part(0, stages[0].present),)
+    assert found.pinned.half_widths["J"] < 0.6 * found.present.half_widths["J"]
     assert found.judged > 5
-    for frame, e in zip(frames((0.0,)), found.stages, strict=True):
-        if e == frame.present:
-            continue
-        out = stage_response(PlannedStage(frame.render(e), e.weight), tight)
-        assert np.max(np.abs(frame.render(e))) < 0.5
+    assert 9.0 < sum(p.excitation.seconds for p in found.stages) <= 12.0
+    for part in found.stages:
+        angles = stages[0].render(part.excitation)
+        out = stage_response(PlannedStage(angles, part.excitation.weight), nominal())
+        assert np.max(np.abs(angles)) < 0.5
         assert out.peak_speed < 1.5
         assert out.peak_torque < 60.0
-    again = propose(frames((0.0,)), tight, bounds, np.random.default_rng(1))
+    again = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert again.stages == found.stages
+
+
+@pytest.mark.usefixtures("few")
+def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> None:
+    stages = frames((0.0,))
+    bounds = Bounds(-0.5, 0.5, 1.5, 5.0, 0.03, 20.0, (5.0,))  # less torque than the static limit
+    found = propose(stages, nominal(), bounds, np.random.default_rng(1))
+    assert found.stages == (Part(0, stages[0].present),)
+    assert found.pinned == found.present
+    assert found.weakest == found.present.weakest
+
+
+def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must() -> None:
+    sine = Excitation(((0.1, 0.35),), 5.0, 0.0)
+    lasting = sine.lasting(10.2)
+    assert lasting.seconds == pytest.approx(7 / 0.7)
+    assert sine.lasting(7 / 0.7).seconds == lasting.seconds
+    assert sine.lasting(0.1).seconds == pytest.approx(1 / 0.7, abs=1e-3)
+    assert sine.ramp == pytest.approx(2.0 * math.pi * 0.35 * 0.1 / 2.0, abs=1e-3)
+    assert Excitation(((0.4, 2.0),), 0.0, 1.0).ramp == 1.0
 
 
 def test_present_pins_is_the_information_of_the_stages() -> None:

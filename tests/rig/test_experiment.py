@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from identification.design import propose
+from identification.design import propose, search
 from rig.cli import status
 
 SEQUENCE = """\
@@ -19,8 +19,8 @@ stages:
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("CANDIDATES", 5), ("REFINEMENTS", 2), ("RUNNERS_UP", 1)):
-        monkeypatch.setattr(propose, name, value)
+    for module, name, value in ((propose, "CANDIDATES", 8), (propose, "REFINEMENTS", 2), (search, "DESIGNS", 1)):
+        monkeypatch.setattr(module, name, value)
 
 
 @pytest.fixture
@@ -41,7 +41,8 @@ def test_the_proposal_runs(sequence: Path, tmp_path: Path, capsys: pytest.Captur
     assert record["current_noise_A"] == pytest.approx(0.025)
     assert set(record["present"]["relative_half_widths"]) == {"Mc", "Ms", "omega_sf", "sigma_2", "J"}
     proposed = yaml.safe_load((out / "proposal.yaml").read_text())
-    assert proposed["stages"][0]["duration_s"] == 8
+    times = [stage["duration_s"] + stage.get("settle_s", 0.2) for stage in proposed["stages"]]
+    assert 5.0 < sum(times) <= 8.2 + 1e-6
     assert proposed == record["proposed"]["sequence"]
     assert status(["run", str(out / "proposal.yaml"), "--dry-run"]) == 0
 

@@ -1,0 +1,42 @@
+"""How much of the time each of many excitations should get, so that one parameter is pinned best.
+
+Informations add and grow with time, so the variance of a parameter is convex in the shares of time. The multiplicative
+algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7 (1978) 1379) needs no step length and leaves few
+excitations with a share: those whose weaknesses complement one another.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from identification.design.pinning import NAMES, Information
+from identification.recording import Array
+
+_ROUNDS = 500
+_OTHERS = 0.01
+"""Weight of every other parameter's relative variance beside the target's, so that none is left open."""
+_FLOOR = 1e-12
+
+
+def best_shares(rates: Sequence[Information], target: str, loaded: bool) -> Array:
+    """Return each excitation's share of the time, shape (n,); they sum to 1.
+
+    Args:
+        rates: Information of each per second.
+        target: The parameter to be pinned.
+        loaded: Whether the load's four are unknown as well.
+    """
+    count = len(NAMES) if loaded else NAMES.index("mu_c")
+    normals = np.array([rate.normal[:count, :count] for rate in rates])
+    scale = np.sqrt(np.maximum(np.einsum("ikk->k", normals), 1e-300))
+    normals = normals / np.outer(scale, scale)
+    worth = np.where(np.array(NAMES[:count]) == target, 1.0, _OTHERS) / scale**2
+    shares = np.full(len(rates), 1.0 / len(rates))
+    for _ in range(_ROUNDS):
+        spread = np.linalg.inv(np.tensordot(shares, normals, 1) + _FLOOR * np.eye(count))
+        gradient = np.tensordot(normals, (spread * worth) @ spread, 2)
+        shares = shares * np.sqrt(np.maximum(gradient, 0.0))
+        shares /= np.sum(shares)
+    return np.asarray(shares)
