@@ -42,7 +42,7 @@ from identification.recording import Bench, Dataset, RecordingError
 
 GREATEST_BANDWIDTH_HZ = 25.0
 """Above this hardly any effect of the catalogue adds to what is below, and noise does."""
-GIVING = ("backlash", "compliance", "coupling_hysteresis")
+GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
 TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
 """Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
