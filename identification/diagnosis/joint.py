@@ -111,7 +111,9 @@ def fit(
                 break
         nominal = replace(best.nominal.moved(share * step), hidden=hidden_load(best.effects))
     assert best is not None
-    return replace(best, stack=granting(best.stack, _directions(best.stack, best.effects)))
+    # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
+    left = replace(best.stack, residual=best.residual)
+    return replace(best, stack=granting(left, _directions(left, best.effects)))
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
