@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.diagnosis.begin import NEAR_FLOOR, estimated, started
+from identification.diagnosis.begin import NEAR_FLOOR, begun, common_bandwidth, started
 from identification.diagnosis.contest import Contender, Round, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation, equations
@@ -37,11 +37,9 @@ from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
 from identification.estimate.assemble import units_of
-from identification.prepare import default_bandwidth, prepare, torque_unit
+from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, RecordingError
 
-GREATEST_BANDWIDTH_HZ = 25.0
-"""Above this hardly any effect of the catalogue adds to what is below, and noise does."""
 GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
 TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
@@ -80,14 +78,12 @@ def diagnose(
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not fitted:
         raise RecordingError("no recording with role fit")
-    bandwidth = bandwidth_Hz or min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in fitted))
+    bandwidth = bandwidth_Hz or common_bandwidth(fitted)
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
-    start = estimated(dataset, fitted, bandwidth)
     left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
     terms = [t for t in TERMS if t.name not in left_out]
-    here = views(fitted, bandwidth, campaign=dataset.recordings)
-    first = started(here, unit, start, dataset.model)
+    here, first = begun(dataset, bandwidth)
     if onlooker is not None:
         onlooker(first)
     found = search(here, unit, first, terms, chance, tell, GIVING)
