@@ -33,6 +33,7 @@ from identification.diagnosis.result import (
 )
 from identification.diagnosis.search import LEVEL, Progress, Search, search
 from identification.diagnosis.stack import stacked
+from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
@@ -101,9 +102,10 @@ def diagnose(
     fits = _fits(found.baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
     units = units_of([prepare(fitted[0], bandwidth)])
+    unseen = taken_up(baseline, terms)
     return Diagnosis(
         verdict=verdict,
-        statement=_statement(verdict, effects, main, where, found.p_value),
+        statement=_statement(verdict, effects, main, where, found.p_value, unseen),
         effects=effects,
         fit=main,
         fits=fits,
@@ -122,7 +124,7 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=_traces(found.baseline, scored),
-        warnings=_warnings(dataset, here),
+        warnings=_warnings(dataset, here, unseen),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -346,10 +348,18 @@ def _traces(baseline: Joint, final: Joint) -> tuple[ResidualTrace, ...]:
     return tuple(out)
 
 
-def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Location | None, p_value: float) -> str:
+def _statement(
+    verdict: Verdict,
+    effects: Sequence[Effect],
+    main: Fit,
+    where: Location | None,
+    p_value: float,
+    unseen: Sequence[str],
+) -> str:
     error = f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor {main.noise_floor_rms:.3g}"
     if verdict is Verdict.NOTHING_MISSING:
-        return f"nothing is missing that these recordings could show (p = {p_value:.2g}); {error}"
+        said = f"nothing is missing that these recordings could show (p = {p_value:.2g}); {error}"
+        return f"{said}; {_unseen(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
     before, after = (
         (main.validate_baseline_rms, main.validate_final_rms) if held else (main.baseline_rms, main.final_rms)
@@ -369,8 +379,14 @@ def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Lo
     return f"{words}. {change}"
 
 
-def _warnings(dataset: Dataset, here: Sequence[View]) -> tuple[str, ...]:
+def _unseen(names: Sequence[str]) -> str:
+    return f"the nominal constants would take up {', '.join(title(n) for n in names)} whole, and none of it be seen"
+
+
+def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
     warnings = []
+    if unseen:
+        warnings.append(f"{_unseen(unseen)}; what would show it: {' '.join(ENTRIES[n].experiment for n in unseen)}")
     if not dataset.part("validate"):
         warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
     for view in here:

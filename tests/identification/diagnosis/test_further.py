@@ -12,6 +12,7 @@ from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import alike, left_beyond_noise
 from identification.diagnosis.search import screened
 from identification.diagnosis.stack import Candidate
+from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.diagnosis.terms.transmission import transmitted
@@ -75,6 +76,14 @@ def test_the_transmission_carries_the_declared_weight_too() -> None:
     bare, loaded = (views([r], 25.0)[0] for r in (honest()[0], hung))
     assert np.ptp(loaded.torque - bare.torque) > 1.0
     assert transmitted(loaded) == pytest.approx(transmitted(bare), abs=1e-9)
+
+
+def test_a_loss_under_friction_alone_is_one_with_the_constants_and_under_a_weight_is_not() -> None:
+    joint = nominal_fit(honest())
+    assert taken_up(joint, TERMS) == ("transmission_efficiency",)
+    hung = [replace(r, pendulum=Pendulum(mass=20.0, length=0.3, zero=0.5)) for r in honest() if r.role == "fit"]
+    here = views(hung, 25.0)
+    assert taken_up(fit(here, "N m", joint.nominal), TERMS) == ()
 
 
 def test_a_gear_whose_ratio_swings_shows_in_the_torque_as_well() -> None:
