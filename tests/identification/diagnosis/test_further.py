@@ -66,6 +66,30 @@ def test_where_nothing_is_missing_nothing_is_tried(gap: Joint) -> None:
     assert {c.name for group in tried for c in group} <= {"encoder_eccentricity", "encoder_slip"}
 
 
+@pytest.mark.parametrize("name", ["cogging", "transport_delay", "gear_mesh_ripple"])
+def test_rows_that_an_effect_does_not_touch_need_not_be_looked_at(name: str, gap: Joint) -> None:
+    """With something granted in the current, something in the encoders, and something that ties both together."""
+    views_here = gap.equations[0].views
+    context = Context(views_here, gap.nominal)
+    ripple = BY_NAME["gear_mesh_ripple"]
+    given = Added(BY_NAME["asymmetric_coulomb"], (), (0.0,)), Added(BY_NAME["encoder_eccentricity"], (), (0.0, 0.0))
+    mesh = Added(ripple, (33.0,), (0.0, 0.0))
+    for effects in (given, (*given, mesh)):
+        stack = fit(views_here, "N m", gap.nominal, effects, gap).stack
+        term = BY_NAME[name]
+        shapes = list(term.shapes(context))
+        shape = shapes[len(shapes) // 2]
+        columns = stack.columns(term, shape)
+        short, full = stack.candidate(name, shape, columns), stack._scored(name, shape, columns, ())
+        assert short is not None
+        assert full is not None
+        assert (short.gain, short.penalty) == pytest.approx((full.gain, full.penalty), rel=1e-9)
+        assert short.statistic == pytest.approx(full.statistic, rel=1e-6)
+        ties = mesh in effects or name == "gear_mesh_ripple"
+        assert len(stack.only(columns.keys()).residual) < len(stack.residual)
+        assert ({e.name for e in stack.only(columns.keys()).equations} >= {"torque", "transmission"}) is ties
+
+
 def test_effects_of_different_equations_are_no_rivals() -> None:
     assert not alike(BY_NAME["return_spring"], BY_NAME["encoder_slip"])
     assert alike(BY_NAME["return_spring"], BY_NAME["gravity_imbalance"])
