@@ -26,6 +26,8 @@ FEW = 4
 """Regressors up to which the variance is that of the residual after the fit."""
 ROUNDING = 1e-9
 """Norm below which a part of an orthonormal column is a rounding error."""
+NOMINAL_IN = ("torque", "breakaway")
+"""Equations whose regressors may depend on the nominal values."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 LEAST_ACTIVE = 3.0
 """Blocks in which a regressor must be active (inverse participation)."""
@@ -149,15 +151,17 @@ class Stack:
     def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
-        if key in self.cache:
-            return self.cache[key]
+        kept = self.cache.get(key, {})
+        if kept and not term.follows:
+            return kept
         found = {
-            equation.name: equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
+            equation.name: kept[equation.name]
+            if equation.name in kept
+            else equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
             for equation in self.equations
             if equation.name in term.columns
         }
-        if not term.follows:
-            self.cache[key] = found
+        self.cache[key] = {n: c for n, c in found.items() if not (term.follows and n in NOMINAL_IN)}
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:

@@ -82,10 +82,10 @@ def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(np.sin(phase), np.cos(phase))
 
 
-def _mesh_torque(view: View, _nominal: Nominal, shape: Shape) -> Array:
+def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
     # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much less torque.
     phase = shape[0] * view.angle
-    torque = shape[0] * transmitted(view)
+    torque = shape[0] * (nominal.torque(view) - view.known)
     return rows(-torque * np.cos(phase), torque * np.sin(phase))
 
 
@@ -149,6 +149,7 @@ TERMS = (
         {"transmission": _mesh, "torque": _mesh_torque},
         _read_mesh,
         lambda context: everywhere(context, _both_encoders, TEETH),
+        follows=True,
     ),
     Term(
         "coupling_hysteresis",
