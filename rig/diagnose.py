@@ -60,8 +60,8 @@ def diagnose_source(
         seed: Of the random generator.
         bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its own.
         progress: Called with what is being done and the share that is done.
-        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out; those of a gas
-            generator always are.
+        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out, where the
+            recordings allow it; those of a gas generator always are.
         gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
         onlooker: Shown the nominal model's fit before anything is sought; not of a gas generator.
 
@@ -83,11 +83,11 @@ def diagnose_source(
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
-            found = refined(dataset, found)
+            found = _refined_if_possible(dataset, found)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     seconds = time.perf_counter() - started
-    found = dataclasses.replace(found, seconds=seconds)
+    found = dataclasses.replace(settled(found), seconds=seconds)
     return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
 
 
@@ -111,8 +111,6 @@ def burning(dataset: Dataset) -> Dataset:
 def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
     """Return a diagnosis whose nominal parameters are those of the default estimator with the effects taken out.
 
-    Where the recordings do not pin static friction it falls to Coulomb's, and its shift reads None.
-
     Raises:
         RecordingError: The recordings cannot pin the nominal model.
     """
@@ -120,13 +118,37 @@ def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
     model = model_of(record, [r.name for r in dataset.recordings])
     result = refit(dataset, model, found.fit.bandwidth_Hz)
     values = result.values()
-    parameters = {**found.parameters, **values}
-    for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c")):
-        if static in parameters and static not in values:
-            parameters[static] = parameters[coulomb]
     shift = {n: dataclasses.replace(s, after=values.get(n)) for n, s in found.parameter_shift.items()}
     notes = tuple(f"refined: {w}" for w in result.warnings)
-    return dataclasses.replace(found, parameters=parameters, parameter_shift=shift, warnings=(*found.warnings, *notes))
+    return dataclasses.replace(
+        found,
+        parameters={**found.parameters, **values},
+        parameter_shift=shift,
+        warnings=(*found.warnings, *notes),
+    )
+
+
+def _refined_if_possible(dataset: Dataset, found: Diagnosis) -> Diagnosis:
+    """Refine where the recordings allow it; where not, say why and keep the values of the search."""
+    try:
+        return refined(dataset, found)
+    except RecordingError as error:
+        return dataclasses.replace(found, warnings=(*found.warnings, f"not refined: {error}"))
+
+
+def settled(found: Diagnosis) -> Diagnosis:
+    """Return a diagnosis that says nothing of friction at rest where its recordings do not pin it.
+
+    The equation errors at a low bandwidth may leave static friction at any height above a speed too low to be seen, and
+    a machine made of that never breaks away: it is brought down to Coulomb's, and the reader told.
+    """
+    parameters, notes = dict(found.parameters), []
+    for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c"), ("mu_gs", "mu_gc")):
+        shift = found.parameter_shift.get(static)
+        if shift is not None and shift.after is None and {static, coulomb} <= parameters.keys():
+            parameters[static] = parameters[coulomb]
+            notes.append(f"{static} is not pinned by these recordings; the corrected model has it equal to {coulomb}")
+    return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))
 
 
 def as_json(outcome: Outcome) -> dict[str, Any]:

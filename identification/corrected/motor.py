@@ -48,6 +48,11 @@ def transmission_efficiency(s: Any, m: Any, efficiency: float) -> Array:
     return np.asarray(s["drive"] * (np.where(driving, efficiency, 1.0 / efficiency) - 1.0))
 
 
+def gear_mesh_ripple_drive(s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float) -> Array:
+    """Where the teeth make the motor run ahead its torque counts for more: power passes whole."""
+    return np.asarray(s["drive"] * amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad))
+
+
 def time_skew(s: Any, m: Any, time_s: float) -> Array:
     """The current was sampled before the angles."""
     return np.asarray(advanced(s["drive"], s["time"], time_s) - s["drive"])
@@ -95,7 +100,7 @@ def current_drift_voltage(s: Any, m: Any, rate_A_s: float) -> Array:
 
 
 DRIVE: Mapping[str, Callable[..., Array]] = {
-    f.__name__: f
+    f.__name__.removesuffix("_drive"): f
     for f in (
         cogging,
         torque_ripple,
@@ -103,6 +108,7 @@ DRIVE: Mapping[str, Callable[..., Array]] = {
         current_loop_lag,
         winding_heating,
         transmission_efficiency,
+        gear_mesh_ripple_drive,
         time_skew,
         current_offset,
         current_drift,

@@ -8,9 +8,9 @@ import numpy as np
 
 from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.view import View
+from identification.diagnosis.view import View, views
 from identification.estimate.default import free_names, solve_stages
-from identification.prepare import prepare
+from identification.prepare import default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
 
 FALLING, FALLS = (0.02, 0.3), 3
@@ -18,8 +18,27 @@ FALLING, FALLS = (0.02, 0.3), 3
 WORTH_RAISING = 0.7
 """Squares left over those from the estimate's own start, below which a supposed fall is taken. On simulated rigs whose
 fall was hidden it was 0.06 to 0.6; a few per cent can be had by a wrong one."""
+GREATEST_BANDWIDTH_HZ = 25.0
+"""Above this hardly any effect of the catalogue adds to what is below, and noise does."""
 NEAR_FLOOR = 1.5
 """Mean square of the mismatch over that of the noise, below which it counts as explained."""
+
+
+def common_bandwidth(recordings: Sequence[Recording]) -> float:
+    """Return the bandwidth of every error, Hz: the least of what each recording bears."""
+    return min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in recordings))
+
+
+def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Joint]:
+    """Return views of the recordings to fit, and the nominal model's fit of them.
+
+    Raises:
+        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be granted.
+    """
+    fitted = dataset.part("fit")
+    start = estimated(dataset, fitted, bandwidth_Hz)
+    here = views(fitted, bandwidth_Hz, campaign=dataset.recordings)
+    return here, started(here, torque_unit(fitted[0]), start, dataset.model)
 
 
 def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:

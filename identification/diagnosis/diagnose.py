@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.diagnosis.begin import NEAR_FLOOR, estimated, started
+from identification.diagnosis.begin import NEAR_FLOOR, begun, common_bandwidth, started
 from identification.diagnosis.contest import Contender, Round, probability
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation, equations
@@ -33,16 +33,15 @@ from identification.diagnosis.result import (
 )
 from identification.diagnosis.search import LEVEL, Progress, Search, search
 from identification.diagnosis.stack import stacked
+from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
 from identification.estimate.assemble import units_of
-from identification.prepare import default_bandwidth, prepare, torque_unit
+from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, RecordingError
 
-GREATEST_BANDWIDTH_HZ = 25.0
-"""Above this hardly any effect of the catalogue adds to what is below, and noise does."""
-GIVING = ("backlash", "compliance", "coupling_hysteresis")
+GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
 TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
 """Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
@@ -80,14 +79,12 @@ def diagnose(
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not fitted:
         raise RecordingError("no recording with role fit")
-    bandwidth = bandwidth_Hz or min(GREATEST_BANDWIDTH_HZ, *(default_bandwidth(r) for r in fitted))
+    bandwidth = bandwidth_Hz or common_bandwidth(fitted)
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
-    start = estimated(dataset, fitted, bandwidth)
     left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
     terms = [t for t in TERMS if t.name not in left_out]
-    here = views(fitted, bandwidth, campaign=dataset.recordings)
-    first = started(here, unit, start, dataset.model)
+    here, first = begun(dataset, bandwidth)
     if onlooker is not None:
         onlooker(first)
     found = search(here, unit, first, terms, chance, tell, GIVING)
@@ -105,9 +102,10 @@ def diagnose(
     fits = _fits(found.baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
     units = units_of([prepare(fitted[0], bandwidth)])
+    unseen = taken_up(baseline, terms)
     return Diagnosis(
         verdict=verdict,
-        statement=_statement(verdict, effects, main, where, found.p_value),
+        statement=_statement(verdict, effects, main, where, found.p_value, unseen),
         effects=effects,
         fit=main,
         fits=fits,
@@ -126,7 +124,7 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=_traces(found.baseline, scored),
-        warnings=_warnings(dataset, here),
+        warnings=_warnings(dataset, here, unseen),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -350,10 +348,18 @@ def _traces(baseline: Joint, final: Joint) -> tuple[ResidualTrace, ...]:
     return tuple(out)
 
 
-def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Location | None, p_value: float) -> str:
+def _statement(
+    verdict: Verdict,
+    effects: Sequence[Effect],
+    main: Fit,
+    where: Location | None,
+    p_value: float,
+    unseen: Sequence[str],
+) -> str:
     error = f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor {main.noise_floor_rms:.3g}"
     if verdict is Verdict.NOTHING_MISSING:
-        return f"nothing is missing that these recordings could show (p = {p_value:.2g}); {error}"
+        said = f"nothing is missing that these recordings could show (p = {p_value:.2g}); {error}"
+        return f"{said}; {_unseen(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
     before, after = (
         (main.validate_baseline_rms, main.validate_final_rms) if held else (main.baseline_rms, main.final_rms)
@@ -373,8 +379,14 @@ def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Lo
     return f"{words}. {change}"
 
 
-def _warnings(dataset: Dataset, here: Sequence[View]) -> tuple[str, ...]:
+def _unseen(names: Sequence[str]) -> str:
+    return f"the nominal constants would take up {', '.join(title(n) for n in names)} whole, and none of it be seen"
+
+
+def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
     warnings = []
+    if unseen:
+        warnings.append(f"{_unseen(unseen)}; what would show it: {' '.join(ENTRIES[n].experiment for n in unseen)}")
     if not dataset.part("validate"):
         warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
     for view in here:

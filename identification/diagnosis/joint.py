@@ -12,7 +12,7 @@ from scipy import stats
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Estimate
-from identification.diagnosis.stack import Stack, granting, stacked
+from identification.diagnosis.stack import Stack, granting, stacked, tied
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.diagnosis.view import View
 from identification.estimate.assemble import WIDEST
@@ -111,7 +111,9 @@ def fit(
                 break
         nominal = replace(best.nominal.moved(share * step), hidden=hidden_load(best.effects))
     assert best is not None
-    return replace(best, stack=granting(best.stack, _directions(best.stack, best.effects)))
+    # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
+    left = replace(best.stack, residual=best.residual)
+    return replace(best, stack=granting(left, _directions(left, best.effects)))
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
@@ -170,8 +172,11 @@ def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> A
     effect = effects[k]
     if not effect.term.refine:
         return effect
+    # Rows that neither this effect nor what is tied to it touches cost the same whatever its shape.
+    stack = stack.only(tied(effect.term.columns, [e.term.columns for e in effects]))
+    here = {e.name for e in stack.equations}
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    others, known = _wide(stack, [e for j, e in enumerate(effects) if j != k])
+    others, known = _wide(stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()])
     granted, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
     left = stack.projected((target - known)[:, None])[:, 0]
     left = left - granted @ (granted.T @ left)

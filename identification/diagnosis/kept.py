@@ -90,7 +90,7 @@ def revisited(
 ) -> tuple[Joint, list[Round]]:
     """Hold every effect against its rivals again, now that the others are in the model: what was missing misled.
 
-    What was taken out again is a rival of all that stayed.
+    What was taken out again is a rival of all that stayed and show in the same equation.
     """
     for place, taken in enumerate(rounds):
         others = tuple(e for e in joint.effects if e.term.name != taken.name)
@@ -98,7 +98,7 @@ def revisited(
         tried = {e.term.name: e for e in (*(r.joint.effects[-1] for r in taken.rivals), *dropped)}
         trials = [(own, joint)]
         for name, added in tried.items():
-            if name != own.term.name and all(e.term.name != name for e in others):
+            if name != own.term.name and all(e.term.name != name for e in others) and alike(own.term, added.term):
                 trials.append((added, fit(views, unit, joint.nominal, (*others, added), baseline)))
         ranked = sorted(trials, key=lambda trial: trial[1].cost)
         sound = [trial for trial in ranked if trial[0] is own or not implausible(trial[1])]
@@ -114,6 +114,16 @@ def revisited(
         joint = best
         rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]
     return joint, rounds
+
+
+def alike(one: Term, other: Term) -> bool:
+    """Whether two effects show in the same equation; what shows in another is beside an effect, not instead of it."""
+    return bool((one.columns.keys() & other.columns.keys()) - {"breakaway"})
+
+
+def left_beyond_noise(joint: Joint, term: Term) -> float:
+    """Return the sum of whitened squares beyond the noise that is left where an effect shows."""
+    return _beyond_noise(joint, _touched(joint, term))
 
 
 def _touched(joint: Joint, term: Term) -> list[slice]:

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import stats
 
 from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
 from identification.diagnosis.crossing import told_apart
+from identification.diagnosis.further import groups
 from identification.diagnosis.generic import families
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.kept import EXCESS, pruned, revisited
+from identification.diagnosis.kept import EXCESS, alike, pruned, revisited
 from identification.diagnosis.result import Step
 from identification.diagnosis.stack import Candidate, Stack, surprise
 from identification.diagnosis.terms.term import Context, Term
@@ -26,10 +28,6 @@ LEAST_SHARE = 0.01
 RARE = 6.0
 DRAWS = 999
 MOST_EFFECTS = 3
-FINALISTS = 4
-"""Effects that are fitted jointly before one of them is taken."""
-RIVAL_SHARE = 0.3
-"""Score over the best one's, below which an effect is no finalist."""
 
 Progress = Callable[[str, float], None]
 
@@ -100,33 +98,18 @@ def search(
         best = _best_of_each(trials)
         if p_after > LEVEL or turn == MOST_EFFECTS or not best:
             break
-        finalists = [c for c in best if c.score > RIVAL_SHARE * best[0].score][:FINALISTS]
-        fitted = []
-        for candidate in finalists:
-            progress(f"fitting {candidate.name}", (turn + 0.5) / (MOST_EFFECTS + 1))
-            added = Added(by_name[candidate.name], candidate.shape, tuple(float(c) for c in candidate.coefficients))
-            fitted.append(fit(views, unit, joint.nominal, (*joint.effects, added), baseline))
-        beyond = [implausible(f) for f in fitted]
-        ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
-        order = [k for k in ranked if not beyond[k]]
-        if not order:
-            steps.append(Step("stop", best[0].name, p_after, best[0].gain, f"fits only with {beyond[ranked[0]]}"))
+        missing = partial(_missing, joint, by_name, (*trials, *unnamed), rng)
+        taken = None
+        for finalists in groups(joint, by_name, best, missing):
+            progress("fitting " + ", ".join(c.name for c in finalists), (turn + 0.5) / (MOST_EFFECTS + 1))
+            taken = _contest(views, unit, baseline, joint, finalists, by_name, p_after, steps)
+            if taken is not None:
+                break
+        if taken is None:
             break
-        winner = order[simplest([fitted[k] for k in order], [numbers(fitted[k].effects[-1]) for k in order])]
-        ranked.remove(winner)
-        rivals = tuple(
-            Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
-            for k in ranked
-            if not again(fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner])
-        )
-        gain = joint.cost - fitted[winner].cost
-        if gain <= 2.0 * finalists[winner].penalty:
-            steps.append(Step("stop", finalists[winner].name, p_after, gain, "explains no more than chance would"))
-            break
-        steps.append(Step("add", finalists[winner].name, p_after, gain, _why(rivals)))
-        joint = fitted[winner]
-        rounds.append(Round(finalists[winner].name, rivals))
-        if finalists[winner].name in until:
+        joint, added = taken
+        rounds.append(added)
+        if added.name in until:
             return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
     before = joint
     joint, rounds = pruned(views, unit, baseline, joint, rounds, steps)
@@ -136,6 +119,58 @@ def search(
         joint, rounds = revisited(views, unit, baseline, joint, rounds, dropped, steps)
     joint, rounds = told_apart(views, unit, baseline, joint, rounds, terms, steps)
     return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
+
+
+def _contest(
+    views: Sequence[View],
+    unit: str,
+    baseline: Joint,
+    joint: Joint,
+    finalists: Sequence[Candidate],
+    terms: Mapping[str, Term],
+    p_value: float,
+    steps: list[Step],
+) -> tuple[Joint, Round] | None:
+    """Fit finalists jointly with what is named already; return the model with the best, or None where none will do."""
+    if not finalists:
+        return None
+    fitted = []
+    for candidate in finalists:
+        added = Added(terms[candidate.name], candidate.shape, tuple(float(c) for c in candidate.coefficients))
+        fitted.append(fit(views, unit, joint.nominal, (*joint.effects, added), baseline))
+    beyond = [implausible(f) for f in fitted]
+    ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
+    order = [k for k in ranked if not beyond[k]]
+    if not order:
+        first = finalists[0]
+        steps.append(Step("stop", first.name, p_value, first.gain, f"fits only with {beyond[ranked[0]]}"))
+        return None
+    winner = order[simplest([fitted[k] for k in order], [numbers(fitted[k].effects[-1]) for k in order])]
+    ranked.remove(winner)
+    rivals = tuple(
+        Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
+        for k in ranked
+        if alike(terms[finalists[k].name], terms[finalists[winner].name])
+        and not again(fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner])
+    )
+    gain = joint.cost - fitted[winner].cost
+    if gain <= 2.0 * finalists[winner].penalty:
+        steps.append(Step("stop", finalists[winner].name, p_value, gain, "explains no more than chance would"))
+        return None
+    steps.append(Step("add", finalists[winner].name, p_value, gain, _why(rivals)))
+    return fitted[winner], Round(finalists[winner].name, rivals)
+
+
+def _missing(
+    joint: Joint, terms: Mapping[str, Term], candidates: Sequence[Candidate], rng: np.random.Generator, name: str
+) -> bool:
+    """Whether anything is missing in one equation, by the test that the whole model is put to."""
+    judged = sum(e.name != "breakaway" for e in joint.equations)
+    if 2.0 * judged * excess(joint, name) <= LEVEL:
+        return True
+    # A family without a name carries its equation's in front.
+    own = [c for c in candidates if (name in terms[c.name].columns if c.name in terms else c.name.startswith(name))]
+    return 2.0 * judged * chance(own, joint.stack.blocks, rng) <= LEVEL
 
 
 def screened(stack: Stack, context: Context, terms: Sequence[Term]) -> Iterator[Candidate]:
@@ -195,8 +230,10 @@ def flipped(candidate: Candidate, flips: Array) -> Array:
     return np.asarray(np.einsum("dj,djk,dk->d", score, np.linalg.pinv(variance, hermitian=True), score))
 
 
-def excess(joint: Joint) -> float:
+def excess(joint: Joint, only: str = "") -> float:
     """Return the p-value of the mean square of the mismatch being no more than :data:`EXCESS` times the noise's.
+
+    Over all equations, or in the one of the name ``only``.
 
     It needs no candidate: what looks like nothing in the catalogue, nor like anything smooth, is noticed by its size.
     Rows beyond :data:`RARE` times the noise count as that, so that a few of them are not taken for physics; and a row
@@ -204,7 +241,7 @@ def excess(joint: Joint) -> float:
     """
     chances = []
     for equation in joint.equations:
-        if equation.name == "breakaway":
+        if equation.name == "breakaway" or (only and equation.name != only):
             continue
         rows = joint.residual[joint.stack.part(equation.name)]
         power = float(np.mean(np.minimum(np.abs(rows), RARE) ** 2))

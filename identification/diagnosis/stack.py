@@ -6,26 +6,28 @@ Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse, stats
 
+from identification.diagnosis.blocks import gather_of, numbered
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.diagnosis.view import View
-from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
 from identification.recording import Array
 
-LEAST_BLOCK_S = 1.0
-GREATEST_BLOCK_S = 3.0
-"""What is missing correlates over whole strokes; longer blocks would leave too few to see it."""
 ABSORBED = 1e-3
 """Share of a regressor's norm left after projection, below which the nominal model absorbs it."""
 FEW = 4
 """Regressors up to which the variance is that of the residual after the fit."""
+ROUNDING = 1e-9
+"""Norm below which a part of an orthonormal column is a rounding error."""
+NOMINAL_IN = ("torque", "breakaway")
+"""Equations whose regressors may depend on the nominal values."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 LEAST_ACTIVE = 3.0
 """Blocks in which a regressor must be active (inverse participation)."""
@@ -110,18 +112,56 @@ class Stack:
             start += len(equation.residual)
         return slice(0, 0)
 
+    def only(self, names: Collection[str]) -> Stack:
+        """Return the rows in which regressors of these equations can differ from zero once all is projected out.
+
+        What is granted may tie equations together; where nothing does, most rows need not be looked at.
+        """
+        wanted = tied(names, self._granted_in)
+        key = frozenset(e.name for e in self.equations if e.name in wanted)
+        if len(key) == len(self.equations):
+            return self
+        if key not in self._parts:
+            self._parts[key] = self._restricted(key)
+        return self._parts[key]
+
+    @cached_property
+    def _parts(self) -> dict[frozenset[str], Stack]:
+        return {}
+
+    @cached_property
+    def _granted_in(self) -> list[set[str]]:
+        """The equations in which each granted column shows."""
+        shown = {e.name: np.linalg.norm(self.granted[self.part(e.name)], axis=0) > ROUNDING for e in self.equations}
+        return [{name for name, some in shown.items() if some[k]} for k in range(self.granted.shape[1])]
+
+    def _restricted(self, names: Collection[str]) -> Stack:
+        kept = [k for k, e in enumerate(self.equations) if e.name in names]
+        rows = np.concatenate([np.arange(len(self.residual))[self.part(self.equations[k].name)] for k in kept])
+        return replace(
+            self,
+            equations=tuple(self.equations[k] for k in kept),
+            basis=tuple(self.basis[k] for k in kept),
+            granted=self.granted[rows],
+            residual=self.residual[rows],
+            block=self.block[rows],
+            gather=tuple(self.gather[k] for k in kept),
+        )
+
     def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
-        if key in self.cache:
-            return self.cache[key]
+        kept = self.cache.get(key, {})
+        if kept and not term.follows:
+            return kept
         found = {
-            equation.name: equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
+            equation.name: kept[equation.name]
+            if equation.name in kept
+            else equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
             for equation in self.equations
             if equation.name in term.columns
         }
-        if not term.follows:
-            self.cache[key] = found
+        self.cache[key] = {n: c for n, c in found.items() if not (term.follows and n in NOMINAL_IN)}
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
@@ -153,6 +193,12 @@ class Stack:
         """Score regressors; None where they are absorbed, hardly active, or ask for an unphysical sign."""
         if not columns:
             return None
+        here = self.only(columns.keys())
+        return here._scored(name, shape, columns, positive)
+
+    def _scored(
+        self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int]
+    ) -> Candidate | None:
         full = self.whitened(columns)
         before = np.linalg.norm(full, axis=0)
         rest = self.projected(full)
@@ -216,6 +262,15 @@ class Stack:
         return self.candidate(term.name, shape, self.columns(term, shape), term.positive)
 
 
+def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
+    """Return these equations and all those that ties bind to them, one through another."""
+    found, left = set(names), [set(t) for t in ties]
+    while joined := [t for t in left if t & found]:
+        found = found.union(*joined)
+        left = [t for t in left if t not in joined]
+    return found
+
+
 def _bound(make: Columns, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
     return lambda view: make(view, nominal, shape)
 
@@ -237,8 +292,8 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
         basis.append(q)
         residuals.append((equation.residual - q @ (q.T @ equation.residual)) / equation.sigma)
     residual = np.concatenate(residuals)
-    block, blocks = _blocks(equations, residuals) if like is None else (like.block, like.blocks)
-    gather = _gather(equations, block, blocks) if like is None else like.gather
+    block, blocks = numbered(equations, residuals) if like is None else (like.block, like.blocks)
+    gather = gather_of(equations, block, blocks) if like is None else like.gather
     cache = {} if like is None else like.cache
     nothing = np.zeros((len(residual), 0))
     return Stack(tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache)
@@ -251,45 +306,3 @@ def granting(stack: Stack, regressors: Array) -> Stack:
     diagonal = np.abs(np.diag(r))
     q = q[:, diagonal > 1e-9 * max(float(np.max(diagonal, initial=0.0)), 1e-300)]
     return replace(stack, granted=q, residual=stack.residual - q @ (q.T @ stack.residual))
-
-
-def _gather(equations: Sequence[Equation], block: np.ndarray, blocks: int) -> tuple[sparse.csr_matrix, ...]:
-    out, start = [], 0
-    for equation in equations:
-        count = len(equation.residual)
-        mine = block[start : start + count]
-        out.append(sparse.csr_matrix((np.ones(count), (mine, np.arange(count))), shape=(blocks, count)))
-        start += count
-    return tuple(out)
-
-
-def _blocks(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple[np.ndarray, int]:
-    """Number blocks of time that all equations share: ten correlation times of the worst residual, within limits."""
-    length = LEAST_BLOCK_S
-    for equation, residual in zip(equations, residuals, strict=True):
-        if equation.name == "breakaway":
-            continue
-        for view in equation.views:
-            mine = residual[equation.owner == view.index]
-            step = view.step * view.low_pass.factor
-            if len(mine) > 8:
-                length = max(length, BLOCK_CORRELATION_TIMES * correlation_samples(mine) * step)
-    views = {v.index: v for e in equations for v in e.views}
-    longest = max(float(v.time[-1] - v.time[0]) for v in views.values())
-    length = min(length, GREATEST_BLOCK_S, max(LEAST_BLOCK_S, longest / 4.0))
-    first: dict[int, int] = {}
-    count = 0
-    for index in sorted(views):
-        first[index] = count
-        count += max(1, round(float(views[index].time[-1] - views[index].time[0]) / length))
-    parts = []
-    for equation in equations:
-        for_rows = np.empty(len(equation.residual), dtype=np.int64)
-        for view in equation.views:
-            mine = equation.owner == view.index
-            span = float(view.time[-1] - view.time[0])
-            number = max(1, round(span / length))
-            place = (equation.time[mine] - view.time[0]) / span * number
-            for_rows[mine] = first[view.index] + np.clip(place.astype(np.int64), 0, number - 1)
-        parts.append(for_rows)
-    return np.concatenate(parts), count

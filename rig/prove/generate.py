@@ -16,11 +16,12 @@ from typing import Any, NamedTuple
 import click
 
 from rig.places import write_json
+from rig.prove.absorbed import FLOOR_SUFFIX, floors
 from rig.prove.draw import Kind, Rig, assignment, draw
 from rig.prove.excitation import experiments
 from rig.prove.folder import CAMPAIGN_FILE, write
 from rig.prove.seal import seal
-from rig.prove.simulate import SETTLE_S, campaign, strength
+from rig.prove.simulate import SETTLE_S, campaign, strength, twin_of
 from rig.truth import true_parameters
 
 
@@ -79,13 +80,19 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     """Simulate a rig, write its campaign, and return how strong what it hides shows in each channel.
 
+    Beside the truth go the noise floors of its twin that hides nothing.
+
     Raises:
         OSError: It cannot be written.
     """
     plan = experiments(rig.gravity)
     recorded = campaign(rig, plan)
     write(where.campaign.parent, rig.machine, recorded)
-    return strength(rig, recorded, plan) if rig.machine.effects else {}
+    if not rig.machine.effects:
+        return {}
+    twin = twin_of(rig, plan)
+    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, twin))
+    return strength(recorded, twin)
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from identification.diagnosis.baselines import greedy_bic, library, sparse
@@ -15,6 +16,7 @@ from identification.diagnosis.oracle import oracle
 from identification.diagnosis.terms import TERMS
 from identification.recording import Dataset
 from rig.diagnose import as_json, diagnose_source
+from rig.prove.absorbed import residual_rms
 
 
 class Judgement(NamedTuple):
@@ -26,6 +28,7 @@ class Judgement(NamedTuple):
         oracle: From the true names to the record of :class:`identification.diagnosis.oracle.HeldOut`, or None.
         seconds: Spent on the diagnosis.
         baseline_seconds: Spent on the baselines.
+        left: What the nominal model's fit leaves in each equation, in its unit.
     """
 
     diagnosis: Mapping[str, Any]
@@ -33,6 +36,7 @@ class Judgement(NamedTuple):
     oracle: Callable[[Sequence[str]], Mapping[str, Any] | None]
     seconds: float
     baseline_seconds: float
+    left: Mapping[str, float] = MappingProxyType({})
 
 
 Judge = Callable[[Path, int], Judgement]
@@ -59,7 +63,7 @@ def judge(source: Path, seed: int) -> Judgement:
     bandwidth = outcome.diagnosis.fit.bandwidth_Hz
     later = time.perf_counter() - diagnosed
     asked = partial(_oracle, outcome.dataset, first, bandwidth)
-    return Judgement(as_json(outcome), named, asked, diagnosed - began, later)
+    return Judgement(as_json(outcome), named, asked, diagnosed - began, later, residual_rms(first))
 
 
 def _oracle(dataset: Dataset, first: Joint, bandwidth_Hz: float, names: Sequence[str]) -> Mapping[str, Any] | None:

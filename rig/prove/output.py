@@ -21,9 +21,12 @@ RESULT_FILE = "prove.json"
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",
     "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
+    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in the alias group",
     "top1_all": "one effect, any strength: named first",
     "alias_group_all": "one effect, any strength: in the alias group",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both named",
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "nothing hidden: alarms",
     "outside": "outside the catalogue: said so",
@@ -98,6 +101,11 @@ def remarks(result: Mapping[str, Any]) -> list[str]:
                 f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to {words} was gained "
                 f"(median of {gain['of']} rigs)."
             )
+    if result["absorbed"]:
+        lines.append(
+            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave less than that over "
+            f"the noise once the nominal constants are fitted again: rigs {', '.join(map(str, result['absorbed']))}."
+        )
     if result["most_frequent_class"] is not None:
         lines.append(
             f"Always naming the most frequent effect would be right on {100 * result['most_frequent_class']:.1f} %."
@@ -173,10 +181,11 @@ def _rigs(result: Mapping[str, Any]) -> Table:
             str(row["rig"]),
             ", ".join(row["effects"]) or "-",
             number(row["strength"], 3),
+            "-" if row["left"] is None else number(row["left"], 3),
             row["verdict"],
             ", ".join(f"{e['name']} ({e['confidence']:.2f})" for e in row["named"]) or "-",
             row["sha256"][:12],
         )
         for row in result["rigs"]
     )
-    return Table(("rig", "hidden", "strength", "verdict", "named", "SHA-256"), rows, (0, 2))
+    return Table(("rig", "hidden", "strength", "left", "verdict", "named", "SHA-256"), rows, (0, 2, 3))

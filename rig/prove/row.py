@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
+from rig.prove.absorbed import left_over
 from rig.prove.judge import Judgement
 from rig.prove.located import located
 
@@ -15,7 +17,7 @@ MOST_NAMED = 3
 WORTH = 0.05
 """Held-out gain of the oracle over the noise, below which there is nothing to gain."""
 FAINT = 1e-12
-VERSION = 2
+VERSION = 3
 """Of a row: a proof begun with other ones is not gone on with."""
 
 
@@ -25,6 +27,7 @@ def row_of(
     judgement: Judgement,
     oracle: Mapping[str, Any] | None,
     digest: str,
+    floor: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """Score one rig's judgement against its truth.
 
@@ -34,6 +37,7 @@ def row_of(
         judgement: What was said of it.
         oracle: Held-out errors with the true structure; None where there is none.
         digest: Of the seal.
+        floor: Equation to what the nominal model leaves of a twin that hides nothing; empty where that is not known.
 
     Returns:
         A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where the kind of rig gives them no meaning.
@@ -43,6 +47,7 @@ def row_of(
     found = list(diagnosis["effects"])
     verdict = diagnosis["verdict"]
     single = kind == "one"
+    left = left_over(judgement.left, floor)
     return {
         "rig": truth["rig"],
         "sha256": digest,
@@ -50,6 +55,8 @@ def row_of(
         "effects": names,
         "strength": max(strengths.values(), default=0.0),
         "strength_by_channel": dict(strengths),
+        "left": max(left.values(), default=None),
+        "left_by_equation": left,
         "verdict": verdict,
         "named": [
             {"name": e["name"], "alias_group": list(e["alias_group"]), "confidence": e["confidence"]} for e in found

@@ -13,6 +13,7 @@ import numpy as np
 
 from rig.errors import InputError
 from rig.places import write_json
+from rig.prove.absorbed import FLOOR_SUFFIX
 from rig.prove.family import FAMILIES, MOTION
 from rig.prove.generate import Sealed, place
 from rig.prove.judge import Judge
@@ -124,11 +125,13 @@ def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
         beside = sealed.truth.with_suffix(".strength.json")
         if beside.is_file():
             strengths = json.loads(beside.read_text(encoding="utf-8"))
+    beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
+    floor = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else {}
     judgement = judge(sealed.campaign, _diagnosis_seed(proof.seed, sealed.number))
     write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", judgement.diagnosis)
     truth = unseal(sealed.truth, sealed.digest)
     oracle = judgement.oracle(list(truth["effects"])) if truth["kind"] in ("one", "two") else None
-    write_json(proof.row_file(sealed.number), row_of(truth, strengths, judgement, oracle, sealed.digest))
+    write_json(proof.row_file(sealed.number), row_of(truth, strengths, judgement, oracle, sealed.digest, floor))
     if proof.source is None and not keep:
         shutil.rmtree(sealed.campaign.parent)
     return sealed.number

@@ -37,15 +37,20 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         by_kind[row["kind"]].append(row)
     one, two, nothing, outside = (by_kind[kind] for kind in ("one", "two", "nothing", "outside"))
     strong = [row for row in one if row["strength"] >= STRONG]
+    shown = [row for row in one if (row["left"] or 0.0) >= STRONG]
     inside = [p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None]
     placed = [{"right": row["verdict"] == "outside_catalogue"} for row in outside]
     return {
         "counts": {kind: len(by_kind[kind]) for kind in ("one", "two", "nothing", "outside")},
         "top1": count(strong, "top1"),
         "alias_group": count(strong, "alias"),
+        "top1_left": count(shown, "top1"),
+        "alias_group_left": count(shown, "alias"),
+        "absorbed": [row["rig"] for row in strong if row["left"] is not None and row["left"] < STRONG],
         "top1_all": count(one, "top1"),
         "alias_group_all": count(one, "alias"),
         "both_named": count([row for row in two if row["strength"] >= STRONG], "top1"),
+        "both_named_left": count([row for row in two if (row["left"] or 0.0) >= STRONG], "top1"),
         "both_named_all": count(two, "top1"),
         "false_alarms": count(nothing, "alarm"),
         "outside": {**count(placed, "right"), "named_confidently": sum(bool(row["confident"]) for row in outside)},

@@ -48,8 +48,13 @@ def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
     return done
 
 
-def strength(rig: Rig, hiding: Sequence[Recorded], plan: Sequence[Experiment]) -> dict[str, float]:
-    """Compare a campaign with its twin that hides nothing, driven by the same commands and the same noise.
+def twin_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
+    """Simulate a rig's twin that hides nothing, driven by the same commands and the same noise."""
+    return campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
+
+
+def strength(hiding: Sequence[Recorded], twin: Sequence[Recorded]) -> dict[str, float]:
+    """Compare a campaign with its twin that hides nothing.
 
     Current and voltage are compared only where both move: what a joint at rest is held with depends on how it came to
     rest, down to a single encoder count.
@@ -58,7 +63,6 @@ def strength(rig: Rig, hiding: Sequence[Recorded], plan: Sequence[Experiment]) -
         For each channel the rms difference over the channel's noise. The noise is what two recordings of one experiment
         on the twin differ by, over sqrt(2); no less than that of its quantum.
     """
-    twin = campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
     first, last = twin[0].samples, twin[-1].samples
     assert np.array_equal(first.command, last.command)
     pairs = [(a.samples, b.samples) for a, b in zip(hiding, twin, strict=True)]

@@ -74,7 +74,7 @@ def loop(folder: Path, effect: str) -> tuple[str, float, float, float]:
     hidden["mock"]["effects"] = {effect: HIDDEN[effect]}
     measured = currents(folder, hidden, "hidden", 1)
     repeat = currents(folder, hidden, "repeat", 2)
-    quietly("diagnose", str(folder / "hidden"), "--refine", "--out", str(folder / "diagnosis"))
+    quietly("diagnose", str(folder / "hidden"), "--out", str(folder / "diagnosis"))
     quietly("identify", str(folder / "hidden"), "--out", str(folder / "identified"))
     corrected = yaml.safe_load((folder / "diagnosis" / "bench.yaml").read_text())
     recordings = load_run(folder / "hidden").recordings

@@ -14,9 +14,9 @@ from markupsafe import escape
 
 import rig.diagnose
 from identification.corrected.model import CorrectedModel
-from identification.diagnosis.result import Diagnosis
+from identification.diagnosis.result import Diagnosis, Shift
 from identification.estimate.result import Fit, Identification, Parameter
-from identification.recording import Dataset
+from identification.recording import Dataset, RecordingError
 from rig.bench import load_bench
 from rig.cli import status
 from rig.diagnose import as_json, diagnose_source
@@ -131,7 +131,7 @@ def test_what_is_printed_has_values_rivals_errors_and_shifts(
     campaign: Path, tmp_path: Path, found: Arrange, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found(PLAIN)
-    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out")]) == 0
+    assert status(["diagnose", str(campaign), "--no-refine", "--out", str(tmp_path / "out")]) == 0
     printed = capsys.readouterr().out
     assert "0.42 deg (0.39 to 0.45)" in printed
     assert "0 to 0.418 deg" in printed
@@ -225,7 +225,8 @@ def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:
 def test_refined_values_take_the_place_of_the_search_s(
     campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    found(PLAIN)
+    asked = {**PLAIN.parameter_shift, "mu_s": Shift(None, None, "1")}
+    found(dataclasses.replace(PLAIN, parameter_shift=asked))
     values = {"Mc": 6.7, "mu_c": 0.053, "J": 0.21, "mu_s": None}
     parameters = {n: Parameter(n, "", v, identifiable=v is not None) for n, v in values.items()}
     taken_out: list[tuple[str, ...]] = []
@@ -236,11 +237,41 @@ def test_refined_values_take_the_place_of_the_search_s(
 
     monkeypatch.setattr(rig.diagnose, "refit", refit)
     file = tmp_path / "found.json"
-    arguments = ["diagnose", str(campaign), "--refine", "--out", str(tmp_path / "out"), "--json", str(file)]
+    arguments = ["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]
     assert status(arguments) == 0
     record = json.loads(file.read_text())
     assert taken_out == [("backlash", "quadratic_drag")]
     assert (record["parameters"]["Mc"], record["parameters"]["J"]) == (6.7, 0.21)
     assert record["parameters"]["mu_s"] == 0.053
     assert record["parameter_shift"]["Mc"] == {"before": 7.1, "after": 6.7, "unit": "N m"}
-    assert record["warnings"][-1] == "refined: hm"
+    assert record["warnings"][-2:] == [
+        "refined: hm",
+        "mu_s is not pinned by these recordings; the corrected model has it equal to mu_c",
+    ]
+
+
+def test_static_friction_that_nothing_pins_is_not_exported(campaign: Path, tmp_path: Path, found: Arrange) -> None:
+    shift = {**PLAIN.parameter_shift, "mu_s": Shift(None, None, "1"), "Ms": Shift(12.1, 12.0, "N m")}
+    wild = {**PLAIN.parameters, "mu_c": 0.052, "mu_s": 1.1, "Mc": 6.8, "Ms": 12.0}
+    found(dataclasses.replace(PLAIN, parameters=wild, parameter_shift=shift))
+    file = tmp_path / "found.json"
+    arguments = ["diagnose", str(campaign), "--no-refine", "--out", str(tmp_path / "out"), "--json", str(file)]
+    assert status(arguments) == 0
+    record = json.loads(file.read_text())
+    assert (record["parameters"]["mu_s"], record["parameters"]["Ms"]) == (0.052, 12.0)
+    assert any(w.startswith("mu_s is not pinned") for w in record["warnings"])
+
+
+def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
+    campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+        raise RecordingError("no motion")
+
+    found(PLAIN)
+    monkeypatch.setattr(rig.diagnose, "refit", refit)
+    file = tmp_path / "found.json"
+    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
+    record = json.loads(file.read_text())
+    assert "not refined: no motion" in record["warnings"]
+    assert record["parameters"]["Mc"] == PLAIN.parameters["Mc"]

@@ -66,6 +66,22 @@ def scored(
     return row_of(truth(kind, **effects), {"current": strength, "angle": 0.1}, judged(diagnosis), None, "digest")
 
 
+def test_rates_count_what_the_constants_cannot_absorb_beside_what_is_strong() -> None:
+    def row(left: float, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+        told = judged(diagnosis)._replace(left={"torque": 0.1 * (1.0 + left**2) ** 0.5, "voltage": 0.01})
+        floor = {"torque": 0.1, "voltage": 0.01}
+        return row_of(truth("one", backlash=GAP), {"current": 9.0}, told, None, "digest", floor)
+
+    rows = [row(0.5, NOTHING), row(40.0, diagnosed(effect("backlash")))]
+    assert [r["left"] for r in rows] == pytest.approx([0.5, 40.0])
+    assert rows[1]["left_by_equation"]["voltage"] == 0.0
+    found = score(rows)
+    assert (found["top1"]["n"], found["top1"]["of"]) == (1, 2)
+    assert (found["top1_left"]["n"], found["top1_left"]["of"]) == (1, 1)
+    assert found["absorbed"] == [1]
+    assert scored("one", NOTHING, backlash=GAP)["left"] is None, "unknown without a twin"
+
+
 GAP = {"gap_rad": 0.01}
 NOTHING = diagnosed(verdict="nothing_missing")
 

@@ -14,11 +14,13 @@ from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.effects.pack import effect_vector, problems
 from drivers.mock.plant.effects.table import CATALOGUE
 from rig.errors import InputError
+from rig.prove.absorbed import floors, left_over
 from rig.prove.draw import Kind, Rig, apportion, assignment, draw
 from rig.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
 from rig.prove.folder import write
+from rig.prove.score import STRONG
 from rig.prove.seal import seal, unseal
-from rig.prove.simulate import campaign, strength
+from rig.prove.simulate import campaign, strength, twin_of
 from rig.prove.sizes import OUTSIDE_SIZES, SIZES
 from rig.sources import load_source
 from rig.truth import true_parameters
@@ -129,10 +131,29 @@ def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
     def current(torque_Nm: float) -> float:
         hides = {"asymmetric_coulomb": {"torque_Nm": torque_Nm}}
         hiding = rig._replace(machine=replace(rig.machine, effects=hides))
-        return strength(hiding, campaign(hiding, plan), plan)["current"]
+        return strength(campaign(hiding, plan), twin_of(hiding, plan))["current"]
 
     assert current(0.0) == 0.0
     assert current(2.0) > 3.0 * current(0.02)
+
+
+def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
+    """Both change the current; but the gear's loss is a bench with other constants."""
+    rig, _ = short(draw("one", ("asymmetric_coulomb",), (3, 1)))
+    plan = [e._replace(command=e.command[:8000]) for e in (experiments()[0], experiments()[3], experiments()[-1])]
+    rig = rig._replace(pauses_s=rig.pauses_s[:3])
+    floor = floors(rig.machine, twin_of(rig, plan))
+
+    def shown(hides: dict[str, dict[str, float]]) -> tuple[float, float]:
+        hiding = campaign(rig._replace(machine=replace(rig.machine, effects=hides)), plan)
+        left = left_over(floors(rig.machine, hiding), floor)
+        return strength(hiding, twin_of(rig, plan))["current"], left["torque"]
+
+    asymmetry = shown({"asymmetric_coulomb": {"torque_Nm": 1.0}})
+    loss = shown({"transmission_efficiency": {"efficiency": 0.85}})
+    assert min(asymmetry[0], loss[0]) > STRONG
+    assert asymmetry[1] > STRONG
+    assert loss[1] < 1.5
 
 
 def test_a_truth_that_was_changed_is_found_out(tmp_path: Path) -> None:

@@ -69,8 +69,9 @@ TRANSMISSION: tuple[Entry, ...] = (
         parameters=(Quantity("efficiency", "", 0.4, 1.0),),
         look_alikes=("asymmetric_coulomb", "load_dependent_friction", "torque_saturation"),
         experiment=(
-            "The same motion with the load reversed and with none: the loss follows the direction of power, an "
-            "asymmetry that of motion."
+            "A load that pulls both ways (a weight fixed to the joint), or stops so quick that inertia drives the "
+            "motor back: the loss follows the direction of power, an asymmetry that of motion. Where friction is all "
+            "the load power flows one way only, and the constants take the loss up."
         ),
         sentence="the gear passes {efficiency:%} of the torque when it drives, and as much less when it is driven back",
     ),

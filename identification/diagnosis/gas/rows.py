@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from identification.diagnosis.blocks import GREATEST_BLOCK_S, LEAST_BLOCK_S
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.gas.burns import Burn
 from identification.diagnosis.gas.fit import Fitted, Model, march, simulate
 from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.generic import edges
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.stack import GREATEST_BLOCK_S, LEAST_BLOCK_S, Candidate, Stack
+from identification.diagnosis.stack import Candidate, Stack
 from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
 from identification.recording import Array
 

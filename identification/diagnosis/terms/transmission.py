@@ -25,8 +25,8 @@ def _both_encoders(view: View) -> bool:
 
 
 def transmitted(view: View) -> Array:
-    """Return the torque that the transmission carries, N m."""
-    return view.torque
+    """Return the torque that the transmission carries, declared loads behind it included, N m."""
+    return np.asarray(view.torque - view.known)
 
 
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -73,13 +73,20 @@ def _loops(context: Context) -> list[Shape]:
     known = [v for v in context.views if v.lag is not None]
     if not known:
         return []
-    greatest = max(float(np.max(np.abs(v.torque))) for v in known)
+    greatest = max(float(np.max(np.abs(transmitted(v)))) for v in known)
     return [(share * greatest,) for share in LOOP_SHARES]
 
 
 def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
     phase = shape[0] * view.angle
     return rows(np.sin(phase), np.cos(phase))
+
+
+def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+    # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much less torque.
+    phase = shape[0] * view.angle
+    torque = shape[0] * (nominal.torque(view) - view.known)
+    return rows(-torque * np.cos(phase), torque * np.sin(phase))
 
 
 def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
@@ -139,9 +146,10 @@ TERMS = (
     ),
     Term(
         "gear_mesh_ripple",
-        {"transmission": _mesh},
+        {"transmission": _mesh, "torque": _mesh_torque},
         _read_mesh,
         lambda context: everywhere(context, _both_encoders, TEETH),
+        follows=True,
     ),
     Term(
         "coupling_hysteresis",

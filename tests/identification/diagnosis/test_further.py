@@ -1,0 +1,122 @@
+"""A second effect is found in the current beside a first one that the encoders see a thousand times more sharply."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.further import groups
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.kept import alike, left_beyond_noise
+from identification.diagnosis.search import screened
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.taken_up import taken_up
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Context
+from identification.diagnosis.terms.transmission import transmitted
+from identification.diagnosis.view import views
+from identification.recording import Pendulum
+
+from .benches import campaign, honest, nominal_fit
+
+BY_NAME = {t.name: t for t in TERMS}
+NAMES = ("encoder_eccentricity", "encoder_slip", "asymmetric_coulomb", "cogging")
+
+
+@pytest.fixture(scope="module")
+def gap() -> Joint:
+    """A gap and an asymmetry, of which the gap alone is in the model, and too narrow by a third."""
+    hidden = {"backlash": {"gap_rad": 0.003}, "asymmetric_coulomb": {"torque_Nm": 0.1}}
+    joint = nominal_fit(campaign(hidden, 12, 6.0)[:3])
+    fixed = replace(BY_NAME["backlash"], refine={})
+    return fit(joint.equations[0].views, "N m", joint.nominal, (Added(fixed, (0.002,), (1.0,)),), joint)
+
+
+def ranked(joint: Joint) -> list[Candidate]:
+    context = Context(joint.equations[0].views, joint.nominal)
+    found: dict[str, Candidate] = {}
+    for candidate in screened(joint.stack, context, [BY_NAME[n] for n in NAMES]):
+        if candidate.name not in found or candidate.score > found[candidate.name].score:
+            found[candidate.name] = candidate
+    return sorted((c for c in found.values() if c.score > 0.0), key=lambda c: -c.score)
+
+
+def test_what_a_gap_explains_is_not_looked_for_again(gap: Joint) -> None:
+    """Its size is no direction of the fit, so that projecting alone would leave it in the residual."""
+    rows = gap.stack.part("transmission")
+    left = float(gap.residual[rows] @ gap.residual[rows])
+    assert float(gap.stack.residual[rows] @ gap.stack.residual[rows]) <= left
+    assert all(c.gain <= 1.01 * gap.cost for c in ranked(gap))
+
+
+def test_the_effect_that_explains_its_own_equation_is_tried_first(gap: Joint) -> None:
+    asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
+    tenth = 0.1 * left_beyond_noise(gap, BY_NAME["encoder_slip"])
+    assert tenth > asymmetry.gain, "in squares a tenth of the encoders' is more"
+    slip = replace(asymmetry, name="encoder_slip", gain=tenth)
+    first, rest = list(groups(gap, BY_NAME, [slip, asymmetry], lambda _name: True))
+    assert [c.name for c in first] == ["asymmetric_coulomb"]
+    assert [c.name for c in rest] == ["encoder_slip"]
+
+
+def test_where_nothing_is_missing_nothing_is_tried(gap: Joint) -> None:
+    tried = groups(gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
+    assert {c.name for group in tried for c in group} <= {"encoder_eccentricity", "encoder_slip"}
+
+
+@pytest.mark.parametrize("name", ["cogging", "transport_delay", "gear_mesh_ripple"])
+def test_rows_that_an_effect_does_not_touch_need_not_be_looked_at(name: str, gap: Joint) -> None:
+    """With something granted in the current, something in the encoders, and something that ties both together."""
+    views_here = gap.equations[0].views
+    context = Context(views_here, gap.nominal)
+    ripple = BY_NAME["gear_mesh_ripple"]
+    given = Added(BY_NAME["asymmetric_coulomb"], (), (0.0,)), Added(BY_NAME["encoder_eccentricity"], (), (0.0, 0.0))
+    mesh = Added(ripple, (33.0,), (0.0, 0.0))
+    for effects in (given, (*given, mesh)):
+        stack = fit(views_here, "N m", gap.nominal, effects, gap).stack
+        term = BY_NAME[name]
+        shapes = list(term.shapes(context))
+        shape = shapes[len(shapes) // 2]
+        columns = stack.columns(term, shape)
+        short, full = stack.candidate(name, shape, columns), stack._scored(name, shape, columns, ())
+        assert short is not None
+        assert full is not None
+        assert (short.gain, short.penalty) == pytest.approx((full.gain, full.penalty), rel=1e-9)
+        assert short.statistic == pytest.approx(full.statistic, rel=1e-6)
+        ties = mesh in effects or name == "gear_mesh_ripple"
+        assert len(stack.only(columns.keys()).residual) < len(stack.residual)
+        assert ({e.name for e in stack.only(columns.keys()).equations} >= {"torque", "transmission"}) is ties
+
+
+def test_effects_of_different_equations_are_no_rivals() -> None:
+    assert not alike(BY_NAME["return_spring"], BY_NAME["encoder_slip"])
+    assert alike(BY_NAME["return_spring"], BY_NAME["gravity_imbalance"])
+
+
+def test_the_transmission_carries_the_declared_weight_too() -> None:
+    hung = replace(honest()[0], pendulum=Pendulum(mass=5.0, length=0.2, zero=0.0))
+    bare, loaded = (views([r], 25.0)[0] for r in (honest()[0], hung))
+    assert np.ptp(loaded.torque - bare.torque) > 1.0
+    assert transmitted(loaded) == pytest.approx(transmitted(bare), abs=1e-9)
+
+
+def test_a_loss_under_friction_alone_is_one_with_the_constants_and_under_a_weight_is_not() -> None:
+    joint = nominal_fit(honest())
+    assert taken_up(joint, TERMS) == ("transmission_efficiency",)
+    hung = [replace(r, pendulum=Pendulum(mass=20.0, length=0.3, zero=0.5)) for r in honest() if r.role == "fit"]
+    here = views(hung, 25.0)
+    assert taken_up(fit(here, "N m", joint.nominal), TERMS) == ()
+
+
+def test_a_gear_whose_ratio_swings_shows_in_the_torque_as_well() -> None:
+    """The torque goes with the ratio as the speed does: without it the torque is off by a twentieth of itself."""
+    mesh = {"gear_mesh_ripple": {"amplitude_rad": 1.6e-3, "per_turn": 33.0, "phase_rad": 1.0}}
+    plain = nominal_fit(campaign(mesh, 13, 6.0)[:3])
+    here = views([e.recording for e in plain.equations[0].views], 25.0, True)
+    before = fit(here, "N m", plain.nominal)
+    added = Added(BY_NAME["gear_mesh_ripple"], (33.0,), (1e-3, 1e-3))
+    after = fit(here, "N m", plain.nominal, (added,), before)
+    power = [np.mean(j.residual[j.stack.part("torque")] ** 2) for j in (before, after)]
+    assert power[1] < 0.1 * power[0]
