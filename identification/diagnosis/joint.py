@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from identification.diagnosis.equations import Equation, equations
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.nominal import SPEEDS, Nominal
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import Stack, granting, stacked
 from identification.diagnosis.terms.term import Context, Shape, Term
@@ -90,7 +90,7 @@ def fit(
     """
     nominal, effects = start, tuple(effects)
     best: Joint | None = None
-    step, share, failures = np.zeros(0), 1.0, 0
+    least, share, failures = math.inf, 1.0, 0
     stack = None if before is None else before.stack
     for k in range(ROUNDS):
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
@@ -98,18 +98,24 @@ def fit(
         if k < len(REACHES):
             for place in range(len(effects)):
                 effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
-        onward, effects, residual = _solve(here, effects)
-        joint = Joint(nominal, effects, here.equations, residual, here)
-        if best is None or joint.cost < (1.0 - SETTLED) * best.cost:
-            best, step, share = joint, onward, min(1.0, 2.0 * share)
-        elif joint.cost < (1.0 + SETTLED) * best.cost:
-            best = joint if joint.cost < best.cost else best
-            break
+        solved = _solve(here, effects)
+        effects = solved.effects
+        settled = solved.cost >= (1.0 - SETTLED) * least
+        if solved.cost < (1.0 + SETTLED) * least:
+            best, step, share = (
+                Joint(nominal, effects, here.equations, solved.residual, here),
+                solved,
+                min(1.0, 2.0 * share),
+            )
+            least = min(least, solved.cost)
+            if settled:
+                break
         else:
             failures, share = failures + 1, DAMPING * share
             if failures > MOST_FAILURES:
                 break
-        nominal = replace(best.nominal.moved(share * step), hidden=hidden_load(best.effects))
+        assert best is not None
+        nominal = replace(best.nominal.moved(step.straight, step.bend, share), hidden=hidden_load(best.effects))
     assert best is not None
     return replace(best, stack=granting(best.stack, _directions(best.stack, best.effects)))
 
@@ -135,25 +141,34 @@ def _wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
     return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
 
 
-def _solve(stack: Stack, effects: Sequence[Added]) -> tuple[Array, tuple[Added, ...], Array]:
-    """Solve the linear problem; return the nominal step, effects with coefficients, and the residual."""
+@dataclass(frozen=True)
+class _Solved:
+    """The linear problem solved at one point.
+
+    Attributes:
+        straight: Step of the nominal parameters that the torque is linear in, their speeds as they are.
+        bend: Step with the Stribeck speeds free to first order, of which only theirs count.
+        effects: With coefficients.
+        residual: Whitened rows less everything, the speeds free to first order.
+        cost: Sum of whitened squares with the speeds as they are: what this point is worth. To first order a speed that
+            is far off promises what no step keeps.
+    """
+
+    straight: Array
+    bend: Array
+    effects: tuple[Added, ...]
+    residual: Array
+    cost: float
+
+
+def _solve(stack: Stack, effects: Sequence[Added]) -> _Solved:
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
     free, known = _wide(stack, effects)
-    left = stack.projected((target - known)[:, None])[:, 0]
-    columns = stack.projected(free)
-    scale = np.linalg.norm(columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
-    residual = left - columns @ found
-    step = np.zeros(len(stack.nominal.free))
-    for equation in stack.equations:
-        if equation.name == "torque":
-            rows = stack.part("torque")
-            rest = (target - known - free @ found)[rows] * equation.sigma
-            norm = np.linalg.norm(equation.tangent, axis=0)
-            norm[norm == 0.0] = 1.0
-            found_step = np.linalg.lstsq(equation.tangent / norm, rest, rcond=1e-8)[0] / norm
-            step = found_step[: len(step)]
+    found, residual = _least(stack, target - known, free)
+    unbent = stack.without(SPEEDS)
+    straight, rest = _least(unbent, target - known, free)
+    bend = _step(stack, target - known - free @ found, ())
+    step = _step(stack, target - known - free @ straight, SPEEDS)
     placed, at = [], 0
     for effect in effects:
         if effect.term.size is not None:
@@ -162,7 +177,34 @@ def _solve(stack: Stack, effects: Sequence[Added]) -> tuple[Array, tuple[Added, 
         width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
         placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
         at += width
-    return step, tuple(placed), residual
+    return _Solved(step, bend, tuple(placed), residual, float(rest @ rest))
+
+
+def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
+    """Return coefficients of columns beside what the stack absorbs, and the residual."""
+    left = stack.projected(target[:, None])[:, 0]
+    columns = stack.projected(free)
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
+    return found, left - columns @ found
+
+
+def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
+    """Return the step of the nominal parameters that whitened rows ask for; zero for names in ``without``."""
+    free = stack.nominal.free
+    step = np.zeros(len(free))
+    for equation in stack.equations:
+        if equation.name == "torque":
+            use = [k for k, name in enumerate(equation.names) if name not in without]
+            tangent = equation.tangent[:, use]
+            norm = np.linalg.norm(tangent, axis=0)
+            norm[norm == 0.0] = 1.0
+            found = np.linalg.lstsq(tangent / norm, whitened[stack.part("torque")] * equation.sigma, rcond=1e-8)[0]
+            for k, change in zip(use, found / norm, strict=True):
+                if k < len(free):
+                    step[k] = change
+    return step
 
 
 def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:

@@ -6,7 +6,7 @@ Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -143,6 +143,16 @@ class Stack:
             out -= self.granted @ (self.granted.T @ out)
         return out
 
+    def without(self, names: Collection[str]) -> Stack:
+        """Return the stack with the torque's tangent short of these names; the residual stays as it is."""
+        basis = [
+            _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
+            if e.name == "torque" and set(e.names) & set(names)
+            else q
+            for e, q in zip(self.equations, self.basis, strict=True)
+        ]
+        return replace(self, basis=tuple(basis))
+
     def sums(self, values: Array) -> Array:
         """Return sums over blocks, shape (b, k)."""
         return np.asarray(sum(g @ values[self.part(e.name)] for e, g in zip(self.equations, self.gather, strict=True)))
@@ -231,9 +241,7 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
     basis = []
     residuals = []
     for equation in equations:
-        scale = np.linalg.norm(equation.tangent, axis=0)
-        q, r = np.linalg.qr(equation.tangent / np.where(scale > 0.0, scale, 1.0))
-        q = q[:, np.abs(np.diag(r)) > 1e-9]
+        q = _orthonormal(equation.tangent)
         basis.append(q)
         residuals.append((equation.residual - q @ (q.T @ equation.residual)) / equation.sigma)
     residual = np.concatenate(residuals)
@@ -242,6 +250,12 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
     cache = {} if like is None else like.cache
     nothing = np.zeros((len(residual), 0))
     return Stack(tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache)
+
+
+def _orthonormal(tangent: Array) -> Array:
+    scale = np.linalg.norm(tangent, axis=0)
+    q, r = np.linalg.qr(tangent / np.where(scale > 0.0, scale, 1.0))
+    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-9])
 
 
 def granting(stack: Stack, regressors: Array) -> Stack:
