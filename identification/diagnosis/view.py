@@ -34,12 +34,10 @@ RISE_SAMPLES = 5
 """Samples before a breakaway over which the torque's rise is taken."""
 STEADY_SHARE = 0.7
 """Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
-HUNTING_SHARE = 0.25
-"""The same of what the filtered speed does not show, beyond noise."""
+HUNTING_SHARE = 0.09
+"""Effective value of what the filtered speed does not show, over that speed, from which on it is not steady either."""
 QUICK_SAMPLES = 2
 """To either side of a sample, over which its speed is taken to see whether it is steady."""
-SWING = 6.0
-"""Swing of white noise within the filter's reach, in standard deviations."""
 THIRD_DIFFERENCE = math.sqrt(20.0)
 """Standard deviation of third differences of white noise over its own."""
 LEAST_STEADY = 0.1
@@ -210,8 +208,12 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     margin = round(1.5 * rate / cutoff)
     stopped = still | turned
     reach = round(0.5 * rate / cutoff)
+    # Where the speed changes by more than its own size friction is no longer a function of the filtered speed: the
+    # shaft slips and nearly sticks within the filter. Where it changes faster than that speed shows, as a drive does
+    # that hunts on falling friction at up to 100 Hz, mean friction is not friction at the mean speed.
     unsteady = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
-    unsteady |= _swing(quick.velocity - velocity, reach) - quick.noise >= HUNTING_SHARE * np.abs(velocity)
+    hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
+    unsteady |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
     late = widened(irregular(recording.time, grid), margin)
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
@@ -251,7 +253,7 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
 
 
 class _Quick(NamedTuple):
-    """The speed within a few samples, hardly filtered, and how far noise makes it swing, rad/s."""
+    """The speed within a few samples, hardly filtered, and its noise, rad/s."""
 
     velocity: Array
     noise: float
@@ -263,9 +265,7 @@ def _quick(series: Array, rate: float) -> _Quick:
     padded = np.pad(series, QUICK_SAMPLES, mode="edge")
     rough = 1.4826 * float(np.median(np.abs(np.diff(series, n=3)))) / THIRD_DIFFERENCE
     scatter = max(rough, quantum(series) / math.sqrt(12.0))
-    return _Quick(
-        (padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span, SWING * math.sqrt(2.0) * scatter / span
-    )
+    return _Quick((padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span, math.sqrt(2.0) * scatter / span)
 
 
 def _motion(
@@ -353,12 +353,7 @@ def _sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
 
 
 def _swing(series: Array, reach: int) -> Array:
-    """Return greatest less least value about each sample.
-
-    Where the speed changes by more than its own size friction is no longer a function of the filtered speed: the shaft
-    slips and nearly sticks within the filter. Where it changes faster than the filtered speed shows, as a drive does
-    that hunts on falling friction at up to 100 Hz, mean friction is not friction at the mean speed.
-    """
+    """Return greatest less least value about each sample."""
     size = 2 * reach + 1
     return np.asarray(ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size))
 
