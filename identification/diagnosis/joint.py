@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +21,8 @@ from identification.recording import Array
 
 ROUNDS = 12
 """Most Gauss-Newton rounds of one joint fit."""
+LARGEST_SHIFT = 0.3
+"""Greatest step of a shape's entry in one round, over its reach."""
 SETTLED = 1e-4
 """Relative change of the cost at which it ends."""
 DAMPING = 0.3
@@ -88,7 +90,7 @@ def fit(
         effects: With their trial shapes; coefficients are found.
         before: A fit of the same recordings, whose noise and blocks are kept.
     """
-    nominal, effects = start, tuple(effects)
+    nominal, effects = _begun(start, effects)
     best: Joint | None = None
     least, share, failures = math.inf, 1.0, 0
     stack = None if before is None else before.stack
@@ -115,9 +117,38 @@ def fit(
             if failures > MOST_FAILURES:
                 break
         assert best is not None
-        nominal = replace(best.nominal.moved(step.straight, step.bend, share), hidden=hidden_load(best.effects))
+        nominal = best.nominal.moved(step.straight, step.bend, share)
+        effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
+        nominal = replace(_begun(nominal, effects)[0], hidden=hidden_load(best.effects))
     assert best is not None
     return replace(best, stack=granting(best.stack, _directions(best.stack, best.effects)))
+
+
+def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:
+    """Return nominal values and effects as a fit begins with them."""
+    placed, nominal = [], replace(nominal, bent=None)
+    for effect in effects:
+        nominal, shape = effect.term.begin(nominal, effect.shape)
+        placed.append(replace(effect, shape=shape))
+    return nominal, tuple(placed)
+
+
+def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
+    """Return effects whose size is their shape after a step, within limits, of each of its entries."""
+    left, placed = list(steps), []
+    for effect in effects:
+        shape = effect.shape
+        for index, reach in _sized(effect).items():
+            step = max(-LARGEST_SHIFT, min(LARGEST_SHIFT, float(left.pop(0))))
+            trial = _displaced(shape, index, reach, step)
+            shape = trial if effect.term.physical(trial) else shape
+        placed.append(replace(effect, shape=shape))
+    return tuple(placed)
+
+
+def _sized(effect: Added) -> Mapping[int, float]:
+    """Return the continuous entries of a shape that says how large the effect is."""
+    return effect.term.refine if effect.term.size is not None else {}
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
@@ -146,6 +177,7 @@ class _Solved:
     """The linear problem solved at one point.
 
     Attributes:
+        shapes: Step of the shapes that say how large their effect is, over their reach.
         straight: Step of the nominal parameters that the torque is linear in, their speeds as they are.
         bend: Step with the Stribeck speeds free to first order, of which only theirs count.
         effects: With coefficients.
@@ -156,6 +188,7 @@ class _Solved:
 
     straight: Array
     bend: Array
+    shapes: Array
     effects: tuple[Added, ...]
     residual: Array
     cost: float
@@ -167,7 +200,10 @@ def _solve(stack: Stack, effects: Sequence[Added]) -> _Solved:
     found, residual = _least(stack, target - known, free)
     unbent = stack.without(SPEEDS)
     straight, rest = _least(unbent, target - known, free)
-    bend = _step(stack, target - known - free @ found, ())
+    shifts = _shifts(stack, effects)
+    wide = np.concatenate([free, shifts], axis=1)
+    moved, _ = _least(stack, target - known, wide)
+    bend = _step(stack, target - known - wide @ moved, ())
     step = _step(stack, target - known - free @ straight, SPEEDS)
     placed, at = [], 0
     for effect in effects:
@@ -177,7 +213,19 @@ def _solve(stack: Stack, effects: Sequence[Added]) -> _Solved:
         width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
         placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
         at += width
-    return _Solved(step, bend, tuple(placed), residual, float(rest @ rest))
+    return _Solved(step, bend, moved[free.shape[1] :], tuple(placed), residual, float(rest @ rest))
+
+
+def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives by the shapes that say how large their effect is, shape (n, g)."""
+    parts = [np.zeros((len(stack.residual), 0))]
+    for effect in effects:
+        for index, reach in _sized(effect).items():
+            shapes = effect.shape, _displaced(effect.shape, index, reach, STEP)
+            here, there = (stack.whitened(stack.columns(effect.term, shape)) for shape in shapes)
+            assert effect.term.size is not None
+            parts.append((there - here) * (effect.term.size / STEP))
+    return np.concatenate(parts, axis=1)
 
 
 def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:

@@ -35,12 +35,15 @@ class Nominal:
         alpha: Stribeck exponent.
         hidden: Torque that turns with the joint and was not declared, as effects named so far say: coefficients of
             sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
+        bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
+            with a rise or a speed is then said by it.
     """
 
     values: Mapping[str, float]
     free: tuple[str, ...]
     alpha: float
     hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    bent: float | None = None
 
     def get(self, name: str) -> float:
         """Return a value; 0 where the bench has no such parameter."""
@@ -163,6 +166,7 @@ class Nominal:
             return np.ones(len(view.time))
         if omega <= 0.0:
             return np.zeros(len(view.time))
-        ratio = np.abs(view.velocity) / omega
-        fall = np.exp(-(ratio**self.alpha))
-        return np.asarray(fall if name == names[1] else (static - coulomb) * fall * self.alpha * ratio**self.alpha)
+        alpha = self.bent or self.alpha
+        power = (np.abs(view.velocity) / omega) ** alpha
+        fall = np.exp(-power)
+        return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
