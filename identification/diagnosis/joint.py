@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from identification.diagnosis.equations import Equation, equations
-from identification.diagnosis.nominal import SPEEDS, Nominal
+from identification.diagnosis.linear import STEP, displaced, sized, solve, wide
+from identification.diagnosis.linear import Added as Added
+from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import Stack, granting, stacked
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.diagnosis.terms.term import Context, Shape
 from identification.diagnosis.view import View
 from identification.estimate.assemble import WIDEST
 from identification.estimate.uncertainty import CONFIDENCE
@@ -31,27 +33,10 @@ MOST_FAILURES = 2
 """... and how often that is tried."""
 REACHES = (1.0, 0.2)
 """How far continuous shapes are sought in the first rounds, over their full reach."""
-FACTOR = 4.0
-"""Full reach of an entry that is a scale."""
 TRIALS = 9
 ZOOMS = 3
 COARSE, PLACE_RAD = 0.02, 0.01
 """What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle as such, rad."""
-STEP = 1e-3
-"""Step of numerical derivatives by shape, over the reach."""
-
-
-@dataclass(frozen=True)
-class Added:
-    """One effect in the model: its term, shape and coefficients."""
-
-    term: Term
-    shape: Shape
-    coefficients: tuple[float, ...]
-
-    def parameters(self, context: Context) -> dict[str, float]:
-        """Return the catalogue's parameters."""
-        return dict(self.term.read(np.array(self.coefficients), self.shape, context))
 
 
 @dataclass(frozen=True)
@@ -100,16 +85,12 @@ def fit(
         if k < len(REACHES):
             for place in range(len(effects)):
                 effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
-        solved = _solve(here, effects)
+        solved = solve(here, effects)
         effects = solved.effects
         settled = solved.cost >= (1.0 - SETTLED) * least
         if solved.cost < (1.0 + SETTLED) * least:
-            best, step, share = (
-                Joint(nominal, effects, here.equations, solved.residual, here),
-                solved,
-                min(1.0, 2.0 * share),
-            )
-            least = min(least, solved.cost)
+            best = Joint(nominal, effects, here.equations, solved.residual, here)
+            step, share, least = solved, min(1.0, 2.0 * share), min(least, solved.cost)
             if settled:
                 break
         else:
@@ -138,17 +119,12 @@ def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
     left, placed = list(steps), []
     for effect in effects:
         shape = effect.shape
-        for index, reach in _sized(effect).items():
+        for index, reach in sized(effect).items():
             step = max(-LARGEST_SHIFT, min(LARGEST_SHIFT, float(left.pop(0))))
-            trial = _displaced(shape, index, reach, step)
+            trial = displaced(shape, index, reach, step)
             shape = trial if effect.term.physical(trial) else shape
         placed.append(replace(effect, shape=shape))
     return tuple(placed)
-
-
-def _sized(effect: Added) -> Mapping[int, float]:
-    """Return the continuous entries of a shape that says how large the effect is."""
-    return effect.term.refine if effect.term.size is not None else {}
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
@@ -159,109 +135,13 @@ def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
     return sine, -cosine, slope, -constant
 
 
-def _wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
-    """Return (whitened columns of free coefficients, what coefficients that are known contribute)."""
-    free: list[Array] = []
-    known = np.zeros(len(stack.residual))
-    for effect in effects:
-        columns = stack.whitened(stack.columns(effect.term, effect.shape))
-        if effect.term.size is None:
-            free.append(columns)
-        else:
-            known = known + effect.term.size * columns[:, 0]
-    return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
-
-
-@dataclass(frozen=True)
-class _Solved:
-    """The linear problem solved at one point.
-
-    Attributes:
-        shapes: Step of the shapes that say how large their effect is, over their reach.
-        straight: Step of the nominal parameters that the torque is linear in, their speeds as they are.
-        bend: Step with the Stribeck speeds free to first order, of which only theirs count.
-        effects: With coefficients.
-        residual: Whitened rows less everything, the speeds free to first order.
-        cost: Sum of whitened squares with the speeds as they are: what this point is worth. To first order a speed that
-            is far off promises what no step keeps.
-    """
-
-    straight: Array
-    bend: Array
-    shapes: Array
-    effects: tuple[Added, ...]
-    residual: Array
-    cost: float
-
-
-def _solve(stack: Stack, effects: Sequence[Added]) -> _Solved:
-    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    free, known = _wide(stack, effects)
-    found, residual = _least(stack, target - known, free)
-    unbent = stack.without(SPEEDS)
-    straight, rest = _least(unbent, target - known, free)
-    shifts = _shifts(stack, effects)
-    wide = np.concatenate([free, shifts], axis=1)
-    moved, _ = _least(stack, target - known, wide)
-    bend = _step(stack, target - known - wide @ moved, ())
-    step = _step(stack, target - known - free @ straight, SPEEDS)
-    placed, at = [], 0
-    for effect in effects:
-        if effect.term.size is not None:
-            placed.append(replace(effect, coefficients=(effect.term.size,)))
-            continue
-        width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
-        placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
-        at += width
-    return _Solved(step, bend, moved[free.shape[1] :], tuple(placed), residual, float(rest @ rest))
-
-
-def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives by the shapes that say how large their effect is, shape (n, g)."""
-    parts = [np.zeros((len(stack.residual), 0))]
-    for effect in effects:
-        for index, reach in _sized(effect).items():
-            shapes = effect.shape, _displaced(effect.shape, index, reach, STEP)
-            here, there = (stack.whitened(stack.columns(effect.term, shape)) for shape in shapes)
-            assert effect.term.size is not None
-            parts.append((there - here) * (effect.term.size / STEP))
-    return np.concatenate(parts, axis=1)
-
-
-def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
-    """Return coefficients of columns beside what the stack absorbs, and the residual."""
-    left = stack.projected(target[:, None])[:, 0]
-    columns = stack.projected(free)
-    scale = np.linalg.norm(columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
-    return found, left - columns @ found
-
-
-def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
-    """Return the step of the nominal parameters that whitened rows ask for; zero for names in ``without``."""
-    free = stack.nominal.free
-    step = np.zeros(len(free))
-    for equation in stack.equations:
-        if equation.name == "torque":
-            use = [k for k, name in enumerate(equation.names) if name not in without]
-            tangent = equation.tangent[:, use]
-            norm = np.linalg.norm(tangent, axis=0)
-            norm[norm == 0.0] = 1.0
-            found = np.linalg.lstsq(tangent / norm, whitened[stack.part("torque")] * equation.sigma, rcond=1e-8)[0]
-            for k, change in zip(use, found / norm, strict=True):
-                if k < len(free):
-                    step[k] = change
-    return step
-
-
 def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
     """Return effect ``k`` with its continuous shape entries refined, the nominal tangent and the others free."""
     effect = effects[k]
     if not effect.term.refine:
         return effect
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    others, known = _wide(stack, [e for j, e in enumerate(effects) if j != k])
+    others, known = wide(stack, [e for j, e in enumerate(effects) if j != k])
     granted, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
     left = stack.projected((target - known)[:, None])[:, 0]
     left = left - granted @ (granted.T @ left)
@@ -286,17 +166,11 @@ def _search(cost: Callable[[Shape], float], effect: Added, share: float) -> Shap
         for index, reach in effect.term.refine.items():
             centre = best
             for place in np.linspace(-width, width, TRIALS):
-                trial = _displaced(centre, index, reach, float(place))
+                trial = displaced(centre, index, reach, float(place))
                 if place != 0.0 and effect.term.physical(trial) and (value := cost(trial)) < least:
                     best, least = trial, value
         width *= 2.0 / (TRIALS - 1)
     return best
-
-
-def _displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
-    """Return a shape with one entry moved by a share of its reach."""
-    entry = shape[index] * float(FACTOR**share) if reach == 0.0 else shape[index] + reach * share
-    return (*shape[:index], entry, *shape[index + 1 :])
 
 
 def _directions(stack: Stack, effects: Sequence[Added]) -> Array:
@@ -308,7 +182,7 @@ def _directions(stack: Stack, effects: Sequence[Added]) -> Array:
             parts.append(here)
         coefficients = np.array(effect.coefficients)
         for index, reach in effect.term.refine.items():
-            there = stack.whitened(stack.columns(effect.term, _displaced(effect.shape, index, reach, STEP)))
+            there = stack.whitened(stack.columns(effect.term, displaced(effect.shape, index, reach, STEP)))
             parts.append((((there - here) @ coefficients) / STEP)[:, None])
     return np.concatenate(parts, axis=1)
 
@@ -385,5 +259,5 @@ def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
             step[k] = STEP
             moves.append(dict(effect.term.read(coefficients + step, effect.shape, context)))
     for index, reach in effect.term.refine.items():
-        moves.append(dict(effect.term.read(coefficients, _displaced(effect.shape, index, reach, STEP), context)))
+        moves.append(dict(effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)))
     return moves

@@ -89,6 +89,7 @@ class Stack:
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
         cache: Regressors that do not depend on the nominal values, by term and shape; shared between stacks of the
             same recordings.
+        own: Those that do.
     """
 
     equations: tuple[Equation, ...]
@@ -100,6 +101,7 @@ class Stack:
     blocks: int
     gather: tuple[sparse.csr_matrix, ...] = field(repr=False)
     cache: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
+    own: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
 
     def part(self, name: str) -> slice:
         """Return the rows of one equation."""
@@ -113,15 +115,15 @@ class Stack:
     def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
-        if key in self.cache:
-            return self.cache[key]
+        known = self.own if term.follows else self.cache
+        if key in known:
+            return known[key]
         found = {
             equation.name: equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
             for equation in self.equations
             if equation.name in term.columns
         }
-        if not term.follows:
-            self.cache[key] = found
+        known[key] = found
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
