@@ -217,7 +217,11 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     late = widened(irregular(recording.time, grid), margin)
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
-    long_enough = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1]
+    # What moves against the torque as a rest ends has not broken away: a count flickers, or the shaft springs back.
+    pushed = np.sign(drive + known)
+    long_enough = [
+        k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]
+    ]
     reversal = _since(grid, turned)
     motor = _motor(recording, grid, angle)
     return View(

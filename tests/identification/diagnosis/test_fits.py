@@ -103,3 +103,16 @@ def test_rows_in_which_the_drive_hunts_unseen_by_the_filter_are_left_out() -> No
     hunting = _ramp(0.03)
     assert not np.any(hunting.moving[late])
     assert np.mean(hunting.moving[hunting.kept_times < 2.8]) > 0.9
+
+
+def test_a_joint_that_moves_against_its_torque_has_not_broken_away() -> None:
+    """A shaft that springs back under a torque the other way was taken for a breakaway of minus that torque."""
+    time = np.arange(4000) * CYCLE_S
+    back = np.clip((time - 1.0) / 0.02, 0.0, 1.0) * 40.0 * COUNT_RAD
+    angle = np.maximum(0.1 * (time - 2.0), 0.0) - back
+    angle = COUNT_RAD * np.round(angle / COUNT_RAD)
+    channels = {"time": time, "motor_angle": 100.0 * angle, "current": 1.0 + time}
+    recording = Recording("rest", channels, BENCH, "unloaded", 0.0, averaged=frozenset({"current"}))
+    (view,) = views([recording], 25.0)
+    assert np.all(view.sense[view.breakaways] > 0.0)
+    assert np.any(np.abs(view.time[view.breakaways] - 2.0) < 0.01)
