@@ -85,12 +85,9 @@ def _patches(context: Context) -> list[Shape]:
     return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
 
 
+# What rest has added is gone after a little sliding: it shows as a rest ends, and not in steady motion.
 def _dwell(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(view.sense * (1.0 - np.exp(-_last_rest(view) / shape[0])))
-
-
-def _dwell_sliding(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return _dwell(view, nominal, shape) * nominal.falling(view)
 
 
 def _last_rest(view: View) -> Array:
@@ -139,12 +136,11 @@ TERMS = (
     ),
     Term(
         "dwell_static_friction",
-        {"torque": _dwell_sliding, "breakaway": _dwell},
+        {"breakaway": _dwell},
         lambda c, shape, _context: {"growth_Nm": float(c[0]), "time_s": shape[0]},
         lambda _context: DWELLS_S,
         refine={0: 0.0},
         positive=(0,),
-        follows=True,
     ),
     Term(
         "presliding",
