@@ -10,10 +10,12 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.equations import Equation, equations
+from identification.diagnosis.linear import STEP, displaced, sized, solve, wide
+from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import Stack, granting, stacked, tied
-from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.diagnosis.terms.term import Context, Shape
 from identification.diagnosis.view import View
 from identification.estimate.assemble import WIDEST
 from identification.estimate.uncertainty import CONFIDENCE
@@ -21,6 +23,8 @@ from identification.recording import Array
 
 ROUNDS = 12
 """Most Gauss-Newton rounds of one joint fit."""
+LARGEST_SHIFT = 0.3
+"""Greatest step of a shape's entry in one round, over its reach."""
 SETTLED = 1e-4
 """Relative change of the cost at which it ends."""
 DAMPING = 0.3
@@ -29,27 +33,10 @@ MOST_FAILURES = 2
 """... and how often that is tried."""
 REACHES = (1.0, 0.2)
 """How far continuous shapes are sought in the first rounds, over their full reach."""
-FACTOR = 4.0
-"""Full reach of an entry that is a scale."""
 TRIALS = 9
 ZOOMS = 3
 COARSE, PLACE_RAD = 0.02, 0.01
 """What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle as such, rad."""
-STEP = 1e-3
-"""Step of numerical derivatives by shape, over the reach."""
-
-
-@dataclass(frozen=True)
-class Added:
-    """One effect in the model: its term, shape and coefficients."""
-
-    term: Term
-    shape: Shape
-    coefficients: tuple[float, ...]
-
-    def parameters(self, context: Context) -> dict[str, float]:
-        """Return the catalogue's parameters."""
-        return dict(self.term.read(np.array(self.coefficients), self.shape, context))
 
 
 @dataclass(frozen=True)
@@ -88,9 +75,9 @@ def fit(
         effects: With their trial shapes; coefficients are found.
         before: A fit of the same recordings, whose noise and blocks are kept.
     """
-    nominal, effects = start, tuple(effects)
+    nominal, effects = _begun(start, effects)
     best: Joint | None = None
-    step, share, failures = np.zeros(0), 1.0, 0
+    least, share, failures = math.inf, 1.0, 0
     stack = None if before is None else before.stack
     for k in range(ROUNDS):
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
@@ -98,22 +85,48 @@ def fit(
         if k < len(REACHES):
             for place in range(len(effects)):
                 effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
-        onward, effects, residual = _solve(here, effects)
-        joint = Joint(nominal, effects, here.equations, residual, here)
-        if best is None or joint.cost < (1.0 - SETTLED) * best.cost:
-            best, step, share = joint, onward, min(1.0, 2.0 * share)
-        elif joint.cost < (1.0 + SETTLED) * best.cost:
-            best = joint if joint.cost < best.cost else best
-            break
+        solved = solve(here, effects)
+        effects = solved.effects
+        settled = solved.cost >= (1.0 - SETTLED) * least
+        if solved.cost < (1.0 + SETTLED) * least:
+            best = Joint(nominal, effects, here.equations, solved.residual, here)
+            step, share, least = solved, min(1.0, 2.0 * share), min(least, solved.cost)
+            if settled:
+                break
         else:
             failures, share = failures + 1, DAMPING * share
             if failures > MOST_FAILURES:
                 break
-        nominal = replace(best.nominal.moved(share * step), hidden=hidden_load(best.effects))
+        assert best is not None
+        nominal = best.nominal.moved(step.straight, step.bend, share)
+        effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
+        nominal = replace(_begun(nominal, effects)[0], hidden=hidden_load(best.effects))
     assert best is not None
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=granting(left, _directions(left, best.effects)))
+
+
+def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:
+    """Return nominal values and effects as a fit begins with them."""
+    placed, nominal = [], replace(nominal, bent=None)
+    for effect in effects:
+        nominal, shape = effect.term.begin(nominal, effect.shape)
+        placed.append(replace(effect, shape=shape))
+    return nominal, tuple(placed)
+
+
+def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
+    """Return effects whose size is their shape after a step, within limits, of each of its entries."""
+    left, placed = list(steps), []
+    for effect in effects:
+        shape = effect.shape
+        for index, reach in sized(effect).items():
+            step = max(-LARGEST_SHIFT, min(LARGEST_SHIFT, float(left.pop(0))))
+            trial = displaced(shape, index, reach, step)
+            shape = trial if effect.term.physical(trial) else shape
+        placed.append(replace(effect, shape=shape))
+    return tuple(placed)
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
@@ -122,49 +135,6 @@ def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
     slope, constant = found.get("return_spring", (0.0, 0.0))
     return sine, -cosine, slope, -constant
-
-
-def _wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
-    """Return (whitened columns of free coefficients, what coefficients that are known contribute)."""
-    free: list[Array] = []
-    known = np.zeros(len(stack.residual))
-    for effect in effects:
-        columns = stack.whitened(stack.columns(effect.term, effect.shape))
-        if effect.term.size is None:
-            free.append(columns)
-        else:
-            known = known + effect.term.size * columns[:, 0]
-    return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
-
-
-def _solve(stack: Stack, effects: Sequence[Added]) -> tuple[Array, tuple[Added, ...], Array]:
-    """Solve the linear problem; return the nominal step, effects with coefficients, and the residual."""
-    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    free, known = _wide(stack, effects)
-    left = stack.projected((target - known)[:, None])[:, 0]
-    columns = stack.projected(free)
-    scale = np.linalg.norm(columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
-    residual = left - columns @ found
-    step = np.zeros(len(stack.nominal.free))
-    for equation in stack.equations:
-        if equation.name == "torque":
-            rows = stack.part("torque")
-            rest = (target - known - free @ found)[rows] * equation.sigma
-            norm = np.linalg.norm(equation.tangent, axis=0)
-            norm[norm == 0.0] = 1.0
-            found_step = np.linalg.lstsq(equation.tangent / norm, rest, rcond=1e-8)[0] / norm
-            step = found_step[: len(step)]
-    placed, at = [], 0
-    for effect in effects:
-        if effect.term.size is not None:
-            placed.append(replace(effect, coefficients=(effect.term.size,)))
-            continue
-        width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
-        placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
-        at += width
-    return step, tuple(placed), residual
 
 
 def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
@@ -176,7 +146,7 @@ def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> A
     stack = stack.only(tied(effect.term.columns, [e.term.columns for e in effects]))
     here = {e.name for e in stack.equations}
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    others, known = _wide(stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()])
+    others, known = wide(stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()])
     granted, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
     left = stack.projected((target - known)[:, None])[:, 0]
     left = left - granted @ (granted.T @ left)
@@ -201,17 +171,11 @@ def _search(cost: Callable[[Shape], float], effect: Added, share: float) -> Shap
         for index, reach in effect.term.refine.items():
             centre = best
             for place in np.linspace(-width, width, TRIALS):
-                trial = _displaced(centre, index, reach, float(place))
+                trial = displaced(centre, index, reach, float(place))
                 if place != 0.0 and effect.term.physical(trial) and (value := cost(trial)) < least:
                     best, least = trial, value
         width *= 2.0 / (TRIALS - 1)
     return best
-
-
-def _displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
-    """Return a shape with one entry moved by a share of its reach."""
-    entry = shape[index] * float(FACTOR**share) if reach == 0.0 else shape[index] + reach * share
-    return (*shape[:index], entry, *shape[index + 1 :])
 
 
 def _directions(stack: Stack, effects: Sequence[Added]) -> Array:
@@ -223,7 +187,7 @@ def _directions(stack: Stack, effects: Sequence[Added]) -> Array:
             parts.append(here)
         coefficients = np.array(effect.coefficients)
         for index, reach in effect.term.refine.items():
-            there = stack.whitened(stack.columns(effect.term, _displaced(effect.shape, index, reach, STEP)))
+            there = stack.whitened(stack.columns(effect.term, displaced(effect.shape, index, reach, STEP)))
             parts.append((((there - here) @ coefficients) / STEP)[:, None])
     return np.concatenate(parts, axis=1)
 
@@ -300,5 +264,5 @@ def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
             step[k] = STEP
             moves.append(dict(effect.term.read(coefficients + step, effect.shape, context)))
     for index, reach in effect.term.refine.items():
-        moves.append(dict(effect.term.read(coefficients, _displaced(effect.shape, index, reach, STEP), context)))
+        moves.append(dict(effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)))
     return moves

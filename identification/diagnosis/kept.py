@@ -129,10 +129,11 @@ def left_beyond_noise(joint: Joint, term: Term) -> float:
 def _touched(joint: Joint, term: Term) -> list[slice]:
     """Return the rows of the equations that an effect touches.
 
-    A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
+    A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model but one
+    that shows nowhere else.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
-    return [joint.stack.part(name) for name in names if name != "breakaway"]
+    return [joint.stack.part(name) for name in names if name != "breakaway" or len(names) == 1]
 
 
 def _squares(joint: Joint, parts: Sequence[slice]) -> float:

@@ -18,8 +18,11 @@ RISE = 0.5
 """Static over Coulomb friction, less one, where a rise is only supposed."""
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
+LEAST_RISE = 1e-6
+"""Of static over Coulomb friction, over the latter."""
 _RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
 """Coulomb level, static level and Stribeck speed: of the system, of the load, of the gear under a declared weight."""
+_STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
 @dataclass(frozen=True)
@@ -32,12 +35,15 @@ class Nominal:
         alpha: Stribeck exponent.
         hidden: Torque that turns with the joint and was not declared, as effects named so far say: coefficients of
             sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
+        bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
+            with a rise or a speed is then said by it.
     """
 
     values: Mapping[str, float]
     free: tuple[str, ...]
     alpha: float
     hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    bent: float | None = None
 
     def get(self, name: str) -> float:
         """Return a value; 0 where the bench has no such parameter."""
@@ -89,25 +95,36 @@ class Nominal:
         """Return the torque's derivatives by the free directions, shape (len(free), m)."""
         return np.stack([self._direction(view, name) for name in self.free])
 
-    def moved(self, step: Array) -> Nominal:
-        """Return the values after a step along the free directions, kept physical."""
+    def moved(self, straight: Array, bend: Array, share: float = 1.0) -> Nominal:
+        """Return the values after a step along the free directions, kept physical.
+
+        Args:
+            straight: Changes of what the torque is linear in, with the Stribeck speeds as they are.
+            bend: Changes with those free as well, of which only those of the speeds count. A direction of a speed is as
+                long as its rise was; the rise that was found takes its place.
+            share: Of the speeds' changes that is taken.
+        """
         values = dict(self.values)
-        for name, change in zip(self.free, (float(s) for s in step), strict=True):
-            if name in ("omega_sf", "omega_sL"):
-                values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
-            elif name in ("Ms", "mu_s", "mu_gs"):
+        for name, change in zip(self.free, (float(s) for s in straight), strict=True):
+            if name in (*SPEEDS, *_STATICS):
                 continue
-            elif name == "offset":
-                values[name] += change
-            else:
-                values[name] = max(0.0, values[name] + change)
+            values[name] = values[name] + change if name == "offset" else max(0.0, values[name] + change)
         for coulomb, static, _ in _RISES:
             if static in values:
-                rise = self.get(static) - self.get(coulomb)
+                rise = self._rise(coulomb, static)
                 if static in self.free:
-                    rise += float(step[self.free.index(static)])
-                values[static] = values[coulomb] + max(rise, 1e-6 * values[coulomb])
+                    rise += float(straight[self.free.index(static)])
+                values[static] = values[coulomb] + max(rise, LEAST_RISE * values[coulomb])
+        for name in set(SPEEDS) & set(self.free):
+            before = sum(self._rise(c, s) for c, s, speed in _RISES if speed == name)
+            after = sum(values.get(s, 0.0) - values.get(c, 0.0) for c, s, speed in _RISES if speed == name)
+            if before > 0.0 and after > 2.0 * LEAST_RISE * sum(values.get(c, 0.0) for c, _, w in _RISES if w == name):
+                change = share * float(bend[self.free.index(name)]) * before / after
+                values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
         return replace(self, values=values)
+
+    def _rise(self, coulomb: str, static: str) -> float:
+        return self.get(static) - self.get(coulomb)
 
     def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
         """Return these values with friction that falls from half as much again by a speed, all but ``fixed`` free."""
@@ -149,6 +166,7 @@ class Nominal:
             return np.ones(len(view.time))
         if omega <= 0.0:
             return np.zeros(len(view.time))
-        ratio = np.abs(view.velocity) / omega
-        fall = np.exp(-(ratio**self.alpha))
-        return np.asarray(fall if name == names[1] else (static - coulomb) * fall * self.alpha * ratio**self.alpha)
+        alpha = self.bent or self.alpha
+        power = (np.abs(view.velocity) / omega) ** alpha
+        fall = np.exp(-power)
+        return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)

@@ -26,6 +26,9 @@ LEVEL = 0.01
 LEAST_SHARE = 0.01
 """Power of a contribution over that of the noise, in the equations where it shows, below which it does not matter."""
 RARE = 6.0
+EXCESS_OF_ONE = 2.0
+"""Mean square of the torque's mismatch in one recording over the noise's, up to which nothing is said of it. What is
+met in a few strokes of one recording has too few blocks for flips of their signs."""
 DRAWS = 999
 MOST_EFFECTS = 3
 
@@ -243,10 +246,17 @@ def excess(joint: Joint, only: str = "") -> float:
     for equation in joint.equations:
         if equation.name == "breakaway" or (only and equation.name != only):
             continue
-        rows = joint.residual[joint.stack.part(equation.name)]
-        power = float(np.mean(np.minimum(np.abs(rows), RARE) ** 2))
-        chances.append(float(stats.chi2.sf(0.5 * len(rows) * power / EXCESS, 0.5 * len(rows))))
+        powers = np.minimum(np.abs(joint.residual[joint.stack.part(equation.name)]), RARE) ** 2
+        chances.append(_beyond(powers, EXCESS))
+        if equation.name == "torque":
+            chances += [_beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views]
     return min(1.0, len(chances) * min(chances, default=1.0))
+
+
+def _beyond(powers: Array, limit: float) -> float:
+    """Return the chance of such a mean square, were the noise's ``limit``; 1 without rows."""
+    half = 0.5 * len(powers)
+    return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:

@@ -91,6 +91,7 @@ class Stack:
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
         cache: Regressors that do not depend on the nominal values, by term and shape; shared between stacks of the
             same recordings.
+        own: Those that do.
     """
 
     equations: tuple[Equation, ...]
@@ -102,6 +103,7 @@ class Stack:
     blocks: int
     gather: tuple[sparse.csr_matrix, ...] = field(repr=False)
     cache: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
+    own: dict[tuple[str, Shape], dict[str, Array]] = field(repr=False, default_factory=dict)
 
     def part(self, name: str) -> slice:
         """Return the rows of one equation."""
@@ -151,9 +153,7 @@ class Stack:
     def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
-        kept = self.cache.get(key, {})
-        if kept and not term.follows:
-            return kept
+        kept = {**self.cache.get(key, {}), **self.own.get(key, {})}
         found = {
             equation.name: kept[equation.name]
             if equation.name in kept
@@ -161,7 +161,9 @@ class Stack:
             for equation in self.equations
             if equation.name in term.columns
         }
-        self.cache[key] = {n: c for n, c in found.items() if not (term.follows and n in NOMINAL_IN)}
+        for name, columns in found.items():
+            store = self.own if term.follows and name in NOMINAL_IN else self.cache
+            store.setdefault(key, {})[name] = columns
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
@@ -182,6 +184,16 @@ class Stack:
         if self.granted.shape[1]:
             out -= self.granted @ (self.granted.T @ out)
         return out
+
+    def without(self, names: Collection[str]) -> Stack:
+        """Return the stack with the torque's tangent short of these names; the residual stays as it is."""
+        basis = [
+            _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
+            if e.name == "torque" and set(e.names) & set(names)
+            else q
+            for e, q in zip(self.equations, self.basis, strict=True)
+        ]
+        return replace(self, basis=tuple(basis))
 
     def sums(self, values: Array) -> Array:
         """Return sums over blocks, shape (b, k)."""
@@ -286,9 +298,7 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
     basis = []
     residuals = []
     for equation in equations:
-        scale = np.linalg.norm(equation.tangent, axis=0)
-        q, r = np.linalg.qr(equation.tangent / np.where(scale > 0.0, scale, 1.0))
-        q = q[:, np.abs(np.diag(r)) > 1e-9]
+        q = _orthonormal(equation.tangent)
         basis.append(q)
         residuals.append((equation.residual - q @ (q.T @ equation.residual)) / equation.sigma)
     residual = np.concatenate(residuals)
@@ -297,6 +307,12 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
     cache = {} if like is None else like.cache
     nothing = np.zeros((len(residual), 0))
     return Stack(tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache)
+
+
+def _orthonormal(tangent: Array) -> Array:
+    scale = np.linalg.norm(tangent, axis=0)
+    q, r = np.linalg.qr(tangent / np.where(scale > 0.0, scale, 1.0))
+    return np.asarray(q[:, np.abs(np.diag(r)) > 1e-9])
 
 
 def granting(stack: Stack, regressors: Array) -> Stack:

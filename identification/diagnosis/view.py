@@ -7,8 +7,10 @@ that no filter imitates physics.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -26,12 +28,18 @@ from identification.prepare import (
     without_rare,
 )
 from identification.recording import Array, Recording, RecordingError
-from identification.signals import BoolArray, Decimator, central_difference, decimator, resample, smooth
+from identification.signals import BoolArray, Decimator, central_difference, decimator, quantum, resample, smooth
 
 RISE_SAMPLES = 5
 """Samples before a breakaway over which the torque's rise is taken."""
 STEADY_SHARE = 0.7
 """Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
+HUNTING_SHARE = 0.09
+"""Effective value of what the filtered speed does not show, over that speed, from which on it is not steady either."""
+QUICK_SAMPLES = 2
+"""To either side of a sample, over which its speed is taken to see whether it is steady."""
+THIRD_DIFFERENCE = math.sqrt(20.0)
+"""Standard deviation of third differences of white noise over its own."""
 LEAST_STEADY = 0.1
 """Share of the motion of all recordings that must be steady, for the rest to be left out."""
 SAME_ENCODER = 1e-9
@@ -190,7 +198,7 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
             f"({2 * low_pass.half + 8}); ask for a higher bandwidth or leave it out"
         )
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
-    angle, velocity, still = _motion(recording, grid, cutoff, valve_side)
+    angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)
     acceleration = central_difference(velocity, 1.0 / rate)
     drive = drive_torque(recording, grid, velocity)
     known = _known(recording, angle, acceleration)
@@ -199,11 +207,21 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     turned = _turned(sense)
     margin = round(1.5 * rate / cutoff)
     stopped = still | turned
-    unsteady = _unsteady(velocity, round(0.5 * rate / cutoff))
+    reach = round(0.5 * rate / cutoff)
+    # Where the speed changes by more than its own size friction is no longer a function of the filtered speed: the
+    # shaft slips and nearly sticks within the filter. Where it changes faster than that speed shows, as a drive does
+    # that hunts on falling friction at up to 100 Hz, mean friction is not friction at the mean speed.
+    unsteady = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
+    hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
+    unsteady |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
     late = widened(irregular(recording.time, grid), margin)
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
-    long_enough = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1]
+    # What moves against the torque as a rest ends has not broken away: a count flickers, or the shaft springs back.
+    pushed = np.sign(drive + known)
+    long_enough = [
+        k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]
+    ]
     reversal = _since(grid, turned)
     motor = _motor(recording, grid, angle)
     return View(
@@ -238,19 +256,37 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     )
 
 
-def _motion(recording: Recording, grid: Array, cutoff: float, valve_side: bool) -> tuple[Array, Array, BoolArray]:
+class _Quick(NamedTuple):
+    """The speed within a few samples, hardly filtered, and its noise, rad/s."""
+
+    velocity: Array
+    noise: float
+
+
+def _quick(series: Array, rate: float) -> _Quick:
+    """Return the speed over :data:`QUICK_SAMPLES` to either side of each sample of a measured position."""
+    span = 2 * QUICK_SAMPLES / rate
+    padded = np.pad(series, QUICK_SAMPLES, mode="edge")
+    rough = 1.4826 * float(np.median(np.abs(np.diff(series, n=3)))) / THIRD_DIFFERENCE
+    scatter = max(rough, quantum(series) / math.sqrt(12.0))
+    return _Quick((padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span, math.sqrt(2.0) * scatter / span)
+
+
+def _motion(
+    recording: Recording, grid: Array, cutoff: float, valve_side: bool
+) -> tuple[Array, Array, _Quick, BoolArray]:
     rate = 1.0 / recording.period
     position = recording.channels.get("angle") if valve_side else joint_angle(recording)
     if position is not None:
         series = resample(recording.time, position, grid)
         still = resting(series)
         angle = smooth(series, rate, cutoff)
-        return angle, central_difference(angle, 1.0 / rate), still
+        return angle, central_difference(angle, 1.0 / rate), _quick(series, rate), still
     if "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
     velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-    return angle, velocity, np.asarray(velocity == 0.0)
+    return angle, velocity, _Quick(velocity, 0.0), np.asarray(velocity == 0.0)
 
 
 def _known(recording: Recording, angle: Array, acceleration: Array) -> Array:
@@ -320,14 +356,10 @@ def _sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
     return np.asarray(sense[known])
 
 
-def _unsteady(velocity: Array, reach: int) -> BoolArray:
-    """Mark samples about which the speed changes by more than its own size.
-
-    There friction is no longer a function of the filtered speed: the shaft slips and nearly sticks within the filter.
-    """
+def _swing(series: Array, reach: int) -> Array:
+    """Return greatest less least value about each sample."""
     size = 2 * reach + 1
-    swing = ndimage.maximum_filter1d(velocity, size) - ndimage.minimum_filter1d(velocity, size)
-    return np.asarray(swing >= STEADY_SHARE * np.abs(velocity))
+    return np.asarray(ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size))
 
 
 def _turned(sense: Array) -> BoolArray:

@@ -33,7 +33,7 @@ LINEAR = {
     "asymmetric_coulomb": ({"torque_Nm": 0.4}, (), (0.4,)),
     "asymmetric_viscous": ({"coefficient_Nms_rad": -0.7}, (), (-0.7,)),
     "quadratic_drag": ({"coefficient_Nms2_rad2": 1.3}, (), (1.3,)),
-    "stribeck_shape": ({"alpha": 1.2}, (1.2,), (1.0,)),
+    "stribeck_shape": ({"alpha": 1.2}, (1.2, 1.0), (1.0,)),
     "friction_memory": ({"time_s": 0.01}, (0.01,), (1.0,)),
     "presliding": ({"stiffness_Nm_rad": 3e3}, (3e3,), (1.0,)),
     "dwell_static_friction": ({"growth_Nm": 2.0, "time_s": 1.0}, (1.0,), (2.0,)),
@@ -53,7 +53,7 @@ LINEAR = {
     "coupling_hysteresis": ({"torque_Nm": 4.0, "deflection_rad": 2e-3}, (4.0,), (2e-3,)),
     "encoder_eccentricity": ({"amplitude_rad": 1e-3, "phase_rad": 0.0}, (), (1e-3, 0.0)),
     "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.5,), (0.8,)),
-    "inverter_dead_time": ({"voltage_V": 0.8}, (), (0.8,)),
+    "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6,), (0.8,)),
     "supply_sag": ({"resistance_ohm": 0.2}, (), (0.2,)),
 }
 """Effect to its parameters, and to the shape and coefficients that the search would find for them."""

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.nominal import SPEEDS, Nominal
 from identification.diagnosis.terms.memory import dahl, lagged
 from identification.diagnosis.terms.term import Context, Shape, Term, in_motion, one, rows, shaped
 from identification.diagnosis.view import View
 from identification.recording import Array
 
-ALPHAS: tuple[Shape, ...] = tuple((a,) for a in (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5))
+ALPHAS = (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5)
+SAME_FALL = (0.6, 0.1)
+"""Shares of its rise down to which friction has fallen where a fitted exponent and another one agree: which they are
+depends on the speeds that the recordings have."""
 LAGS_S: tuple[Shape, ...] = tuple((t,) for t in (0.002, 0.005, 0.01, 0.02, 0.05))
 DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
 STIFFNESSES: tuple[Shape, ...] = tuple((k,) for k in np.geomspace(3e2, 1e6, 15))
@@ -21,19 +26,33 @@ PATCH_WIDTHS = (0.02, 0.05, 0.12)
 
 
 def _stribeck_shape(view: View, nominal: Nominal, shape: Shape) -> Array:
-    total = _fall(view, nominal, "omega_sf", shape[0]) * (nominal.get("Ms") - nominal.get("Mc"))
+    total = _fall(view, nominal, "omega_sf", shape) * (nominal.get("Ms") - nominal.get("Mc"))
     if view.loaded:
         rise = view.moment * (nominal.get("mu_s") - nominal.get("mu_c"))
-        total = total + _fall(view, nominal, "omega_sL", shape[0]) * rise
+        total = total + _fall(view, nominal, "omega_sL", shape) * rise
     return rows(view.sense * total)
 
 
-def _fall(view: View, nominal: Nominal, name: str, alpha: float) -> Array:
+def _fall(view: View, nominal: Nominal, name: str, shape: Shape) -> Array:
     omega_s = nominal.get(name)
     if omega_s <= 0.0:
         return np.zeros(len(view.velocity))
+    alpha, wider = shape
     ratio = np.abs(view.velocity) / omega_s
-    return np.asarray(np.exp(-(ratio**alpha)) - np.exp(-(ratio**nominal.alpha)))
+    return np.asarray(np.exp(-((ratio / wider) ** alpha)) - np.exp(-(ratio**nominal.alpha)))
+
+
+def _exponents(context: Context) -> list[Shape]:
+    """Return exponents, each with the Stribeck speed over the nominal one at which falls agree at one share."""
+    usual = context.nominal.alpha
+    return [(a, float((-np.log(share)) ** (1.0 / usual - 1.0 / a))) for a in ALPHAS for share in SAME_FALL]
+
+
+def _bent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Hand the wider fall over to the nominal Stribeck speeds, which a joint fit seeks."""
+    alpha, wider = shape
+    values = {n: v * wider if n in SPEEDS else v for n, v in nominal.values.items()}
+    return replace(nominal, values=values, bent=alpha), (alpha, 1.0)
 
 
 def _level(view: View, nominal: Nominal) -> Array:
@@ -66,12 +85,9 @@ def _patches(context: Context) -> list[Shape]:
     return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
 
 
+# What rest has added is gone after a little sliding: it shows as a rest ends, and not in steady motion.
 def _dwell(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(view.sense * (1.0 - np.exp(-_last_rest(view) / shape[0])))
-
-
-def _dwell_sliding(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return _dwell(view, nominal, shape) * nominal.falling(view)
 
 
 def _last_rest(view: View) -> Array:
@@ -100,11 +116,13 @@ TERMS = (
         "stribeck_shape",
         {"torque": _stribeck_shape},
         shaped("alpha"),
-        lambda _context: ALPHAS,
+        _exponents,
         refine={0: 0.0},
         positive=(0,),
         size=1.0,
         follows=True,
+        limits={0: (0.3, 8.0)},
+        begin=_bent,
     ),
     Term(
         "friction_memory",
@@ -118,12 +136,11 @@ TERMS = (
     ),
     Term(
         "dwell_static_friction",
-        {"torque": _dwell_sliding, "breakaway": _dwell},
+        {"breakaway": _dwell},
         lambda c, shape, _context: {"growth_Nm": float(c[0]), "time_s": shape[0]},
         lambda _context: DWELLS_S,
         refine={0: 0.0},
         positive=(0,),
-        follows=True,
     ),
     Term(
         "presliding",

@@ -37,6 +37,11 @@ CYCLES_PER_TURN: tuple[Shape, ...] = tuple((float(n),) for n in range(1, 49))
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Knee of a saturating torque constant over the greatest current."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
+STEP_A = (0.01, 0.1)
+"""Current over which a dead time's step may seem to be reached. About zero a noisy sample does not tell the sign, and
+the winding rests without current within the step."""
+ROUNDED_A = (0.15, 10.0)
+"""Current over which a brush drop is reached; where it is less, it looks like a dead time."""
 BRUSH_CURRENTS: tuple[Shape, ...] = tuple((i,) for i in (0.2, 0.5, 1.0, 2.0))
 
 
@@ -128,10 +133,6 @@ def _mean_over_sample(
     return np.asarray(np.where(small, function(current), mean))
 
 
-def _dead_time(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    return rows(_mean_over_sample(view, np.abs, np.sign))
-
-
 def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
     knee = shape[0]
 
@@ -188,9 +189,11 @@ TERMS = (
     ),
     Term(
         "inverter_dead_time",
-        {"voltage": _dead_time},
+        {"voltage": _brushes},
         one("voltage_V"),
-        _with_voltage(NO_SHAPE),
+        _with_voltage(((0.05,),)),
+        refine={0: 0.0},
+        limits={0: STEP_A},
         positive=(0,),
     ),
     Term(
@@ -199,7 +202,7 @@ TERMS = (
         lambda c, shape, _context: {"voltage_V": float(c[0]), "current_A": shape[0]},
         _with_voltage(BRUSH_CURRENTS),
         refine={0: 0.0},
-        limits={0: (0.1, 10.0)},
+        limits={0: ROUNDED_A},
         positive=(0,),
     ),
     Term(

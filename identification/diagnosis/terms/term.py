@@ -45,6 +45,7 @@ class Term:
         follows: Whether the regressors depend on the nominal values, so that they change as those are fitted.
         limits: Index of a shape's entry to its least and greatest physical value.
         place: Index of the shape's entry that is the recording in which alone the effect shows, if there is one.
+        begin: From nominal values and a trial shape to those that a joint fit begins from.
         size: Coefficient the regressor is scaled to have, where its shape alone says how large it is (else None).
     """
 
@@ -58,6 +59,7 @@ class Term:
     follows: bool = False
     limits: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     place: int | None = None
+    begin: Callable[[Nominal, Shape], tuple[Nominal, Shape]] = lambda nominal, shape: (nominal, shape)
 
     @property
     def freedom(self) -> int:

@@ -1,0 +1,139 @@
+"""The linear problem inside a joint fit: what coefficients, nominal values and shapes ask for at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnosis.nominal import SPEEDS
+from identification.diagnosis.stack import Stack
+from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.recording import Array
+
+FACTOR = 4.0
+"""Full reach of an entry that is a scale."""
+STEP = 1e-3
+"""Step of numerical derivatives by shape, over the reach."""
+
+
+@dataclass(frozen=True)
+class Added:
+    """One effect in the model: its term, shape and coefficients."""
+
+    term: Term
+    shape: Shape
+    coefficients: tuple[float, ...]
+
+    def parameters(self, context: Context) -> dict[str, float]:
+        """Return the catalogue's parameters."""
+        return dict(self.term.read(np.array(self.coefficients), self.shape, context))
+
+
+def sized(effect: Added) -> Mapping[int, float]:
+    """Return the continuous entries of a shape that says how large the effect is."""
+    return effect.term.refine if effect.term.size is not None else {}
+
+
+def displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
+    """Return a shape with one entry moved by a share of its reach."""
+    entry = shape[index] * float(FACTOR**share) if reach == 0.0 else shape[index] + reach * share
+    return (*shape[:index], entry, *shape[index + 1 :])
+
+
+def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
+    """Return (whitened columns of free coefficients, what coefficients that are known contribute)."""
+    free: list[Array] = []
+    known = np.zeros(len(stack.residual))
+    for effect in effects:
+        columns = stack.whitened(stack.columns(effect.term, effect.shape))
+        if effect.term.size is None:
+            free.append(columns)
+        else:
+            known = known + effect.term.size * columns[:, 0]
+    return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
+
+
+@dataclass(frozen=True)
+class Solved:
+    """The linear problem solved at one point.
+
+    Attributes:
+        shapes: Step of the shapes that say how large their effect is, over their reach.
+        straight: Step of the nominal parameters that the torque is linear in, their speeds as they are.
+        bend: Step with the Stribeck speeds free to first order, of which only theirs count.
+        effects: With coefficients.
+        residual: Whitened rows less everything, the speeds free to first order.
+        cost: Sum of whitened squares with the speeds as they are: what this point is worth. To first order a speed that
+            is far off promises what no step keeps.
+    """
+
+    straight: Array
+    bend: Array
+    shapes: Array
+    effects: tuple[Added, ...]
+    residual: Array
+    cost: float
+
+
+def solve(stack: Stack, effects: Sequence[Added]) -> Solved:
+    """Solve for coefficients, and for steps of all that the model is not linear in."""
+    target = np.concatenate([e.residual / e.sigma for e in stack.equations])
+    free, known = wide(stack, effects)
+    found, residual = _least(stack, target - known, free)
+    unbent = stack.without(SPEEDS)
+    straight, rest = _least(unbent, target - known, free)
+    shifts = _shifts(stack, effects)
+    every = np.concatenate([free, shifts], axis=1)
+    moved, _ = _least(stack, target - known, every)
+    bend = _step(stack, target - known - every @ moved, ())
+    step = _step(stack, target - known - free @ straight, SPEEDS)
+    placed, at = [], 0
+    for effect in effects:
+        if effect.term.size is not None:
+            placed.append(replace(effect, coefficients=(effect.term.size,)))
+            continue
+        width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
+        placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
+        at += width
+    return Solved(step, bend, moved[free.shape[1] :], tuple(placed), residual, float(rest @ rest))
+
+
+def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives by the shapes that say how large their effect is, shape (n, g)."""
+    parts = [np.zeros((len(stack.residual), 0))]
+    for effect in effects:
+        for index, reach in sized(effect).items():
+            shapes = effect.shape, displaced(effect.shape, index, reach, STEP)
+            here, there = (stack.whitened(stack.columns(effect.term, shape)) for shape in shapes)
+            assert effect.term.size is not None
+            parts.append((there - here) * (effect.term.size / STEP))
+    return np.concatenate(parts, axis=1)
+
+
+def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
+    """Return coefficients of columns beside what the stack absorbs, and the residual."""
+    left = stack.projected(target[:, None])[:, 0]
+    columns = stack.projected(free)
+    scale = np.linalg.norm(columns, axis=0)
+    scale[scale == 0.0] = 1.0
+    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
+    return found, left - columns @ found
+
+
+def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
+    """Return the step of the nominal parameters that whitened rows ask for; zero for names in ``without``."""
+    free = stack.nominal.free
+    step = np.zeros(len(free))
+    for equation in stack.equations:
+        if equation.name == "torque":
+            use = [k for k, name in enumerate(equation.names) if name not in without]
+            tangent = equation.tangent[:, use]
+            norm = np.linalg.norm(tangent, axis=0)
+            norm[norm == 0.0] = 1.0
+            found = np.linalg.lstsq(tangent / norm, whitened[stack.part("torque")] * equation.sigma, rcond=1e-8)[0]
+            for k, change in zip(use, found / norm, strict=True):
+                if k < len(free):
+                    step[k] = change
+    return step

@@ -1,0 +1,118 @@
+"""What a joint fit makes of starts far off, of falling friction, and of rows that are no equations."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.search import excess, screened
+from identification.diagnosis.stack import Candidate
+from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.term import Context
+from identification.diagnosis.view import View, views
+from identification.recording import Recording
+
+from .benches import BENCH, CYCLE_S, campaign, honest, nominal_fit
+
+TERM = {t.name: t for t in TERMS}
+COUNT_RAD = 2.0 * math.pi / 4096 / 100
+
+
+def begun_with(joint: Joint, name: str) -> Joint:
+    """Fit one effect from the trial shape that explains most."""
+    here = joint.equations[0].views
+    trials = screened(joint.stack, Context(here, joint.nominal), [TERM[name]])
+    best: Candidate = max(trials, key=lambda c: c.score)
+    added = Added(TERM[name], best.shape, tuple(float(c) for c in best.coefficients))
+    return fit(here, "N m", joint.nominal, (added,), joint)
+
+
+def power(joint: Joint, equation: str) -> float:
+    """Return the mean square of an equation's mismatch over the noise's."""
+    return float(np.mean(joint.residual[joint.stack.part(equation)] ** 2))
+
+
+def test_a_speed_moves_by_the_rise_that_was_found() -> None:
+    nominal = Nominal({"Mc": 5.0, "Ms": 6.0, "omega_sf": 0.05}, ("Mc", "Ms", "omega_sf"), 2.0)
+    after = nominal.moved(np.array([0.0, 1.0, 9.0]), np.array([9.0, 9.0, 0.2]))
+    assert after.values["Ms"] == pytest.approx(7.0)
+    assert after.values["omega_sf"] == pytest.approx(0.05 * math.exp(0.2 / 2.0))
+    gone = nominal.moved(np.array([0.0, -3.0, 0.0]), np.array([0.0, 0.0, 0.2]))
+    assert gone.values["Ms"] == pytest.approx(5.0, rel=1e-5)
+    assert gone.values["omega_sf"] == 0.05, "without a fall nothing tells its speed"
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.6])
+def test_a_fit_finds_its_way_from_a_speed_that_is_far_off(factor: float) -> None:
+    joint = nominal_fit(honest())
+    values = {n: v * (factor if n == "omega_sf" else 1.0) for n, v in joint.nominal.values.items()}
+    again = fit(joint.equations[0].views, "N m", replace(joint.nominal, values=values), (), joint)
+    assert again.nominal.values["omega_sf"] == pytest.approx(joint.nominal.values["omega_sf"], rel=0.02)
+    assert again.nominal.values["Ms"] == pytest.approx(joint.nominal.values["Ms"], rel=0.02)
+
+
+def test_an_exponent_is_found_beside_speeds_that_suit_another() -> None:
+    alpha = 0.9
+    joint = nominal_fit(campaign({"stribeck_shape": {"alpha": alpha}}, 21))
+    after = begun_with(joint, "stribeck_shape")
+    assert after.effects[0].shape[0] == pytest.approx(alpha, rel=0.05)
+    assert after.nominal.values["omega_sf"] == pytest.approx(0.0557, rel=0.05)
+    assert power(joint, "torque") > 1.5
+    assert power(after, "torque") < 1.2
+
+
+def test_a_dead_time_is_sharper_than_a_brush_drop() -> None:
+    hidden = {
+        "inverter_dead_time": {"voltage_V": 1.7},
+        "brush_drop": {"voltage_V": 1.0, "current_A": 0.4},
+    }
+    for name, other in (("inverter_dead_time", "brush_drop"), ("brush_drop", "inverter_dead_time")):
+        joint = nominal_fit(campaign({name: hidden[name]}, 22, 8.0))
+        assert power(begun_with(joint, name), "voltage") < power(begun_with(joint, other), "voltage")
+
+
+def test_much_in_one_recording_is_noticed_and_a_little_in_all_is_not() -> None:
+    joint = nominal_fit(honest())
+    torque = joint.equations[0]
+    rows = np.zeros(len(joint.residual), dtype=bool)
+    mine = np.flatnonzero(torque.owner == torque.views[0].index)
+    rows[mine[: len(mine) // 8]] = True
+    assert excess(joint) > 0.5
+    assert excess(replace(joint, residual=joint.residual + 6.0 * rows)) < 1e-3
+    assert excess(replace(joint, residual=1.1 * joint.residual)) > 0.5
+
+
+def _ramp(hunting_rad_s: float) -> View:
+    """Return the view of a slow ramp during whose second half the drive hunts at 80 Hz."""
+    time = np.arange(6000) * CYCLE_S
+    swing = hunting_rad_s / (2.0 * np.pi * 80.0) * np.sin(2.0 * np.pi * 80.0 * time) * (time > 3.0)
+    angle = np.round((0.05 * time + swing) / COUNT_RAD) * COUNT_RAD
+    channels = {"time": time, "motor_angle": 100.0 * angle, "current": np.ones(len(time))}
+    recording = Recording("ramp", channels, BENCH, "unloaded", 0.0, averaged=frozenset({"current"}))
+    return views([recording], 25.0)[0]
+
+
+def test_rows_in_which_the_drive_hunts_unseen_by_the_filter_are_left_out() -> None:
+    late = _ramp(0.0).kept_times > 3.2
+    assert np.mean(_ramp(0.0).moving) > 0.9, "an encoder's counts are no hunting"
+    hunting = _ramp(0.03)
+    assert not np.any(hunting.moving[late])
+    assert np.mean(hunting.moving[hunting.kept_times < 2.8]) > 0.9
+
+
+def test_a_joint_that_moves_against_its_torque_has_not_broken_away() -> None:
+    """A shaft that springs back under a torque the other way was taken for a breakaway of minus that torque."""
+    time = np.arange(4000) * CYCLE_S
+    back = np.clip((time - 1.0) / 0.02, 0.0, 1.0) * 40.0 * COUNT_RAD
+    angle = np.maximum(0.1 * (time - 2.0), 0.0) - back
+    angle = COUNT_RAD * np.round(angle / COUNT_RAD)
+    channels = {"time": time, "motor_angle": 100.0 * angle, "current": 1.0 + time}
+    recording = Recording("rest", channels, BENCH, "unloaded", 0.0, averaged=frozenset({"current"}))
+    (view,) = views([recording], 25.0)
+    assert np.all(view.sense[view.breakaways] > 0.0)
+    assert np.any(np.abs(view.time[view.breakaways] - 2.0) < 0.01)
