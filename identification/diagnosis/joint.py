@@ -75,7 +75,7 @@ def fit(
         effects: With their trial shapes; coefficients are found.
         before: A fit of the same recordings, whose noise and blocks are kept.
     """
-    nominal, effects = _begun(start, effects)
+    nominal, effects = _begun(start.limited(views), effects)
     best: Joint | None = None
     least, share, failures = math.inf, 1.0, 0
     stack = None if before is None else before.stack
@@ -98,7 +98,9 @@ def fit(
             if failures > MOST_FAILURES:
                 break
         assert best is not None
-        nominal = best.nominal.moved(step.straight, step.bend, share)
+        # Regressors that follow the nominal values make a step of these more than linear.
+        follow = share if any(e.term.follows for e in best.effects) else 1.0
+        nominal = best.nominal.moved(follow * step.straight, step.bend, share)
         effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
         nominal = replace(_begun(nominal, effects)[0], hidden=hidden_load(best.effects))
     assert best is not None

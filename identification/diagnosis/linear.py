@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.diagnosis.nominal import SPEEDS
-from identification.diagnosis.stack import Stack
+from identification.diagnosis.stack import Stack, bound
 from identification.diagnosis.terms.term import Context, Shape, Term
 from identification.recording import Array
 
@@ -77,8 +77,15 @@ class Solved:
     cost: float
 
 
-def solve(stack: Stack, effects: Sequence[Added]) -> Solved:
-    """Solve for coefficients, and for steps of all that the model is not linear in."""
+def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solved:
+    """Solve for coefficients, and for steps of all that the model is not linear in, static levels within their limits.
+
+    Args:
+        stack: At the point.
+        effects: There.
+        held: Nominal parameters that stay as they are.
+    """
+    stack = stack.without(held) if held else stack
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
     free, known = wide(stack, effects)
     found, residual = _least(stack, target - known, free)
@@ -87,8 +94,22 @@ def solve(stack: Stack, effects: Sequence[Added]) -> Solved:
     shifts = _shifts(stack, effects)
     every = np.concatenate([free, shifts], axis=1)
     moved, _ = _least(stack, target - known, every)
-    bend = _step(stack, target - known - every @ moved, ())
-    step = _step(stack, target - known - free @ straight, SPEEDS)
+    bend = _step(stack, target - known - every @ moved, held)
+    without = {*SPEEDS, *held}
+    following = [e for e in _with(stack, effects, straight) if e.term.follows and "torque" in e.term.columns]
+    if following:
+        step = _followed(stack, target - known - free @ straight, following, without)
+    else:
+        step = _step(stack, target - known - free @ straight, without)
+    placed = _with(stack, effects, found)
+    beyond = stack.nominal.at_most(step)
+    if beyond - set(held):
+        return solve(stack, effects, beyond | set(held))
+    return Solved(step, bend, moved[free.shape[1] :], placed, residual, float(rest @ rest))
+
+
+def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, ...]:
+    """Return effects with their coefficients, known or found, in that order."""
     placed, at = [], 0
     for effect in effects:
         if effect.term.size is not None:
@@ -97,7 +118,35 @@ def solve(stack: Stack, effects: Sequence[Added]) -> Solved:
         width = next(iter(stack.columns(effect.term, effect.shape).values())).shape[1]
         placed.append(replace(effect, coefficients=tuple(float(c) for c in found[at : at + width])))
         at += width
-    return Solved(step, bend, moved[free.shape[1] :], tuple(placed), residual, float(rest @ rest))
+    return tuple(placed)
+
+
+def _followed(stack: Stack, whitened: Array, following: Sequence[Added], without: Collection[str]) -> Array:
+    """Return the step of :func:`_step` where effects change with the nominal values that they are built from.
+
+    Their coefficients move with it: a ripple of a current that grows needs a smaller share of it.
+    """
+    nominal, step = stack.nominal, np.zeros(len(stack.nominal.free))
+    equation = next(e for e in stack.equations if e.name == "torque")
+    use = [k for k, name in enumerate(nominal.free) if name not in without]
+    columns = [equation.tangent[:, use]]
+    for k, column in zip(use, columns[0].T.copy(), strict=True):
+        # As far as changes the torque by its noise: what follows may depend on the sign of what it follows.
+        length = equation.sigma * len(column) ** 0.5 / max(float(np.linalg.norm(column)), 1e-300)
+        unit = np.zeros(len(nominal.free))
+        unit[k] = length
+        there = nominal.moved(unit, np.zeros(len(nominal.free)))
+        for e in following:
+            rows = equation.rows(bound(e.term.columns["torque"], there, e.shape))
+            change = rows - stack.columns(e.term, e.shape)["torque"]
+            columns[0][:, use.index(k)] += change @ np.array(e.coefficients) / length
+    columns += [stack.columns(e.term, e.shape)["torque"] for e in following]
+    every = np.concatenate(columns, axis=1)
+    norm = np.linalg.norm(every, axis=0)
+    norm[norm == 0.0] = 1.0
+    found = np.linalg.lstsq(every / norm, whitened[stack.part("torque")] * equation.sigma, rcond=1e-8)[0] / norm
+    step[use] = found[: len(use)]
+    return step
 
 
 def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:

@@ -6,8 +6,8 @@ Written with the rise dM = Ms - Mc and log omega_s, which keep a joint fit in th
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ RISE = 0.5
 """Static over Coulomb friction, less one, where a rise is only supposed."""
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
+_AT_LIMIT = 1e-9
 LEAST_RISE = 1e-6
 """Of static over Coulomb friction, over the latter."""
 _RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
@@ -37,6 +38,7 @@ class Nominal:
             sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
         bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
             with a rise or a speed is then said by it.
+        most: Greatest static levels that the recordings allow; none where it is empty.
     """
 
     values: Mapping[str, float]
@@ -44,6 +46,25 @@ class Nominal:
     alpha: float
     hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     bent: float | None = None
+    most: Mapping[str, float] = field(default_factory=dict)
+
+    def limited(self, views: Sequence[View]) -> Nominal:
+        """Return these values with static friction limited by the torque that was there to overcome it.
+
+        Where no row is slow enough to tell, a fit may let it run off.
+        """
+        unloaded = [v for v in views if not v.loaded] or views
+        most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
+        loaded = [float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment)) for v in views if v.loaded]
+        return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
+
+    def at_most(self, step: Array) -> frozenset[str]:
+        """Return static levels that stand at their limit and would be moved beyond it."""
+        return frozenset(
+            name
+            for name, change in zip(self.free, step, strict=True)
+            if name in self.most and change > 0.0 and self.get(name) >= (1.0 - _AT_LIMIT) * self.most[name]
+        )
 
     def get(self, name: str) -> float:
         """Return a value; 0 where the bench has no such parameter."""
@@ -114,7 +135,8 @@ class Nominal:
                 rise = self._rise(coulomb, static)
                 if static in self.free:
                     rise += float(straight[self.free.index(static)])
-                values[static] = values[coulomb] + max(rise, LEAST_RISE * values[coulomb])
+                level = values[coulomb] + max(rise, LEAST_RISE * values[coulomb])
+                values[static] = max(min(level, self.most.get(static, math.inf)), values[coulomb])
         for name in set(SPEEDS) & set(self.free):
             before = sum(self._rise(c, s) for c, s, speed in _RISES if speed == name)
             after = sum(values.get(s, 0.0) - values.get(c, 0.0) for c, s, speed in _RISES if speed == name)

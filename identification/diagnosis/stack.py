@@ -157,7 +157,7 @@ class Stack:
         found = {
             equation.name: kept[equation.name]
             if equation.name in kept
-            else equation.rows(_bound(term.columns[equation.name], self.nominal, shape))
+            else equation.rows(bound(term.columns[equation.name], self.nominal, shape))
             for equation in self.equations
             if equation.name in term.columns
         }
@@ -283,7 +283,8 @@ def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
     return found
 
 
-def _bound(make: Columns, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
+def bound(make: Columns, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
+    """Return regressors as a function of the view alone."""
     return lambda view: make(view, nominal, shape)
 
 

@@ -38,6 +38,9 @@ HUNTING_SHARE = 0.09
 """Effective value of what the filtered speed does not show, over that speed, from which on it is not steady either."""
 QUICK_SAMPLES = 2
 """To either side of a sample, over which its speed is taken to see whether it is steady."""
+BEYOND_FILTER = 3.0
+"""Frequency that the speed over these samples reaches, over that of the filter, from which on it tells hunting from
+what the filter just cuts off."""
 THIRD_DIFFERENCE = math.sqrt(20.0)
 """Standard deviation of third differences of white noise over its own."""
 LEAST_STEADY = 0.1
@@ -212,8 +215,9 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     # shaft slips and nearly sticks within the filter. Where it changes faster than that speed shows, as a drive does
     # that hunts on falling friction at up to 100 Hz, mean friction is not friction at the mean speed.
     unsteady = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
-    hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
-    unsteady |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
+    if rate >= 2 * QUICK_SAMPLES * BEYOND_FILTER * cutoff:
+        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
+        unsteady |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
     late = widened(irregular(recording.time, grid), margin)
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
