@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 import numpy as np
@@ -79,42 +80,25 @@ def identify(
     values, stages = solve_stages(unloaded, loaded, model, tell)
     active = [prepared[id(r)] for r in fitted]
     names = free_names(values, model)
-    spread = block_sandwich(active, values, names, model.alpha)
-    warnings: list[str] = []
-    floors: Mapping[str, float] = {}
-    units = units_of(active)
-    starts: tuple[Starts, ...] = ()
+    tell("joint", 0.0)
+    found = _refined(fitted, active, values, names, model, bandwidth_Hz)
+    values, units, warnings = found.values, units_of(active), list(found.warnings)
+    stages += found.stages
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
-    tell("joint", 0.0)
-    refined = refine_recordings(fitted, values, names, model, bandwidth_Hz)
-    if isinstance(refined, str):
-        warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {refined}")
-    else:
-        before, after = fit_of(active, values, model.alpha), fit_of(active, refined.values, model.alpha)
-        fault = refusal(refined, before.train_rms, after.train_rms)
-        stages.append(joint_convergence(refined))
-        starts = refined.starts
-        if fault:
-            warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
-        else:
-            values = dict(refined.values)
-            spread = spread_of(refined)
-            floors = floors_of(refined)
-            if profile:
-                curves = profiles(refined, units, lambda share: tell("profiles", share))
-            if draws:
-                resampled = bootstrap(
-                    refined, units, draws, rng or np.random.default_rng(0), lambda share: tell("bootstrap", share)
-                )
-    if (profile and not curves) or (draws and not resampled):
+    if found.taken is None and (profile or draws):
         what = " and ".join(w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked)
         warnings.append(f"no {what}: of the prediction errors alone, which were not taken")
+    if found.taken is not None and profile:
+        curves = profiles(found.taken, units, lambda share: tell("profiles", share))
+    if found.taken is not None and draws:
+        rng = rng or np.random.default_rng(0)
+        resampled = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
     tell("joint", 1.0)
     every = list(prepared.values())
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
     validate = [p for p in every if p.recording.role == "validate"]
-    parameters = parameter_table(active, values, spread, model, floors)
+    parameters = parameter_table(active, values, found.spread, model, found.floors)
     for p in active:
         if not np.any(p.used):
             warnings.append(f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz")
@@ -127,9 +111,9 @@ def identify(
         stages=tuple(stages),
         fitted=dict(values),
         friction=model.friction,
-        starts=starts,
-        tradeoffs=tradeoffs(spread, values, units),
-        least_pinned=least_pinned(spread, values),
+        starts=found.starts,
+        tradeoffs=tradeoffs(found.spread, values, units),
+        least_pinned=least_pinned(found.spread, values),
         profiles=curves,
         resampled=resampled,
         warnings=tuple(warnings),
@@ -138,6 +122,51 @@ def identify(
         evaluations=sum(s.evaluations for s in stages),
         seconds=perf_counter() - started,
     )
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What the recordings are taken to say: refined where that applies, else by the equation error.
+
+    Attributes:
+        values: Name to value.
+        spread: Of those that were fitted.
+        floors: Name to the least half width; empty without refinement.
+        taken: The refinement, where its values are taken.
+        starts: Of its searches, taken or not.
+        stages: How it went.
+        warnings: Why it was not taken.
+    """
+
+    values: dict[str, float]
+    spread: Spread
+    floors: Mapping[str, float] = field(default_factory=dict)
+    taken: Refined | None = None
+    starts: tuple[Starts, ...] = ()
+    stages: tuple[Convergence, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def _refined(
+    recordings: Sequence[Recording],
+    active: Sequence[Prepared],
+    values: dict[str, float],
+    names: Sequence[str],
+    model: Model,
+    bandwidth_Hz: float,
+) -> _Found:
+    """Refine equation-error values by prediction errors, and judge whether the refined ones are to be taken."""
+    plain = _Found(values, block_sandwich(active, values, names, model.alpha))
+    refined = refine_recordings(recordings, values, names, model, bandwidth_Hz)
+    kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz"
+    if isinstance(refined, str):
+        return replace(plain, warnings=(f"{kept}: {refined}",))
+    before, after = fit_of(active, values, model.alpha), fit_of(active, refined.values, model.alpha)
+    fault = refusal(refined, before.train_rms, after.train_rms)
+    stages = (joint_convergence(refined),)
+    if fault:
+        return replace(plain, starts=refined.starts, stages=stages, warnings=(f"{kept}: {fault}",))
+    return _Found(dict(refined.values), spread_of(refined), floors_of(refined), refined, refined.starts, stages)
 
 
 def solve_stages(
