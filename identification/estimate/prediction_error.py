@@ -32,6 +32,12 @@ _SEED_CLIP = 10.0
 _SEEKS = 3
 """Fits in turn with a search of the breakaway times."""
 _LEAST_RESOLVED = 0.05
+_BESIDE = ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05))
+"""Where beside the best end of the loaded stage another search begins: parameter and factor."""
+_HOPS = 2
+"""Rounds of such searches, each from the best of the one before."""
+_End = tuple[bool, float, Array, list[Array]]
+"""End of a search: whether its Stribeck speed is unresolved, deviance, kernel's vector, breakaway times."""
 SAME_END = 1.0
 """-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
@@ -132,8 +138,34 @@ def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -
         refine(problem)
         ends.append((not _resolved(problem), _deviance(problem), problem.start, problem.begins))
         problem.ends.append(ends[-1][1])
-    _, reached, problem.start, problem.begins = min(ends, key=lambda end: end[:2])
+    best = _neighbours(problem, min(ends, key=lambda end: end[:2]))
+    _, reached, problem.start, problem.begins = best
     return reached - min(begun)
+
+
+def _neighbours(problem: Problem, best: _End) -> _End:
+    """Search again from beside an end, with every breakaway sought anew; return the likeliest that is found.
+
+    Parameters and breakaway times move together, so that a search ends where no single one of them is better.
+    """
+    for _ in range(_HOPS):
+        begun = best
+        for place, factor in _BESIDE:
+            vector = begun[2].copy()
+            if place not in problem.free:
+                continue
+            vector[place] *= factor
+            problem.start, problem.begins = (
+                vector,
+                [m.static_crossing(static_limit(vector, m)) for m in problem.motions],
+            )
+            refine(problem, (1.0,))
+            end = (not _resolved(problem), _deviance(problem), problem.start, problem.begins)
+            problem.ends.append(end[1])
+            best = min(best, end, key=lambda e: e[:2])
+        if begun[1] - best[1] < SAME_END:
+            break
+    return best
 
 
 def _deviance(problem: Problem) -> float:
