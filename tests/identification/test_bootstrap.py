@@ -5,6 +5,7 @@ import pytest
 
 from identification.estimate.bootstrap import bootstrap
 from identification.estimate.default import identify, refine_recordings
+from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_error import Refined
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.model.nominal import NOMINAL
@@ -48,3 +49,16 @@ def test_without_prediction_errors_there_is_none_and_it_is_said() -> None:
     result = identify(Dataset((sine(),)), bandwidth_Hz=500.0, draws=20)
     assert result.resampled == ()
     assert any("no bootstrap" in w for w in result.warnings)
+
+
+def test_a_breakaway_in_a_wrong_place_is_found_again(refined: Refined) -> None:
+    problem = refined.joint
+    begun = [b.copy() for b in problem.begins]
+    problem.weigh()
+    problem.begins = [begun[0] + np.where(np.arange(len(begun[0])) == 2, 1.5e-3, 0.0)]
+    try:
+        assert problem.seek_breakaways(CLIP)
+        np.testing.assert_allclose(problem.begins[0], begun[0], atol=2.6e-4)
+        assert abs(problem.begins[0][2] - begun[0][2]) < 1e-4
+    finally:
+        problem.begins = begun

@@ -116,3 +116,13 @@ def test_a_joint_that_moves_against_its_torque_has_not_broken_away() -> None:
     (view,) = views([recording], 25.0)
     assert np.all(view.sense[view.breakaways] > 0.0)
     assert np.any(np.abs(view.time[view.breakaways] - 2.0) < 0.01)
+
+
+def test_static_friction_stays_below_the_torque_that_overcame_it() -> None:
+    nominal = Nominal({"Mc": 5.0, "Ms": 8.0, "omega_sf": 0.05}, ("Mc", "Ms", "omega_sf"), 2.0, most={"Ms": 8.0})
+    up, down, still = np.array([0.0, 3.0, 0.0]), np.array([0.0, -3.0, 0.0]), np.zeros(3)
+    assert nominal.at_most(up) == {"Ms"}
+    assert nominal.at_most(down) == set()
+    assert nominal.moved(up, still).values["Ms"] == 8.0
+    assert nominal.moved(down, still).values["Ms"] == pytest.approx(5.0, rel=1e-5)
+    assert replace(nominal, most={}).moved(up, still).values["Ms"] == 11.0
