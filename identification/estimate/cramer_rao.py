@@ -15,6 +15,9 @@ import numpy as np
 
 from identification.recording import Array
 
+_SILENT = 1e-12
+"""Information on an unknown that touches no residual."""
+
 
 def bound(jacobian: Array, others: Array, stretches: Array) -> Array:
     """Return the smallest covariance that an unbiased estimate can have.
@@ -34,4 +37,7 @@ def bound(jacobian: Array, others: Array, stretches: Array) -> Array:
     scale = np.linalg.norm(mean, axis=0)
     scale[scale == 0.0] = 1.0
     scaled = mean / scale
-    return np.asarray(np.linalg.inv(scaled.T @ scaled) / np.outer(scale, scale))
+    normal = scaled.T @ scaled
+    silent = np.flatnonzero(np.diag(normal) == 0.0)
+    normal[silent, silent] = _SILENT
+    return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))

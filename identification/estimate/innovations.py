@@ -117,6 +117,7 @@ def innovations(
     alpha: float,
     noise: Array,
     steps: Array,
+    unsure: Array,
     p: Array,
     out: Array,
     spread: Array,
@@ -138,6 +139,7 @@ def innovations(
             the true torque is then an unknown of the fit, not the measured one taken for true, which would bias J.
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
             innovations are smooth in the parameters.
+        unsure: Variance that the speed gains at each sample, as the shaft all but stops there, (rad/s)^2, shape (n,).
         p: Parameters, shape (10,).
         out: Innovations, rad, shape (n,); samples outside stretches are left alone.
         spread: Their standard deviations, rad, shape (n,).
@@ -194,7 +196,7 @@ def innovations(
             state[1] += g2 * error
             missing = max(_LEAST_SPEED - side * state[1], 0.0)
             state[1] += side * missing
-            state[4] += missing * missing - g2 * state[3]
+            state[4] += missing * missing - g2 * state[3] + unsure[k]
             state[3] *= 1.0 - g1
             state[2] *= 1.0 - g1
             speeds[k] = state[1]

@@ -1,4 +1,4 @@
-"""Levenberg-Marquardt on the normal equations, with a Huber cost.
+"""Levenberg-Marquardt on the normal equations, with a Huber cost or the likelihood that goes with it.
 
 A library's trust-region solver decomposes the whole Jacobian, 40 000 rows by a few dozen columns, at every step; its
 normal equations hold the same few numbers at a fraction of the cost. Marquardt, J. SIAM 11 (1963) 431; Huber, Ann.
@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from identification.recording import Array
 
+_Known = TypeVar("_Known")
 _EASIER, _HARDER = 0.2, 4.0
 _FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
 
@@ -62,30 +64,92 @@ def minimise(
         tolerance: The search ends when a step gains less than this share of the cost.
         most_steps: Steps tried at most.
     """
+
+    def evaluate(x: Array) -> tuple[float, Array]:
+        residual = residuals(x)
+        return huber_cost(residual, threshold), residual
+
+    def linearise(x: Array, residual: Array) -> tuple[Array, Array]:
+        slope = jacobian(x, residual)
+        weighted = slope * huber_weight(residual, threshold)[:, None]
+        return slope.T @ weighted, weighted.T @ residual
+
+    return _descend(evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps)
+
+
+def minimise_deviance(
+    predictions: Callable[[Array], tuple[Array, Array]],
+    derivatives: Callable[[Array, Array, Array], tuple[Array, Array]],
+    start: Array,
+    *,
+    threshold: float,
+    tolerance: float,
+    most_steps: int = 25,
+) -> Minimum:
+    """Minimise the negative log likelihood of errors whose deviations depend on x too.
+
+    By Fisher's scoring, damped: an error tells by its mean and by its spread. Errors beyond the threshold count as in
+    Huber's cost.
+
+    Args:
+        predictions: x to errors and their standard deviations, shape (n,).
+        derivatives: (x, errors and deviations there) to the derivatives of the errors, over their deviations, and of
+            the deviations' logarithms, shape (n, p).
+        start: Shape (p,).
+        threshold: Error over deviation up to which the cost is quadratic.
+        tolerance: The search ends when a step lowers the cost by less.
+        most_steps: Steps tried at most.
+    """
+
+    def evaluate(x: Array) -> tuple[float, tuple[Array, Array]]:
+        error, deviation = predictions(x)
+        return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation))), (error, deviation)
+
+    def linearise(x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
+        mean, spread = derivatives(x, *here)
+        ratio = here[0] / here[1]
+        weight = huber_weight(ratio, threshold)
+        normal = mean.T @ (mean * weight[:, None]) + 2.0 * spread.T @ spread
+        return normal, mean.T @ (weight * ratio) + spread.T @ (1.0 - weight * ratio**2)
+
+    return _descend(evaluate, linearise, start, lambda gain, _: gain <= tolerance, most_steps)
+
+
+def _descend(
+    evaluate: Callable[[Array], tuple[float, _Known]],
+    linearise: Callable[[Array, _Known], tuple[Array, Array]],
+    start: Array,
+    settled: Callable[[float, float], bool],
+    most_steps: int,
+) -> Minimum:
+    """Take damped steps until one settles.
+
+    Args:
+        evaluate: x to its cost and what else is known there.
+        linearise: (x, what is known there) to the normal matrix, shape (p, p), and the gradient, shape (p,).
+        start: Shape (p,).
+        settled: Whether a step's gain ends the search, beside the cost after it.
+        most_steps: Steps tried at most.
+    """
     x = start.copy()
-    residual = residuals(x)
-    cost = huber_cost(residual, threshold)
+    cost, here = evaluate(x)
     damping = _FIRST_DAMPING
     steps = 0
     while steps < most_steps:
-        slope = jacobian(x, residual)
-        weighted = slope * huber_weight(residual, threshold)[:, None]
-        normal = slope.T @ weighted
-        gradient = weighted.T @ residual
+        normal, gradient = linearise(x, here)
         scale = np.sqrt(np.diag(normal))
         scale[scale == 0.0] = 1.0
-        normal /= np.outer(scale, scale)
+        normal = normal / np.outer(scale, scale)
         gain = 0.0
         while steps < most_steps and damping < _LAST_DAMPING:
             steps += 1
             step = np.linalg.solve(normal + damping * np.eye(len(x)), -gradient / scale) / scale
-            trial = residuals(x + step)
-            value = huber_cost(trial, threshold)
+            value, there = evaluate(x + step)
             if value < cost:
-                gain, x, residual, cost = (cost - value) / cost, x + step, trial, value
+                gain, x, cost, here = cost - value, x + step, value, there
                 damping *= _EASIER
                 break
             damping *= _HARDER
-        if gain <= tolerance:
+        if settled(gain, cost):
             break
     return Minimum(x, cost, steps)

@@ -31,6 +31,8 @@ _STARTS = 3
 _SEED_CLIP = 10.0
 _SEEKS = 3
 """Fits in turn with a search of the breakaway times."""
+_LEAST_GAIN = 0.05
+"""Of the negative log likelihood, for a fit to go on."""
 _LEAST_RESOLVED = 0.05
 _BESIDE = ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05))
 """Where beside the best end of the loaded stage another search begins: parameter and factor."""
@@ -181,25 +183,34 @@ def _resolved(problem: Problem) -> bool:
 
 
 def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
-    """Minimise the Huber cost of the residuals, at falling noise; keeps the result as start; returns the residuals."""
+    """Refine at falling noise, the last by likelihood; keeps the result as start; returns the residuals there.
+
+    Above the noise's own level least squares lead into the basin. At its level the deviations count as well: they hang
+    on the parameters, most where friction falls, and least squares whose weights are held end beside the likeliest.
+    """
     noise = problem.noise
-    solution = problem.origin()
     for factor in tempering:
         problem.noise = noise * factor
-        problem.weigh()
-        tolerance = 1e-4 if factor > 1.0 else 1e-7
-        for _ in range(_SEEKS if factor == 1.0 else 1):
+        if factor > 1.0:
+            problem.weigh()
             found = levenberg.minimise(
-                problem.residuals, problem.jacobian, problem.origin(), threshold=CLIP, tolerance=tolerance
+                problem.residuals, problem.jacobian, problem.origin(), threshold=CLIP, tolerance=1e-4
             )
             problem.keep(found.x)
             problem.iterations += found.steps
-            if factor > 1.0 or not problem.seek_breakaways(CLIP):
+            continue
+        for _ in range(_SEEKS):
+            found = levenberg.minimise_deviance(
+                problem.predictions, problem.derivatives, problem.origin(), threshold=CLIP, tolerance=_LEAST_GAIN
+            )
+            problem.keep(found.x)
+            problem.iterations += found.steps
+            problem.weigh()
+            if not problem.seek_breakaways(CLIP):
                 break
-        solution = problem.origin()
     problem.noise = noise
     problem.weigh()
-    return problem.residuals(solution)
+    return problem.residuals(problem.origin())
 
 
 def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence[int]) -> float:

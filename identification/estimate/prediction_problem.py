@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -32,6 +32,8 @@ _FARTHEST_LOG = 6.0
 _TIME_SCALE_S = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 """Where else a breakaway is looked for."""
+_PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
+_TIME_STEP = 1e-3
 _LEAST_GAIN = 0.5
 """Of a stretch's Huber cost, for its breakaway to move."""
 
@@ -127,7 +129,7 @@ class Problem:
             level = np.array([noise, m.angle_variance + angle_noise**2])
             kernel.innovations(
                 m.table, begin, m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, self.alpha, level, m.steps, p, out, spread, speeds,
+                m.extra_inertia, self.alpha, level, m.steps, m.unsure, p, out, spread, speeds,
             )  # fmt: skip
             errors.append(out[m.inside])
             deviations.append(spread[m.inside])
@@ -143,41 +145,66 @@ class Problem:
         cuts = np.cumsum([len(b) for b in self.begins])[:-1]
         return [b + s for b, s in zip(self.begins, np.split(shift, cuts), strict=True)]
 
-    def residuals(self, x: Array) -> Array:
-        """Return prediction errors, then torque at each breakaway less the static limit, all over their noise."""
+    def predictions(self, x: Array) -> tuple[Array, Array]:
+        """Return prediction errors, rad, then torque at each breakaway less the static limit, N m; and deviations."""
         p = self.parameters(x)
         times = self.times(x)
-        errors, _ = self.run(p, times, self.noise, self.angle_noise)
+        errors, deviations = self.run(p, times, self.noise, self.angle_noise)
         ends = [
-            (m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)) / self.noise
+            m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)
             for m, t in zip(self.motions, times, strict=True)
         ]
-        return np.concatenate([errors / self._deviation, *ends])
+        return np.concatenate([errors, *ends]), np.concatenate([deviations, np.full(self.breakaways, self.noise)])
+
+    def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[Array, Array]:
+        """Return d errors / d x over the deviations, and d log deviations / d x, by differences, shape (r, p)."""
+
+        def change(there: Array) -> Array:
+            e, d = self.predictions(there)
+            return np.stack([(e - errors) / deviations, np.log(d / deviations)])
+
+        parameters, times = self._differences(x, change)
+        return self._with_times(parameters[0], times[0]), self._with_times(parameters[1], times[1])
+
+    def residuals(self, x: Array) -> Array:
+        """Return the errors of :meth:`predictions` over the deviations that they had when last weighed."""
+        errors, _ = self.predictions(x)
+        return np.asarray(errors / np.concatenate([self._deviation, np.full(self.breakaways, self.noise)]))
 
     def slopes(self, x: Array, here: Array) -> tuple[Array, Array]:
         """Return d residuals / d parameters, shape (r, p), and each one's slope in its own breakaway time, shape (r,).
 
-        By differences from ``here``, the residuals at ``x``. One run serves all breakaway times, as no stretch sees
-        another's.
+        By differences from ``here``, the residuals at ``x``.
         """
-        count = len(self.free)
-        out = np.zeros((len(here), count))
-        for k in range(count):
-            step = 1e-4 * max(abs(x[k]), 1e-3)
-            there = x.copy()
-            there[k] += step
-            out[:, k] = (self.residuals(there) - here) / step
-        there = x.copy()
-        there[count:] += 1e-3
-        return out, (self.residuals(there) - here) / 1e-3
+        parameters, times = self._differences(x, lambda there: (self.residuals(there) - here)[None])
+        return parameters[0], times[0]
 
     def jacobian(self, x: Array, here: Array) -> Array:
         """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""
+        return self._with_times(*self.slopes(x, here))
+
+    def _differences(self, x: Array, change: Callable[[Array], Array]) -> tuple[Array, Array]:
+        """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in the breakaway times.
+
+        One run serves all breakaway times, as no stretch sees another's.
+        """
         count = len(self.free)
-        parameters, times = self.slopes(x, here)
-        out = np.zeros((len(here), len(x)))
+        slopes = []
+        for k in range(count):
+            there = x.copy()
+            there[k] += _PARAMETER_STEP * max(abs(x[k]), _LEAST_SCALE)
+            slopes.append(change(there) / (there[k] - x[k]))
+        there = x.copy()
+        there[count:] += _TIME_STEP
+        along = change(there) / _TIME_STEP
+        return np.stack(slopes, axis=-1) if slopes else np.empty((*along.shape, 0)), along
+
+    def _with_times(self, parameters: Array, times: Array) -> Array:
+        """Return the Jacobian in the whole free vector, where every residual knows its own breakaway time alone."""
+        count = len(self.free)
+        out = np.zeros((len(times), count + self.breakaways))
         out[:, :count] = parameters
-        out[np.arange(len(here)), count + self.owners.astype(np.int64)] = times
+        out[np.arange(len(times)), count + self.owners.astype(np.int64)] = times
         return out
 
     def seek_breakaways(self, threshold: float) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,10 @@ LEAST_COUNTS = 20.0
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply; 1 elsewhere."""
 FINE_SAMPLES = 30
+STALLED = 0.01
+"""Share of the greatest speed below which a stretch all but stops."""
+UNSURE = 0.1
+"""Deviation that its speed has afterwards, over the greatest speed."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +43,7 @@ class Motion:
         table: Stretches for the kernel, shape (m, 4).
         seen: First sample of each stretch that has visibly moved, shape (m,).
         steps: Integration steps per sample.
+        unsure: Variance that the speed gains at each sample, (rad/s)^2.
         inside: Samples inside a stretch.
         extra_inertia: Known inertia added to J, kg m^2.
         angle_variance: Of the encoder's quantisation, rad^2.
@@ -52,6 +58,7 @@ class Motion:
     table: Array
     seen: Array
     steps: Array
+    unsure: Array
     inside: BoolArray
     extra_inertia: float
     angle_variance: float
@@ -146,10 +153,29 @@ def motion(recording: Recording) -> Motion | None:
         table=table,
         seen=seen,
         steps=steps,
+        unsure=_unsure(at, angle, step, velocity, table, seen),
         inside=inside,
         extra_inertia=extra,
         angle_variance=step * step / 12.0,
     )
+
+
+def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array) -> Array:
+    """Return the variance that the speed gains where a stretch all but stops, (rad/s)^2, shape (n,).
+
+    Whether the shaft stops there or goes on hangs on the least noise, which the fall of friction multiplies: a filter
+    that is linear about its prediction would be sure of what nobody can know, and one such stretch would outweigh all
+    others.
+    """
+    period = float(np.median(np.diff(time)))
+    fastest = float(np.quantile(np.abs(velocity), 0.99))
+    width = max(3, math.ceil(step / (STALLED * fastest * period)))
+    out = np.zeros(len(time))
+    for (_, last, side, _), visible in zip(table, seen.astype(np.int64), strict=True):
+        moved = side * (angle[visible + width : int(last)] - angle[visible : int(last) - width])
+        for k in np.flatnonzero(moved < STALLED * fastest * width * period):
+            out[visible + k : visible + k + width + 1] = (UNSURE * fastest) ** 2
+    return out
 
 
 def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:

@@ -51,7 +51,7 @@ def run_kernel(angle: np.ndarray, torque: np.ndarray, side: float, steps: float)
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
         np.array([[1.0, float(n), side, 1.0]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
-        np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), p,
+        np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), np.zeros(n), p,
         out, spread, speeds,
     )  # fmt: skip
     return side * out[1:] / spread[1:]

@@ -56,6 +56,30 @@ def test_static_crossing_is_when_the_shaft_broke_away(
         assert when == pytest.approx(truth["time"][moving], abs=2e-3)
 
 
+def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(practical_pair: tuple[Recording, Recording]) -> None:
+    recording = practical_pair[1]
+    smooth = motion(recording)
+    assert smooth is not None
+    first, last, side, _ = smooth.table[3]
+    k = int(0.5 * (first + last))
+    assert not np.any(smooth.unsure[k - 50 : k + 50])
+    channel = "motor_angle"
+    angle = recording.channels[channel].copy()
+    # Held for 6 samples, then on as before: too short a pause to count as rest.
+    pause = side * (angle[k + 6] - angle[k])
+    assert pause > 0.0
+    angle[k + 6 :] -= side * pause
+    angle[k : k + 6] = angle[k]
+    found = motion(swap(recording, **{channel: angle}))
+    assert found is not None
+    marked = np.flatnonzero(found.unsure[k - 50 : k + 70]) + k - 50
+    assert marked[0] >= k - 1
+    assert marked[-1] <= k + 7
+    assert len(marked) >= 5
+    fastest = float(np.max(np.abs(simulated(10, 30.6)["velocity"])))
+    assert found.unsure[k + 3] == pytest.approx((0.1 * fastest) ** 2, rel=0.1)
+
+
 def test_peak_torque_is_at_least_the_static_limit(practical_pair: tuple[Recording, Recording]) -> None:
     found = motion(practical_pair[0])
     assert found is not None
