@@ -204,11 +204,11 @@ def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generato
     if not candidates:
         return 1.0
     flips = rng.choice((-1.0, 1.0), size=(DRAWS, blocks))
-    seen = -np.inf
+    seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
+    if seen == -np.inf:
+        return 1.0
     drawn = np.full(DRAWS, -np.inf)
     for candidate in candidates:
-        if candidate.share > least:
-            seen = max(seen, candidate.surprise)
         drawn = np.maximum(drawn, surprise(flipped(candidate, flips), candidate.blocks.shape[1]))
     return float((1 + np.sum(drawn >= seen)) / (1 + DRAWS))
 
