@@ -18,3 +18,8 @@ R = TypeVar("R")
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a numeric kernel with numba and keep the machine code on disk for the next process."""
     return cast(Callable[P, R], njit(cache=True, error_model="numpy")(function))
+
+
+def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a kernel of long sums, whose terms may be added in any order: several at a time, and fused."""
+    return cast(Callable[P, R], njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})(function))

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import click
 
 from drivers.errors import DeviceError
+from rig.allocation import keep_freed_memory
 from rig.errors import InputError
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
@@ -87,6 +88,7 @@ def main() -> None:
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.set_threshold(GARBAGE_THRESHOLD)
+    keep_freed_memory()
     code = status(sys.argv[1:])
     gc.freeze()
     sys.exit(code)

@@ -11,7 +11,14 @@ import psutil
 import pytest
 from hypothesis import settings
 
+from rig.allocation import keep_freed_memory
+
 _GRACE_S = 1.0
+
+# As the command line sets its own process up, before numpy is loaded: threads of the linear algebra would spin in the
+# way of the tests that run beside these.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+keep_freed_memory()
 
 # The same examples on every machine, however slow it is.
 settings.register_profile("repeatable", deadline=None, derandomize=True)

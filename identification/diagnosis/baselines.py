@@ -132,7 +132,7 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
     power = float(given.power.sum())
     named: dict[str, None] = {}
     for _ in range(MOST_STEPS):
-        gains = [_gain(gram, moment, g) for g in given.groups]
+        gains = _gains(gram, moment, given.groups)
         scores = [_bic_change(given.rows, power, gain, g) for gain, g in zip(gains, given.groups, strict=True)]
         best = int(np.argmin(scores))
         if scores[best] >= 0.0:
@@ -146,15 +146,24 @@ def greedy_bic(given: Library) -> tuple[str, ...]:
     return tuple(named)
 
 
-def _gain(gram: Array, moment: Array, group: Group) -> float:
-    """Return the square sum that a group explains; 0 where what is selected absorbs it, or its sign is unphysical."""
-    own = gram[group.columns, group.columns]
-    if np.any(np.diag(own) < ABSORBED**2) or np.linalg.cond(own) > ABSORBED**-2:
-        return 0.0
-    coefficients = np.linalg.solve(own, moment[group.columns])
-    if any(coefficients[k] <= 0.0 for k in group.positive):
-        return 0.0
-    return float(coefficients @ moment[group.columns])
+def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
+    """Return the square sum that each group explains.
+
+    It is 0 where what is selected absorbs the group, or a coefficient has an unphysical sign.
+    """
+    gains = np.zeros(len(groups))
+    widths = np.array([g.columns.stop - g.columns.start for g in groups])
+    for width in np.unique(widths):
+        mine = np.flatnonzero(widths == width)
+        places = np.array([groups[int(k)].columns.start for k in mine])[:, None] + np.arange(width)
+        own, its = gram[places[:, :, None], places[:, None, :]], moment[places]
+        known = np.all(np.einsum("gkk->gk", own) >= ABSORBED**2, axis=1)
+        known[known] = np.linalg.cond(own[known]) <= ABSORBED**-2
+        mine, own, its = mine[known], own[known], its[known]
+        coefficients = np.linalg.solve(own, its[:, :, None])[:, :, 0]
+        signs = [all(c[p] > 0.0 for p in groups[int(k)].positive) for k, c in zip(mine, coefficients, strict=True)]
+        gains[mine] = np.where(signs, np.einsum("gk,gk->g", coefficients, its), 0.0)
+    return [float(gain) for gain in gains]
 
 
 def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
@@ -165,7 +174,7 @@ def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
 def sparse(given: Library) -> tuple[str, ...]:
     """Return effects by the power of what they contribute, the greatest first; none where all are thresholded away."""
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
-    greatest = max((math.sqrt(_gain(gram, moment, g)) for g in given.groups), default=0.0)
+    greatest = math.sqrt(max(_gains(gram, moment, given.groups), default=0.0))
     if greatest <= LEAST_THRESHOLD:
         return ()
     thresholds = np.geomspace(LEAST_THRESHOLD, 1.01 * greatest, THRESHOLDS)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
+from identification.compiled import compiled
 from identification.diagnosis.equations import Equation
 from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
 from identification.recording import Array
@@ -25,6 +26,29 @@ def gather_of(equations: Sequence[Equation], block: np.ndarray, blocks: int) -> 
         out.append(sparse.csr_matrix((np.ones(count), (mine, np.arange(count))), shape=(blocks, count)))
         start += count
     return tuple(out)
+
+
+@compiled
+def in_blocks(columns: Array, residual: Array, block: np.ndarray, blocks: int) -> tuple[Array, Array]:
+    """Return inner products of columns, shape (n, k), with the residual and with each other, by block.
+
+    Returns:
+        Shapes (b, k) and (b, k, k).
+    """
+    rows, width = columns.shape
+    sums, weights = np.zeros((blocks, width)), np.zeros((blocks, width, width))
+    for i in range(rows):
+        at = block[i]
+        for j in range(width):
+            value = columns[i, j]
+            sums[at, j] += value * residual[i]
+            for k in range(j + 1):
+                weights[at, j, k] += value * columns[i, k]
+    for at in range(blocks):
+        for j in range(width):
+            for k in range(j):
+                weights[at, k, j] = weights[at, j, k]
+    return sums, weights
 
 
 def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple[np.ndarray, int]:

@@ -105,7 +105,7 @@ def _stack(name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view
     for view, keep in zip(views, kept, strict=True):
         series = np.atleast_2d(per_view(view))
         if name == "breakaway":
-            parts.append((series * _sharpness(view))[:, view.breakaways][:, keep].T)
+            parts.append((series[:, view.breakaways] * _sharpness(view))[:, keep].T)
         else:
             parts.append(view.low_pass(series)[:, keep].T)
     return np.concatenate(parts)
@@ -185,7 +185,8 @@ def _rise(view: View) -> Array:
 
 def _sharpness(view: View) -> Array:
     """Return weights of breakaways: the faster the torque rises, the less does one sample say where it broke away."""
-    unsure = np.abs(_rise(view)) * view.step * WITHIN_STEP
+    last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
+    unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
     return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_NM) ** 2))
 
 

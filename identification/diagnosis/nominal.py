@@ -39,6 +39,7 @@ class Nominal:
         bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
             with a rise or a speed is then said by it.
         most: Greatest static levels that the recordings allow; none where it is empty.
+        _torques: What :meth:`torque` returned before, with its view: hundreds of trial shapes are built from it.
     """
 
     values: Mapping[str, float]
@@ -47,6 +48,7 @@ class Nominal:
     hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     bent: float | None = None
     most: Mapping[str, float] = field(default_factory=dict)
+    _torques: dict[int, tuple[View, Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def limited(self, views: Sequence[View]) -> Nominal:
         """Return these values with static friction limited by the torque that was there to overcome it.
@@ -110,7 +112,12 @@ class Nominal:
 
     def torque(self, view: View) -> Array:
         """Return what eq. 15 says the torque should be, N m."""
-        return np.asarray(self.friction(view) + self.get("J") * view.acceleration + self.get("offset"))
+        known = self._torques.get(id(view))
+        if known is None or known[0] is not view:
+            torque = np.asarray(self.friction(view) + self.get("J") * view.acceleration + self.get("offset"))
+            torque.flags.writeable = False
+            known = self._torques[id(view)] = view, torque
+        return known[1]
 
     def tangent(self, view: View) -> Array:
         """Return the torque's derivatives by the free directions, shape (len(free), m)."""

@@ -31,6 +31,8 @@ EXCESS_OF_ONE = 2.0
 met in a few strokes of one recording has too few blocks for flips of their signs."""
 DRAWS = 999
 MOST_EFFECTS = 3
+FLAT = 1e-6
+"""Determinant of a variance over its trace's square, below which its inverse is taken with care."""
 
 Progress = Callable[[str, float], None]
 
@@ -204,11 +206,11 @@ def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generato
     if not candidates:
         return 1.0
     flips = rng.choice((-1.0, 1.0), size=(DRAWS, blocks))
-    seen = -np.inf
+    seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
+    if seen == -np.inf:
+        return 1.0
     drawn = np.full(DRAWS, -np.inf)
     for candidate in candidates:
-        if candidate.share > least:
-            seen = max(seen, candidate.surprise)
         drawn = np.maximum(drawn, surprise(flipped(candidate, flips), candidate.blocks.shape[1]))
     return float((1 + np.sum(drawn >= seen)) / (1 + DRAWS))
 
@@ -224,13 +226,28 @@ def flipped(candidate: Candidate, flips: Array) -> Array:
     # V = sum over blocks of (w a - G s)(w a - G s)', multiplied out so that flips meet blocks in one product.
     blocks, degrees = sums.shape
     crossed = np.einsum("bj,bkl->bjkl", sums, weights).reshape(blocks, -1)
-    mixed = np.einsum("djkl,dl->djk", (flips @ crossed).reshape(-1, degrees, degrees, degrees), score)
-    square = np.einsum("bjk,blm->jklm", weights, weights)
-    squared = np.einsum("jklm,dk,dm->djl", square, score, score)
-    variance = sums.T @ sums - mixed - np.swapaxes(mixed, 1, 2) + squared
+    mixed = ((flips @ crossed).reshape(-1, degrees**2, degrees) @ score[:, :, None]).reshape(-1, degrees, degrees)
+    flat = weights.reshape(blocks, -1)
+    square = (flat.T @ flat).reshape(degrees, degrees, degrees, degrees).transpose(1, 3, 0, 2).reshape(degrees**2, -1)
+    pairs = (score[:, :, None] * score[:, None, :]).reshape(-1, degrees**2)
+    variance = sums.T @ sums - mixed - np.swapaxes(mixed, 1, 2) + (pairs @ square).reshape(-1, degrees, degrees)
     if degrees == 1:
         return np.asarray(score[:, 0] ** 2 / np.maximum(variance[:, 0, 0], 1e-300))
+    if degrees == 2:
+        return _over_two(score, variance)
     return np.asarray(np.einsum("dj,djk,dk->d", score, np.linalg.pinv(variance, hermitian=True), score))
+
+
+def _over_two(score: Array, variance: Array) -> Array:
+    """Return scores of two numbers, shape (d, 2), over their variance, (d, 2, 2): most trial shapes are waves."""
+    a, b, c = variance[:, 0, 0], variance[:, 0, 1], variance[:, 1, 1]
+    x, y = score.T
+    left = a * c - b * b
+    flat = left <= FLAT * (a + c) ** 2
+    out = (c * x * x - 2.0 * b * x * y + a * y * y) / np.where(flat, 1.0, left)
+    for k in np.flatnonzero(flat):
+        out[k] = score[k] @ np.linalg.pinv(variance[k], hermitian=True) @ score[k]
+    return np.asarray(out)
 
 
 def excess(joint: Joint, only: str = "") -> float:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import sparse, stats
+from scipy import sparse, special
 
-from identification.diagnosis.blocks import gather_of, numbered
+from identification.diagnosis.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.term import Columns, Shape, Term
@@ -73,7 +73,8 @@ class Candidate:
 
 def surprise(statistic: Array | float, degrees: int) -> float:
     """Return -log of the chance of a chi square beyond ``statistic``."""
-    return -stats.chi2.logsf(statistic, degrees)  # type: ignore[no-any-return]
+    with np.errstate(divide="ignore"):
+        return -np.log(special.chdtrc(degrees, statistic))  # type: ignore[no-any-return]
 
 
 @dataclass(frozen=True)
@@ -212,24 +213,25 @@ class Stack:
         self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int]
     ) -> Candidate | None:
         full = self.whitened(columns)
-        before = np.linalg.norm(full, axis=0)
+        before = _lengths(full)
         rest = self.projected(full)
-        after = np.linalg.norm(rest, axis=0)
+        after = _lengths(rest)
         if np.any(before == 0.0) or np.any(after < ABSORBED * before):
             return None
         q, r = np.linalg.qr(rest)
         diagonal = np.abs(np.diag(r))
         if np.any(diagonal < ABSORBED * before):
             return None
-        energy = self.sums(np.einsum("ij,ij->i", q, q)[:, None])[:, 0] / q.shape[1]
+        sums, weights = in_blocks(q, self.residual, self.block, self.blocks)
+        energy = np.einsum("bkk->b", weights) / q.shape[1]
         if 1.0 / float(energy @ energy) < LEAST_ACTIVE:
             return None
         score = q.T @ self.residual
         coefficients = np.linalg.solve(r, score)
         if any(coefficients[k] <= 0.0 for k in positive):
             return None
-        sums = self.sums(q * self.residual[:, None])
-        weights = self._weights(q)
+        if q.shape[1] > FEW:
+            weights = NO_WEIGHTS
         rest_sums = sums - weights @ score if len(weights) else sums
         return Candidate(
             name=name,
@@ -242,12 +244,6 @@ class Stack:
             weights=weights,
             share=float(score @ score) / sum(len(c) for c in columns.values()),
         )
-
-    def _weights(self, q: Array) -> Array:
-        if q.shape[1] > FEW:
-            return NO_WEIGHTS
-        products = np.einsum("ij,ik->ijk", q, q).reshape(len(q), -1)
-        return self.sums(products).reshape(self.blocks, q.shape[1], q.shape[1])
 
     def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
         """Score regressors of one equation of which some may be absorbed: the directions that are left count."""
@@ -308,6 +304,11 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
     cache = {} if like is None else like.cache
     nothing = np.zeros((len(residual), 0))
     return Stack(tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache)
+
+
+def _lengths(columns: Array) -> Array:
+    """Return the norm of each column; numpy's own takes a pass over all rows for every step of it."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 
 
 def _orthonormal(tangent: Array) -> Array:

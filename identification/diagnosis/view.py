@@ -10,6 +10,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -121,7 +122,7 @@ class View:
         """Grid step, s."""
         return float(self.time[1] - self.time[0])
 
-    @property
+    @cached_property
     def loaded(self) -> bool:
         """Whether a weight presses."""
         return bool(np.any(self.moment != 0.0))

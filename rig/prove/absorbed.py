@@ -43,7 +43,7 @@ def floors(machine: Machine, twin: list[Recorded]) -> dict[str, float]:
         OSError: It cannot be written.
     """
     with TemporaryDirectory() as folder:
-        dataset = load_source(write(Path(folder), machine, twin))
+        dataset = load_source(write(Path(folder), machine, twin, packed=False))
     fitted = dataset.part("fit")
     try:
         _, joint = begun(dataset, common_bandwidth(fitted))

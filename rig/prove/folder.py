@@ -18,10 +18,16 @@ CAMPAIGN_FILE = "campaign.yaml"
 AVERAGED = ("current", "voltage")
 
 
-def write(folder: Path, machine: Machine, recorded: Sequence[Recorded]) -> Path:
+def write(folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: bool = True) -> Path:
     """Write a campaign for the contract's reader; return the campaign file.
 
     Time runs through the whole campaign, so that each recording's first time stamp is its start in it.
+
+    Args:
+        folder: Where.
+        machine: Whose constants an engineer knows.
+        recorded: Its recordings.
+        packed: Compress them, for those that are to be kept; it takes as long as half of their simulation.
 
     Raises:
         OSError: It cannot be written.
@@ -32,7 +38,7 @@ def write(folder: Path, machine: Machine, recorded: Sequence[Recorded]) -> Path:
         columns = {"time": entry.start_s + samples.time, "command": samples.command}
         columns |= {name: getattr(samples, name) for name in CHANNELS}
         with replacing(folder / f"{entry.experiment.name}.npz") as draft, draft.open("wb") as stream:
-            np.savez_compressed(stream, allow_pickle=False, **columns)
+            (np.savez_compressed if packed else np.savez)(stream, allow_pickle=False, **columns)
     path = folder / CAMPAIGN_FILE
     write_text(path, yaml.safe_dump(description(machine, recorded), sort_keys=False))
     return path

@@ -9,6 +9,8 @@ from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import TypeVar
 
+from rig.allocation import keep_freed_memory
+
 Task = TypeVar("Task")
 Result = TypeVar("Result")
 
@@ -27,12 +29,18 @@ def each(one: Callable[[Task], Result], todo: Sequence[Task], jobs: int) -> Iter
     if jobs == 1:
         yield from map(one, todo)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=follow_parent) as pool:
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=begin_worker) as pool:
         try:
             for future in as_completed([pool.submit(one, task) for task in todo]):
                 yield future.result()
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def begin_worker() -> None:
+    """Set a worker up as the command line does its own process."""
+    keep_freed_memory()
+    follow_parent()
 
 
 def follow_parent() -> None:

@@ -160,3 +160,10 @@ def test_without_anything_to_remove_the_decimator_is_the_identity() -> None:
     assert low_pass == Decimator(low_pass.taps, 1)
     assert np.array_equal(low_pass(TIME), TIME)
     assert low_pass.untouched(TIME > 1.0).tolist() == (TIME <= 1.0).tolist()
+
+
+def test_decimator_takes_a_series_that_runs_backwards_in_memory() -> None:
+    low_pass = decimator(RATE, 40.0)
+    values = np.random.default_rng(1).normal(size=500)
+    backwards = values[::-1].copy()[::-1]
+    assert np.array_equal(low_pass(backwards), low_pass(values))

@@ -18,6 +18,7 @@ from identification.diagnosis.terms.term import (
     rows,
     shaped,
 )
+from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import central_difference
@@ -83,8 +84,7 @@ def _swing(view: View, nominal: Nominal, shape: Shape) -> Array:
         return np.zeros((2, len(view.time)))
     since = view.time - view.time[0]
     envelope = _load(view, nominal) * np.exp(-since / shape[1])
-    phase = 2.0 * np.pi * shape[0] * since
-    return rows(envelope * np.sin(phase), envelope * np.cos(phase))
+    return np.asarray(sine_cosine(2.0 * np.pi * shape[0], since) * envelope)
 
 
 def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:

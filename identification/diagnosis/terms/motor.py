@@ -25,6 +25,7 @@ from identification.diagnosis.terms.term import (
     rows,
     shaped,
 )
+from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View, torque_per_ampere
 from identification.recording import Array
 from identification.signals import central_difference
@@ -46,14 +47,11 @@ BRUSH_CURRENTS: tuple[Shape, ...] = tuple((i,) for i in (0.2, 0.5, 1.0, 2.0))
 
 
 def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    phase = shape[0] * view.motor
-    return rows(-np.sin(phase), -np.cos(phase))
+    return -sine_cosine(shape[0], view.motor)
 
 
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
-    phase = shape[0] * view.motor
-    torque = _drive(view, nominal)
-    return rows(-torque * np.sin(phase), -torque * np.cos(phase))
+    return sine_cosine(shape[0], view.motor) * -_drive(view, nominal)
 
 
 def _drive(view: View, nominal: Nominal) -> Array:

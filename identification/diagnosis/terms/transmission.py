@@ -7,6 +7,7 @@ import numpy as np
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.memory import play
 from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, one, polar, rows, shaped
+from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import BoolArray
@@ -78,15 +79,14 @@ def _loops(context: Context) -> list[Shape]:
 
 
 def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    phase = shape[0] * view.angle
-    return rows(np.sin(phase), np.cos(phase))
+    return sine_cosine(shape[0], view.angle)
 
 
 def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
     # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much less torque.
-    phase = shape[0] * view.angle
+    sine, cosine = sine_cosine(shape[0], view.angle)
     torque = shape[0] * (nominal.torque(view) - view.known)
-    return rows(-torque * np.cos(phase), torque * np.sin(phase))
+    return rows(-torque * cosine, torque * sine)
 
 
 def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:

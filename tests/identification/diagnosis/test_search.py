@@ -13,7 +13,7 @@ from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Added, fit
 from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.search import chance
+from identification.diagnosis.search import chance, flipped
 from identification.diagnosis.stack import Candidate, wald
 from identification.diagnosis.terms import TERMS
 from identification.recording import Dataset, Model
@@ -38,6 +38,21 @@ def study(rng: np.random.Generator, hidden: float) -> float:
     regressors = np.repeat(rng.standard_normal((CANDIDATES, BLOCKS)), ROWS, axis=1)
     residual = residual + hidden * regressors[0]
     return chance([scored(r, residual) for r in regressors], BLOCKS, rng)
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3])
+@pytest.mark.parametrize("alike", [1.0, 3e-4])
+def test_flips_give_what_flipped_blocks_would(degrees: int, alike: float) -> None:
+    rng = np.random.default_rng(degrees)
+    columns = rng.standard_normal((BLOCKS, ROWS, degrees))
+    columns[:, :, 1:] = columns[:, :, :1] + alike * columns[:, :, 1:]
+    residual = rng.standard_normal((BLOCKS, ROWS))
+    sums = np.einsum("bij,bi->bj", columns, residual)
+    weights = np.einsum("bij,bik->bjk", columns, columns) / (BLOCKS * ROWS)
+    flips = rng.choice((-1.0, 1.0), size=(20, BLOCKS))
+    expected = [wald(f @ sums, f[:, None] * sums - weights @ (f @ sums)) for f in flips]
+    candidate = Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 1.0, sums, weights, 1.0)
+    assert flipped(candidate, flips) == pytest.approx(expected, rel=1e-6)
 
 
 def test_false_alarms_come_as_often_as_said() -> None:
