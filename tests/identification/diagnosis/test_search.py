@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from identification.diagnosis.begin import started
+from identification.diagnosis.contest import implausible
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Added, fit
 from identification.diagnosis.kept import needed_share
@@ -91,3 +93,19 @@ def test_two_effects_are_named_and_a_look_alike_of_the_first_is_taken_out_again(
 @pytest.mark.parametrize(("others", "needed"), [(0.1, 0.4), (0.005, 0.8), (0.0005, math.inf)])
 def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
     assert needed_share(others) == needed
+
+
+@pytest.mark.parametrize(("motion", "rest", "said"), [("linear", 3.1, "rest_rad 3.1"), ("rotary", 3.1, "")])
+def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
+    motion: Literal["linear", "rotary"], rest: float, said: str
+) -> None:
+    """One that rests further away is a constant force; of an angle the range is a turn, whatever the travel."""
+    recording = campaign({}, 3, 6.0)[0]
+    recording = replace(recording, bench=replace(recording.bench, motion=motion))
+    joint = nominal_fit([recording])
+    spring = next(t for t in TERMS if t.name == "return_spring")
+    found = implausible(replace(joint, effects=(Added(spring, (), (2.0, 2.0 * rest)),)))
+    assert found.startswith(said)
+    assert bool(found) == bool(said)
+    near = replace(joint, effects=(Added(spring, (), (2.0, 0.2)),))
+    assert implausible(near) == ""
