@@ -308,6 +308,8 @@ def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]
     if not aside:
         return {}
     rows = equations(aside, joint.nominal, unit)
+    if not rows:  # hardly a sample of them is in steady motion
+        return {}
     stack = stacked(rows, joint.nominal)
     # What a recording alone shows cannot be told of another one: a mislabelled weight, a slip.
     general = [e for e in joint.effects if e.term.place is None]

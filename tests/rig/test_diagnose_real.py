@@ -67,6 +67,21 @@ def test_a_delay_laid_into_real_channels_comes_back() -> None:
     assert late - own == pytest.approx(-0.004, rel=0.05)
 
 
+@pytest.mark.parametrize(("mass", "length"), [(259, 50), (259, 70), (259, 100), (457, 50)])
+def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
+    """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not (docs/diagnosis.md)."""
+    text = (CAMPAIGNS / "sts3032_no_weight.yaml").read_text()
+    path = tmp_path / "campaign.yaml"
+    text = text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared"))
+    path.write_text(text.replace("m259g_l100mm", f"m{mass}g_l{length:03d}mm"))
+    found = as_json(diagnose_source(path, 0))
+    first = found["effects"][0]
+    assert first["name"] == "gravity_imbalance"
+    assert set(first["alias_group"]) <= {"gravity_imbalance", "return_spring"}
+    assert first["parameters"]["torque_Nm"]["value"] == pytest.approx(9.80665e-6 * mass * length, rel=0.15)
+    assert found["fit"]["validate_final_rms"] < 0.3 * found["fit"]["validate_baseline_rms"]
+
+
 @pytest.mark.parametrize("amperes", [0.3, -0.3])
 def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) -> None:
     """Beside the machine's own constant force; no motion at one load tells it from asymmetric friction."""

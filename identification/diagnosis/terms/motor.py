@@ -50,6 +50,12 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(-np.sin(phase), -np.cos(phase))
 
 
+def _cycles(context: Context) -> Sequence[Shape]:
+    """Return cycles a motor turn, without one a turn of the joint itself: that is a weight out of balance."""
+    gear = context.views[0].recording.bench.gear_ratio
+    return [shape for shape in CYCLES_PER_TURN if shape[0] * gear != 1.0]
+
+
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     phase = shape[0] * view.motor
     torque = _drive(view, nominal)
@@ -172,7 +178,7 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), lambda _context: CYCLES_PER_TURN),
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles),
     Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), lambda _context: CYCLES_PER_TURN, follows=True),
     Term(
         "torque_saturation",

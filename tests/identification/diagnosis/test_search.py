@@ -9,16 +9,18 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from identification.diagnosis.begin import started
+from identification.diagnosis.begin import begun, started
 from identification.diagnosis.contest import implausible
-from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.joint import Added, fit
+from identification.diagnosis.diagnose import diagnose, held_out
+from identification.diagnosis.joint import Added, fit, pinned
 from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.search import chance
 from identification.diagnosis.stack import Candidate, wald
 from identification.diagnosis.terms import TERMS
-from identification.recording import Dataset, Model
+from identification.diagnosis.terms.term import Context
+from identification.diagnosis.view import views
+from identification.recording import Bench, Dataset, Model
 
 from .benches import campaign, nominal_fit
 
@@ -109,3 +111,33 @@ def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     assert bool(found) == bool(said)
     near = replace(joint, effects=(Added(spring, (), (2.0, 0.2)),))
     assert implausible(near) == ""
+
+
+def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> None:
+    """It begins at nothing, and is fitted as soon as an effect gives the gear something to bear."""
+    recordings = tuple(r for r in campaign({}, 3, 6.0) if r.stage == "unloaded")
+    dataset = Dataset(recordings, Model(terms=("load_dependent_friction",), friction="stribeck_load_dependent"))
+    _, first = begun(dataset, 25.0)
+    assert {"mu_gc", "mu_gs"} <= set(first.nominal.free)
+    assert first.nominal.values["mu_gc"] == first.nominal.values["mu_gs"] == 0.0
+    assert not pinned(first, "mu_gc")
+    assert pinned(first, "Mc")
+    plain = begun(replace(dataset, model=Model()), 25.0)[1]
+    assert first.cost == pytest.approx(plain.cost, rel=0.02)
+
+
+def test_once_a_turn_of_the_joint_is_a_weight_and_no_cogging() -> None:
+    cogging = next(t for t in TERMS if t.name == "cogging")
+    joint = nominal_fit(campaign({}, 3, 6.0)[:1])
+    geared = Context(joint.equations[0].views, joint.nominal)
+    direct = tuple(replace(v, recording=replace(v.recording, bench=Bench())) for v in geared.views)
+    assert (1.0,) in cogging.shapes(geared)
+    assert (1.0,) not in cogging.shapes(replace(geared, views=direct))
+    assert (7.0,) in cogging.shapes(replace(geared, views=direct))
+
+
+def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
+    recordings = campaign({}, 3, 6.0)
+    still = {n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()}
+    aside = views([replace(recordings[0], channels=still)], 25.0)
+    assert "torque" not in held_out(nominal_fit(recordings[:2]), aside, "N m")
