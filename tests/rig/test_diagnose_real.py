@@ -67,6 +67,13 @@ def test_a_delay_laid_into_real_channels_comes_back() -> None:
     assert late - own == pytest.approx(-0.004, rel=0.05)
 
 
+def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> None:
+    """Where its unexplained half volt comes from: they fall at 4.6 s and stay, while the firmware asks for 5.4 V up."""
+    said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint stands" in w]
+    assert [w.split(":")[0] for w in said] == [f"m457g_l100mm_kp{gain}_up_and_down" for gain in (16, 32)]
+    assert all("to 6.00 s the joint stands at 4" in w for w in said)
+
+
 @pytest.mark.parametrize(("mass", "length"), [(259, 50), (259, 70), (259, 100), (457, 50)])
 def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
     """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not (docs/diagnosis.md)."""
