@@ -264,10 +264,11 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if not rises(campaign.model.rung):
         for name in sorted({"Ms", "omega_sf"} & fixed.keys()):
             yield ("model", "fixed", name), f"friction {campaign.model.rung} does not rise toward rest; remove it"
-    if bears_load(campaign.model.rung) and not any(r.gravity and r.role == "fit" for r in campaign.recordings):
+    # As a term it may be declared before any load is: a diagnosis may find one.
+    if bears_load(campaign.model.friction) and not any(r.gravity and r.role == "fit" for r in campaign.recordings):
         yield (
             ("model",),
-            f"friction {campaign.model.rung} grows with a pendulum's torque, and no recording to fit has `gravity`",
+            f"friction {campaign.model.friction} grows with a pendulum's torque, and no recording to fit has `gravity`",
         )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):

@@ -154,5 +154,6 @@ def settled(found: Diagnosis) -> Diagnosis:
 def as_json(outcome: Outcome) -> dict[str, Any]:
     """Return the record of ``rig diagnose --json``."""
     record = diagnosis_record(outcome.diagnosis, outcome.provenance)
+    record["motion"] = outcome.dataset.recordings[0].bench.motion
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     return record

@@ -21,6 +21,7 @@ from rig.results import IDENTIFY_SCHEMA
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
 OF_ONE_RECORDING = ("wrong_weight", "encoder_slip")
 """Effects whose parameter ``recording`` counts recordings from 1."""
+_MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
 
 
 def read_result(path: Path) -> dict[str, Any]:
@@ -39,6 +40,24 @@ def read_result(path: Path) -> dict[str, Any]:
     if found not in SCHEMAS:
         raise InputError(f"{path}: schema: must be {' or '.join(SCHEMAS)} (got {found!r})")
     return dict(record)
+
+
+def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
+    """Refuse a result of a rotary bench for a linear one, and the other way round: its numbers are in other units.
+
+    Raises:
+        InputError: The result says that it is of the other motion, by itself or by the unit of its inertia.
+    """
+    found = record.get("motion")
+    if found is None:
+        given = (record.get(key, {}).get("J") for key in ("parameters", "parameter_shift"))
+        units = [e.get("unit") for e in given if isinstance(e, Mapping)]
+        found = next((_MOTION_OF_INERTIA[u] for u in units if u in _MOTION_OF_INERTIA), motion)
+    if found != motion:
+        raise InputError(
+            f"{place}: motion: a result of a {found} bench, and the recordings are of a {motion} one; give a result "
+            f"of a {motion} bench, or set bench.motion: {found} in the campaign"
+        )
 
 
 def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = "result") -> CorrectedModel:

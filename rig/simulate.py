@@ -13,7 +13,7 @@ from identification.recording import Dataset, RecordingError
 from identification.simulate.closed_loop import Response, replay
 from identification.simulate.score import Sums, compare, pooled, with_friction
 from rig.errors import InputError
-from rig.model_file import model_of, read_result
+from rig.model_file import model_of, read_result, require_motion
 from rig.predict import Prediction, predict
 from rig.provenance import sha256_file
 from rig.results import Provenance
@@ -104,6 +104,8 @@ def simulate_source(
     dataset = load_source(source)
     names = [r.name for r in dataset.recordings]
     records = [read_result(path) for path in results]
+    for path, record in zip(results, records, strict=True):
+        require_motion(record, dataset.recordings[0].bench.motion, str(path))
     models = [FittedModel(p, model_of(record, names, str(p))) for p, record in zip(results, records, strict=True)]
     bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
     cases: list[Case] = []

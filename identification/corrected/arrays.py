@@ -63,6 +63,7 @@ def signals(
         "velocity": velocity,
         "acceleration": acceleration,
         "sense": np.sign(velocity)[moving],
+        "still": velocity == 0.0,
         "rest_time": rest_times(time, velocity),
         "moment": contact_force * m["L1"] * one,
         "mass": weight_mass,

@@ -23,6 +23,7 @@ def signals_of(view: View) -> dict[str, Any]:
         "velocity": view.velocity,
         "acceleration": view.acceleration,
         "sense": view.sense,
+        "still": view.still,
         "rest_time": view.rest_time,
         "moment": view.moment,
         "mass": label_kg(view),

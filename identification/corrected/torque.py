@@ -81,9 +81,10 @@ def friction_memory(s: Any, m: Any, time_s: float) -> Array:
 
 
 def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Array:
-    """Ms grows with the rest before; it fades as Ms does."""
-    fall = np.exp(-(np.abs(s["velocity"] / m["omega_sf"]) ** m["alpha"]))
-    return np.asarray(s["sense"] * growth_Nm * (1.0 - np.exp(-s["rest_time"] / time_s)) * fall)
+    """Ms grows with the time at rest; a little sliding wears it off, so that motion has none of it."""
+    still = np.asarray(s["still"])
+    ends = np.concatenate(([False], still[:-1] & ~still[1:]))
+    return np.asarray(s["sense"] * growth_Nm * (1.0 - np.exp(-s["rest_time"] / time_s)) * (still | ends))
 
 
 def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.view import View, views
 from identification.estimate.default import free_names, solve_stages
+from identification.model.ladder import LADDER, bears_load
 from identification.prepare import default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, Recording
 
@@ -20,6 +22,8 @@ WORTH_RAISING = 0.7
 fall was hidden it was 0.06 to 0.6; a few per cent can be had by a wrong one."""
 GREATEST_BANDWIDTH_HZ = 25.0
 """Above this hardly any effect of the catalogue adds to what is below, and noise does."""
+UNBURDENED: Mapping[str, str] = {"load_dependent": "coulomb_viscous", "stribeck_load_dependent": "stribeck"}
+"""Rung of friction under a load to what is left of it where no load is declared."""
 NEAR_FLOOR = 1.5
 """Mean square of the mismatch over that of the noise, below which it counts as explained."""
 
@@ -72,5 +76,13 @@ def estimated(dataset: Dataset, recordings: Sequence[Recording], bandwidth: floa
     unloaded = [p for p in prepared if p.recording.stage == "unloaded"]
     loaded = [p for p in prepared if p.recording.stage == "loaded"]
     model = dataset.model
+    unknown = bears_load(model.friction) and all(r.pendulum is None for r in recordings)
+    if unknown:
+        model = replace(model, friction=UNBURDENED[model.friction])
     values, _ = solve_stages(unloaded, loaded, model, lambda _stage, _share: None)
-    return Nominal(values, free_names(values, model), model.alpha)
+    free = free_names(values, model)
+    if unknown:
+        gear = [name for name in LADDER[dataset.model.friction] if name not in LADDER[model.friction]]
+        values = {**values, **dict.fromkeys(gear, 0.0)}
+        free = (*free, *(name for name in gear if name not in model.fixed and (name == "mu_gc" or "Ms" in free)))
+    return Nominal(values, free, model.alpha)

@@ -20,6 +20,8 @@ SAME = 0.01
 """Square of the difference of two fits over the square of their mismatch, below which they are the same."""
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
 """Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges suit."""
+PHASES = ("phase", "zero")
+"""How the names of parameters begin that are angles on a linear bench too."""
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,14 @@ def implausible(joint: Joint) -> str:
     views = joint.equations[0].views
     found = last.parameters(Context(views, joint.nominal))
     scales = _scales(views)
+    slides = views[0].recording.bench.motion == "linear"
     for q in ENTRIES[last.term.name].parameters:
         scale = scales.get(q.unit, 1.0)
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
+        if slides and q.unit == "rad" and not q.name.startswith(PHASES):
+            # Metres, of which a radian says nothing: as far in travels as the range is on the usual bench.
+            low, high = (limit * _travels(views) for limit in (q.low, q.high))
         if not low <= found[q.name] <= high:
             return f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
     return ""
@@ -76,7 +82,7 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
     """Return by unit how much larger this bench is than the one that the catalogue's ranges were written for."""
     torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
     speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
-    angle = max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
+    angle = _travels(views)
     return {
         "N m": torque,
         "N m/s": torque,
@@ -85,6 +91,11 @@ def _scales(views: Sequence[View]) -> dict[str, float]:
         "N m s^2/rad^2": torque / speed**2,
         "kg m^2": torque * angle / speed**2,
     }
+
+
+def _travels(views: Sequence[View]) -> float:
+    """Return the travel over that of the bench that the catalogue's ranges were written for."""
+    return max(float(np.ptp(v.angle)) for v in views) / USUAL_TRAVEL_RAD
 
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:

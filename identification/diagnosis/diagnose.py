@@ -33,6 +33,7 @@ from identification.diagnosis.result import (
 )
 from identification.diagnosis.search import LEVEL, Progress, Search, search
 from identification.diagnosis.stack import stacked
+from identification.diagnosis.stretches import crowded, standing
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
@@ -103,6 +104,9 @@ def diagnose(
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
     units = units_of([prepare(fitted[0], bandwidth)])
     unseen = taken_up(baseline, terms)
+    traces = _traces(found.baseline, scored)
+    alarm = verdict is not Verdict.NOTHING_MISSING
+    places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()))
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -123,8 +127,8 @@ def diagnose(
         curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
         maps=drawn,
         steps=found.steps,
-        traces=_traces(found.baseline, scored),
-        warnings=_warnings(dataset, here, unseen),
+        traces=traces,
+        warnings=(*_warnings(dataset, here, unseen), *places),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -308,6 +312,8 @@ def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]
     if not aside:
         return {}
     rows = equations(aside, joint.nominal, unit)
+    if not rows:  # hardly a sample of them is in steady motion
+        return {}
     stack = stacked(rows, joint.nominal)
     # What a recording alone shows cannot be told of another one: a mislabelled weight, a slip.
     general = [e for e in joint.effects if e.term.place is None]

@@ -242,10 +242,11 @@ def pinned(joint: Joint, name: str) -> bool:
     if name not in nominal.free:
         return True
     scale = np.linalg.norm(torque.tangent, axis=0)
-    if not np.all(scale > 0.0):
+    if not scale[nominal.free.index(name)] > 0.0:
         return False
-    scaled = torque.tangent / scale
-    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0)) / scale
+    scaled = torque.tangent / np.where(scale > 0.0, scale, 1.0)
+    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0))
+    spread /= np.where(scale > 0.0, scale, 1.0)
     rows = joint.residual[joint.stack.part("torque")]
     noise = torque.sigma * max(1.0, float(np.sqrt(np.mean(rows**2))))
     half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * noise * float(spread[nominal.free.index(name)])

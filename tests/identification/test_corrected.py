@@ -36,7 +36,6 @@ LINEAR = {
     "stribeck_shape": ({"alpha": 1.2}, (1.2, 1.0), (1.0,)),
     "friction_memory": ({"time_s": 0.01}, (0.01,), (1.0,)),
     "presliding": ({"stiffness_Nm_rad": 3e3}, (3e3,), (1.0,)),
-    "dwell_static_friction": ({"growth_Nm": 2.0, "time_s": 1.0}, (1.0,), (2.0,)),
     "position_dependent_friction": ({"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05}, (0.1, 0.05), (1.0,)),
     "coulomb_drift": ({"rate_Nm_s": 0.01}, (), (0.01,)),
     "gravity_imbalance": ({"torque_Nm": 2.0, "zero_rad": 0.3}, (), (2.0 * math.cos(0.3), 2.0 * math.sin(0.3))),
@@ -99,6 +98,20 @@ def test_an_effect_adds_what_the_search_fits(name: str, view: View) -> None:
         off = np.abs(predicted[equation] - expected)
         # The sample at which a rest ends counts as rest in the search alone.
         assert np.mean(off > 1e-6 * np.max(np.abs(expected))) < 0.002, equation
+
+
+def test_what_rest_added_is_there_as_it_ends_and_gone_in_motion(view: View) -> None:
+    """The search looks for it in breakaways alone."""
+    s, m = signals_of(view), CorrectedModel(NOMINAL, 2.0).numbers(view.recording)
+    found = TORQUE["dwell_static_friction"](s, m, 2.0, 1.0)
+    term = next(t for t in TERMS if t.name == "dwell_static_friction")
+    sought = 2.0 * term.columns["breakaway"](view, Nominal(NOMINAL, tuple(NOMINAL), 2.0), (1.0,))[0]
+    assert len(view.breakaways) > 0
+    assert found[view.breakaways] == pytest.approx(sought[view.breakaways], abs=1e-12)
+    assert np.max(np.abs(sought[view.breakaways])) > 0.3
+    after = np.concatenate([view.breakaways + k for k in range(1, 20)])
+    assert not np.any(found[after])
+    assert np.any(found[view.still])
 
 
 def test_a_gear_s_torque_swings_as_its_ratio_does(view: View) -> None:

@@ -113,7 +113,7 @@ def test_negative_weight(tmp_path: Path) -> None:
         ("terms: [offset, offset]", "model.terms: offset listed more than once"),
         ("friction: stribek", "unknown friction; did you mean 'stribeck'? (got \"stribek\")"),
         ("friction: load_dependent", "grows with a pendulum's torque, and no recording to fit has `gravity`"),
-        ("terms: [load_dependent_friction]", "friction stribeck_load_dependent grows with a pendulum's torque"),
+        ("friction: stribeck_load_dependent", "friction stribeck_load_dependent grows with a pendulum's torque"),
         ("friction: coulomb_viscous, fixed: {Ms: 1}", "model.fixed.Ms: friction coulomb_viscous does not rise"),
         ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
         ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),

@@ -106,6 +106,11 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
         ({"parameters": {"J": "much"}}, "parameters.J: must be a finite number (got 'much')"),
         ({"effects": [{"name": "witchcraft", "parameters": {}}]}, "witchcraft is no effect of the catalogue"),
         ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
+        ({"motion": "linear"}, "motion: a result of a linear bench, and the recordings are of a rotary one"),
+        (
+            {"parameters": {"J": {"value": 95.1, "unit": "kg"}, "Mc": {"value": 20.4, "unit": "N"}}},
+            "motion: a result of a linear bench",
+        ),
     ],
 )
 def test_a_file_that_is_no_result(
@@ -116,6 +121,18 @@ def test_a_file_that_is_no_result(
     error = capsys.readouterr().err
     assert error.startswith(str(found))
     assert said in error
+
+
+def test_a_diagnosis_says_which_motion_it_is_of(campaign: Path, tmp_path: Path) -> None:
+    """And a rotary one is refused for a linear bench, where its numbers mean something else."""
+    found = tmp_path / "diagnosed.json"
+    arguments = ["diagnose", str(campaign), "--no-refine", "--out", str(tmp_path / "out"), "--json", str(found)]
+    assert status(arguments) == 0
+    assert json.loads(found.read_text())["motion"] == "rotary"
+    assert status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "same")]) == 0
+    linear = tmp_path / "linear.yaml"
+    linear.write_text(campaign.read_text().replace("torque_constant: 0.03,", "torque_constant: 0.03, motion: linear,"))
+    assert status(["simulate", str(linear), "--result", str(found), "--out", str(tmp_path / "other")]) == 2
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:

@@ -50,6 +50,12 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return -sine_cosine(shape[0], view.motor)
 
 
+def _cycles(context: Context) -> Sequence[Shape]:
+    """Return cycles a motor turn, without one a turn of the joint itself: that is a weight out of balance."""
+    gear = context.views[0].recording.bench.gear_ratio
+    return [shape for shape in CYCLES_PER_TURN if shape[0] * gear != 1.0]
+
+
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     return sine_cosine(shape[0], view.motor) * -_drive(view, nominal)
 
@@ -170,7 +176,7 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), lambda _context: CYCLES_PER_TURN),
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles),
     Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), lambda _context: CYCLES_PER_TURN, follows=True),
     Term(
         "torque_saturation",

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 
-from identification.diagnosis.begin import started
-from identification.diagnosis.diagnose import diagnose
-from identification.diagnosis.joint import Added, fit
+from identification.diagnosis.begin import begun, started
+from identification.diagnosis.contest import implausible
+from identification.diagnosis.diagnose import diagnose, held_out
+from identification.diagnosis.joint import Added, fit, pinned
 from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.search import chance, flipped
 from identification.diagnosis.stack import Candidate, wald
 from identification.diagnosis.terms import TERMS
-from identification.recording import Dataset, Model
+from identification.diagnosis.terms.term import Context
+from identification.diagnosis.view import views
+from identification.recording import Bench, Dataset, Model
 
 from .benches import campaign, nominal_fit
 
@@ -106,3 +110,49 @@ def test_two_effects_are_named_and_a_look_alike_of_the_first_is_taken_out_again(
 @pytest.mark.parametrize(("others", "needed"), [(0.1, 0.4), (0.005, 0.8), (0.0005, math.inf)])
 def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
     assert needed_share(others) == needed
+
+
+@pytest.mark.parametrize(("motion", "rest", "said"), [("linear", 3.1, "rest_rad 3.1"), ("rotary", 3.1, "")])
+def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
+    motion: Literal["linear", "rotary"], rest: float, said: str
+) -> None:
+    """One that rests further away is a constant force; of an angle the range is a turn, whatever the travel."""
+    recording = campaign({}, 3, 6.0)[0]
+    recording = replace(recording, bench=replace(recording.bench, motion=motion))
+    joint = nominal_fit([recording])
+    spring = next(t for t in TERMS if t.name == "return_spring")
+    found = implausible(replace(joint, effects=(Added(spring, (), (2.0, 2.0 * rest)),)))
+    assert found.startswith(said)
+    assert bool(found) == bool(said)
+    near = replace(joint, effects=(Added(spring, (), (2.0, 0.2)),))
+    assert implausible(near) == ""
+
+
+def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> None:
+    """It begins at nothing, and is fitted as soon as an effect gives the gear something to bear."""
+    recordings = tuple(r for r in campaign({}, 3, 6.0) if r.stage == "unloaded")
+    dataset = Dataset(recordings, Model(terms=("load_dependent_friction",), friction="stribeck_load_dependent"))
+    _, first = begun(dataset, 25.0)
+    assert {"mu_gc", "mu_gs"} <= set(first.nominal.free)
+    assert first.nominal.values["mu_gc"] == first.nominal.values["mu_gs"] == 0.0
+    assert not pinned(first, "mu_gc")
+    assert pinned(first, "Mc")
+    plain = begun(replace(dataset, model=Model()), 25.0)[1]
+    assert first.cost == pytest.approx(plain.cost, rel=0.02)
+
+
+def test_once_a_turn_of_the_joint_is_a_weight_and_no_cogging() -> None:
+    cogging = next(t for t in TERMS if t.name == "cogging")
+    joint = nominal_fit(campaign({}, 3, 6.0)[:1])
+    geared = Context(joint.equations[0].views, joint.nominal)
+    direct = tuple(replace(v, recording=replace(v.recording, bench=Bench())) for v in geared.views)
+    assert (1.0,) in cogging.shapes(geared)
+    assert (1.0,) not in cogging.shapes(replace(geared, views=direct))
+    assert (7.0,) in cogging.shapes(replace(geared, views=direct))
+
+
+def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
+    recordings = campaign({}, 3, 6.0)
+    still = {n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()}
+    aside = views([replace(recordings[0], channels=still)], 25.0)
+    assert "torque" not in held_out(nominal_fit(recordings[:2]), aside, "N m")
