@@ -47,7 +47,7 @@ TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity
 """Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
-ADEQUATE = 0.7
+ADEQUATE = 0.95
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
 UNLIKELY = 0.05
 """Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
@@ -87,12 +87,13 @@ def diagnose(
     here, first = begun(dataset, bandwidth)
     if onlooker is not None:
         onlooker(first)
-    found = search(here, unit, first, terms, chance, tell, GIVING)
+    found = search(here, unit, first, terms, chance, tell, GIVING, dataset.model.fixed)
     gives = any(e.term.name in GIVING for e in found.final.effects)
     if gives:
         tell("the same on the valve's side", 0.0)
         here = views(fitted, bandwidth, True, dataset.recordings)
-        found = search(here, unit, started(here, unit, first.nominal, dataset.model), terms, chance, tell)
+        again = started(here, unit, first.nominal, dataset.model)
+        found = search(here, unit, again, terms, chance, tell, fixed=dataset.model.fixed)
     baseline = found.baseline
     aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)

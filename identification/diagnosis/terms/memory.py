@@ -21,14 +21,15 @@ def lagged(series: Array, step: float, time_constant: float) -> Array:
 
 
 @compiled
-def dahl(angle: Array, level: Array, stiffness: float) -> Array:
+def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
     """Return Dahl's friction dF = stiffness (1 - F sgn(dtheta)/level) dtheta, N m, shape (m,).
 
-    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long.
+    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long. ``start`` is the
+    friction at the first sample, N m.
     """
     out = np.empty_like(angle)
-    force = 0.0
-    out[0] = 0.0
+    force = min(max(start, -level[0]), level[0])
+    out[0] = force
     for k in range(1, len(angle)):
         travel = angle[k] - angle[k - 1]
         if travel != 0.0 and level[k] > 0.0:

@@ -33,6 +33,16 @@ def test_dahl_friction_starts_at_its_stiffness_and_ends_at_its_level() -> None:
     assert force == pytest.approx(7.0 * (1.0 - np.exp(-2000.0 * angle / 7.0)), abs=1e-9)
 
 
+def test_dahl_friction_forgets_what_it_began_with() -> None:
+    angle = np.linspace(0.0, 0.05, 2001)
+    level = np.full(2001, 7.0)
+    loaded, free = dahl(angle, level, 2000.0, -5.0), dahl(angle, level, 2000.0)
+    assert loaded[0] == -5.0
+    assert loaded == pytest.approx(7.0 - 12.0 * np.exp(-2000.0 * angle / 7.0), abs=1e-9)
+    assert loaded[-1] == pytest.approx(free[-1], abs=1e-4)
+    assert dahl(angle, level, 2000.0, -50.0)[0] == -7.0, "no more than it bears"
+
+
 def test_dahl_friction_dissipates() -> None:
     angle = 0.01 * np.sin(2.0 * np.pi * TIME)
     force = dahl(angle, np.full(len(angle), 7.0), 3000.0)
