@@ -10,12 +10,18 @@ from identification.recording import Array
 
 @compiled
 def lagged(series: Array, step: float, time_constant: float) -> Array:
-    """Return a series through a first-order lag that starts settled, shape (m,)."""
+    """Return a series through a first-order lag that starts settled, straight from sample to sample, shape (m,).
+
+    Held from sample to sample instead it would lag by half a step less than its time constant.
+    """
     out = np.empty_like(series)
     state = series[0]
+    out[0] = state
     share = 1.0 - np.exp(-step / time_constant)
-    for k in range(len(series)):
-        state += share * (series[k] - state)
+    rise = 1.0 - share * time_constant / step
+    for k in range(1, len(series)):
+        change = series[k] - series[k - 1]
+        state += share * (series[k - 1] - state) + rise * change
         out[k] = state
     return out
 
