@@ -10,11 +10,14 @@ from identification.recording import Array
 
 
 def lagged(series: Array, time: Array, time_s: float) -> Array:
-    """Return a series through a first-order lag that starts settled, shape (n,)."""
+    """Return a series through a first-order lag that starts settled, straight from sample to sample, shape (n,)."""
     out = np.array(series, dtype=float)
-    share = 1.0 - np.exp(-np.diff(time) / time_s) if time_s > 0.0 else np.ones(len(out) - 1)
+    steps = np.diff(time)
+    share = 1.0 - np.exp(-steps / time_s) if time_s > 0.0 else np.ones(len(out) - 1)
+    rise = 1.0 - share * time_s / steps
     for k in range(1, len(out)):
-        out[k] = out[k - 1] + share[k - 1] * (series[k] - out[k - 1])
+        change = series[k] - series[k - 1]
+        out[k] = out[k - 1] + share[k - 1] * (series[k - 1] - out[k - 1]) + rise[k - 1] * change
     return out
 
 
@@ -23,10 +26,13 @@ def advanced(series: Array, time: Array, time_s: float) -> Array:
     return np.asarray(np.interp(time + time_s, time, series))
 
 
-def dahl_friction(angle: Array, level: Array, stiffness: float) -> Array:
-    """Return friction that turns over a small travel, dF = k (1 - F sgn(dtheta) / level) dtheta, N m, shape (n,)."""
-    out = np.zeros(len(angle))
-    force = 0.0
+def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
+    """Return friction that turns over a small travel, dF = k (1 - F sgn(dtheta) / level) dtheta, N m, shape (n,).
+
+    ``start`` is the friction at the first sample.
+    """
+    force = min(max(start, -level[0]), level[0])
+    out = np.full(len(angle), force)
     for k in range(1, len(angle)):
         travel = angle[k] - angle[k - 1]
         if travel != 0.0 and level[k] > 0.0:

@@ -88,9 +88,12 @@ def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Ar
 
 
 def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """Dahl's friction in place of a sign."""
+    """Dahl's friction in place of a sign, which begins as the drive's torque over the first 20 ms says."""
     level = dry_level(s, m, m["alpha"])
-    return np.asarray(dahl_friction(s["angle"], level, stiffness_Nm_rad) - s["sense"] * level)
+    begin = slice(0, max(2, round(0.02 / (s["time"][1] - s["time"][0]))))
+    borne = (s["drive"] + s["known"] - m["J"] * s["acceleration"])[begin]
+    start = float(np.polyval(np.polyfit(np.arange(len(borne)), borne, 1), 0.0))
+    return np.asarray(dahl_friction(s["angle"], level, stiffness_Nm_rad, start) - s["sense"] * level)
 
 
 def position_dependent_friction(s: Any, m: Any, torque_Nm: float, center_rad: float, width_rad: float) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,13 +50,25 @@ def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Jo
 
     What is missing can hide the fall of friction from an estimate, and no step of a fit brings it back.
     """
-    first = fit(here, unit, start)
+    return or_raised(here, unit, fit(here, unit, start), start, model.fixed)
+
+
+def or_raised(here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]) -> Joint:
+    """Return a fit, or one with the same effects that began from a supposed fall of friction and leaves far less.
+
+    Args:
+        here: Recordings.
+        unit: Of the torque.
+        first: The fit; where it leaves no more than noise nothing else is tried.
+        start: Nominal values that it began from.
+        fixed: Names of nominal parameters that are not asked for.
+    """
     if _squares(first) < NEAR_FLOOR:
         return first
     speed = np.concatenate([np.abs(v.low_pass(v.velocity))[v.moving] for v in here])
     low, high = np.quantile(speed, FALLING)
-    raised = [start.raised(float(omega), model.fixed) for omega in np.geomspace(low, high, FALLS)]
-    other = min((fit(here, unit, r, (), first) for r in raised), key=_squares)
+    raised = [start.raised(float(omega), fixed) for omega in np.geomspace(low, high, FALLS)]
+    other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_squares)
     return other if _squares(other) < WORTH_RAISING * _squares(first) else first
 
 

@@ -11,6 +11,7 @@ from scipy import stats
 
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.joint import Added, Joint
+from identification.diagnosis.promise import promise, unkept
 from identification.diagnosis.terms.term import Context
 from identification.diagnosis.view import View
 
@@ -60,7 +61,13 @@ def probability(preferred: float) -> float:
 
 
 def implausible(joint: Joint) -> str:
-    """Say which parameter of the last effect is beyond its range in the catalogue, at the scale of this bench."""
+    """Say what makes a fit no model of a bench, empty where nothing does.
+
+    A parameter of the last effect beyond its range in the catalogue, at the scale of this bench; or constants that the
+    fit cannot keep, as friction that would have to rise where it falls: what it promises is then nobody's prediction.
+    """
+    if broken(joint):
+        return "constants that no bench has"
     last = joint.effects[-1]
     views = joint.equations[0].views
     found = last.parameters(Context(views, joint.nominal))
@@ -76,6 +83,11 @@ def implausible(joint: Joint) -> str:
         if not low <= found[q.name] <= high:
             return f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
     return ""
+
+
+def broken(joint: Joint) -> bool:
+    """Whether a fit's own constants do not keep what it promises; it then says nothing of its effects either."""
+    return unkept(*promise(joint.stack, joint.effects, joint.residual))
 
 
 def _scales(views: Sequence[View]) -> dict[str, float]:

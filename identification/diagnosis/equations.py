@@ -25,6 +25,9 @@ WITHIN_STEP = 0.3
 """Standard deviation of a breakaway's instant within its sample, over the sample (uniform: 0.29)."""
 SURE_NM = 0.1
 """Torque noise of one sample, about."""
+LEAST_ROWS_OF_A_TONE = 32
+TONE_PADDING, TONE_TRIALS = 4, 10
+"""Length of the spectrum that a tone is sought in, over that of the rows; frequencies tried to either side of it."""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -100,6 +103,39 @@ def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
     return spread * float(np.sqrt(lags[0] / gain))
 
 
+def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
+    """Return rows less the strongest sine of each recording.
+
+    Noise has no tone: a torque at one frequency passes for noise in differences from row to row, and hides in it. Of
+    white noise the strongest sine is a per cent.
+    """
+    out = series.copy()
+    for index in np.unique(owner):
+        mine = owner == index
+        if np.sum(mine) >= LEAST_ROWS_OF_A_TONE:
+            out[mine] -= _tone(series[mine], time[mine] - time[mine][0])
+    return out
+
+
+def _tone(rows: Array, time: Array) -> Array:
+    """Return the sine that explains most of rows at these times, some of which may be missing."""
+    step = float(np.min(np.diff(time)))
+    place = np.round(time / step).astype(np.int64)
+    even = np.zeros(int(place[-1]) + 1)
+    even[place] = rows - np.mean(rows)
+    padded = TONE_PADDING * len(even)
+    strongest = int(np.argmax(np.abs(np.fft.rfft(even, padded))[1:])) + 1
+    best, least = np.zeros(len(rows)), math.inf
+    for offset in np.linspace(-1.0, 1.0, 2 * TONE_TRIALS + 1):
+        phase = 2.0 * math.pi * (strongest + float(offset)) / (padded * step) * time
+        columns = np.stack([np.sin(phase), np.cos(phase)], axis=1)
+        sine = columns @ np.linalg.lstsq(columns, rows, rcond=None)[0]
+        left = float(np.sum((rows - sine) ** 2))
+        if left < least:
+            best, least = sine, left
+    return best
+
+
 def _stack(name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view: Callable[[View], Array]) -> Array:
     parts = []
     for view, keep in zip(views, kept, strict=True):
@@ -134,7 +170,7 @@ def _build(
     if name == "breakaway":
         sigma = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     else:
-        sigma = noise(rest, owner, views[0].low_pass)
+        sigma = noise(without_tones(rest, owner, np.concatenate(times)), owner, views[0].low_pass)
     sigma = max(sigma, 1e-9 * float(np.max(np.abs(residual), initial=1e-300)))
     return Equation(
         name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, np.concatenate(times), sigma

@@ -13,6 +13,7 @@ from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.linear import STEP, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.promise import promise
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import Stack, granting, stacked, tied
 from identification.diagnosis.terms.term import Context, Shape
@@ -27,6 +28,9 @@ LARGEST_SHIFT = 0.3
 """Greatest step of a shape's entry in one round, over its reach."""
 SETTLED = 1e-4
 """Relative change of the cost at which it ends."""
+LAST_STEPS, UNSETTLED = 3, 0.02
+"""Most steps after it ended, and the share by which the torque's mismatch is larger with its constants as they are,
+from which on they are taken."""
 DAMPING = 0.3
 """Share of a step that is taken where the whole of it made things worse..."""
 MOST_FAILURES = 2
@@ -104,9 +108,30 @@ def fit(
         effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
         nominal = replace(_begun(nominal, effects)[0], hidden=hidden_load(best.effects))
     assert best is not None
+    best = _kept(views, unit, best)
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=granting(left, _directions(left, best.effects)))
+
+
+def _kept(views: Sequence[View], unit: str, best: Joint) -> Joint:
+    """Return a fit whose constants keep what it is worth: the step that it ended with taken, where that brings more.
+
+    Static friction under a load that hardly any row is slow enough to tell moves by half of itself in such a step.
+    """
+    for _ in range(LAST_STEPS):
+        promised, kept = promise(best.stack, best.effects, best.residual)
+        if kept <= (1.0 + UNSETTLED) * promised:
+            break
+        straight = solve(best.stack, best.effects).straight
+        nominal = best.nominal.moved(straight, np.zeros(len(straight)))
+        stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
+        solved = solve(stack, best.effects)
+        there = promise(stack, solved.effects, solved.residual)[1]
+        if there >= kept or solved.cost > (1.0 + UNSETTLED) * best.cost:
+            break
+        best = Joint(nominal, solved.effects, stack.equations, solved.residual, stack)
+    return best
 
 
 def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:

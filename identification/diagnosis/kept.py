@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from scipy import stats
 
-from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
+from identification.diagnosis.contest import Contender, Round, again, broken, implausible, numbers, preference, simplest
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
@@ -22,7 +22,8 @@ LEAST_FURTHER = 0.01
 NEARLY_ALL = 0.8
 """... unless it explains this share of what is left beyond the noise."""
 SURE = float(stats.norm.isf(0.01))
-"""Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise."""
+"""Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise. There it
+must be worth :data:`LEAST_FURTHER` as well: below that and below the noise is where regressors of the others err."""
 SHAPE_ERROR = 1e-3
 """Gain of one more effect over what is explained already, below which no regressor is true enough to show it."""
 
@@ -63,7 +64,7 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
     needed = needed_share(others)
     left = _beyond_noise(without, parts)
-    if left <= 1.0 and preference(joint, without) < SURE:
+    if left <= 1.0 and (others < LEAST_FURTHER or preference(joint, without) < SURE):
         needed = math.inf
     return gain / left, needed
 
@@ -109,7 +110,7 @@ def revisited(
         rivals = tuple(
             Contender(e.term.name, j, preference(best, j), "" if e is own else implausible(j))
             for e, j in ranked
-            if e is not chosen and not again(e, j, chosen, best)
+            if e is not chosen and not broken(j) and not again(e, j, chosen, best)
         )
         joint = best
         rounds = [*rounds[:place], Round(chosen.term.name, rivals), *rounds[place + 1 :]]

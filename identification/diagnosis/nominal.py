@@ -21,6 +21,8 @@ LARGEST_STEP = 0.4
 _AT_LIMIT = 1e-9
 LEAST_RISE = 1e-6
 """Of static over Coulomb friction, over the latter."""
+LEAST_FALL = 1e-3
+"""The same, below which friction does not fall."""
 _RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
 """Coulomb level, static level and Stribeck speed: of the system, of the load, of the gear under a declared weight."""
 _STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
@@ -154,6 +156,11 @@ class Nominal:
 
     def _rise(self, coulomb: str, static: str) -> float:
         return self.get(static) - self.get(coulomb)
+
+    @property
+    def flat(self) -> bool:
+        """Whether the system's friction does not fall."""
+        return self._rise("Mc", "Ms") < LEAST_FALL * self.get("Mc")
 
     def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
         """Return these values with friction that falls from half as much again by a speed, all but ``fixed`` free."""

@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.contest import Contender, Round, again, implausible, numbers, preference, simplest
+from identification.diagnosis.begin import or_raised
+from identification.diagnosis.contest import Contender, Round, again, broken, implausible, numbers, preference, simplest
 from identification.diagnosis.crossing import told_apart
 from identification.diagnosis.further import groups
 from identification.diagnosis.generic import families
@@ -26,6 +27,8 @@ LEVEL = 0.01
 LEAST_SHARE = 0.01
 """Power of a contribution over that of the noise, in the equations where it shows, below which it does not matter."""
 RARE = 6.0
+RARE_BLOCKS = 0.01
+"""Share of blocks in which a row beyond that may be chance: on simulated benches that hide nothing there is none."""
 EXCESS_OF_ONE = 2.0
 """Mean square of the torque's mismatch in one recording over the noise's, up to which nothing is said of it. What is
 met in a few strokes of one recording has too few blocks for flips of their signs."""
@@ -68,6 +71,7 @@ def search(
     rng: np.random.Generator,
     progress: Progress,
     until: Collection[str] = (),
+    fixed: Collection[str] = (),
 ) -> Search:
     """Add effects one at a time while the test allows, then try to remove each.
 
@@ -82,6 +86,7 @@ def search(
         rng: Of the tests by sign flips.
         progress: Told what is being done.
         until: Names, the first of which to be added ends the search.
+        fixed: Nominal parameters that are not asked for.
     """
     by_name = {t.name: t for t in terms}
     joint, rounds, steps = baseline, [], []
@@ -107,7 +112,7 @@ def search(
         taken = None
         for finalists in groups(joint, by_name, best, missing):
             progress("fitting " + ", ".join(c.name for c in finalists), (turn + 0.5) / (MOST_EFFECTS + 1))
-            taken = _contest(views, unit, baseline, joint, finalists, by_name, p_after, steps)
+            taken = _contest(views, unit, baseline, joint, finalists, by_name, p_after, steps, fixed)
             if taken is not None:
                 break
         if taken is None:
@@ -135,6 +140,7 @@ def _contest(
     terms: Mapping[str, Term],
     p_value: float,
     steps: list[Step],
+    fixed: Collection[str],
 ) -> tuple[Joint, Round] | None:
     """Fit finalists jointly with what is named already; return the model with the best, or None where none will do."""
     if not finalists:
@@ -142,7 +148,10 @@ def _contest(
     fitted = []
     for candidate in finalists:
         added = Added(terms[candidate.name], candidate.shape, tuple(float(c) for c in candidate.coefficients))
-        fitted.append(fit(views, unit, joint.nominal, (*joint.effects, added), baseline))
+        tried = fit(views, unit, joint.nominal, (*joint.effects, added), baseline)
+        # What is built from the fall of friction may have hidden it from the nominal fit.
+        lost = added.term.follows and tried.nominal.flat
+        fitted.append(or_raised(views, unit, tried, joint.nominal, fixed) if lost else tried)
     beyond = [implausible(f) for f in fitted]
     ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
     order = [k for k in ranked if not beyond[k]]
@@ -156,6 +165,7 @@ def _contest(
         Contender(finalists[k].name, fitted[k], preference(fitted[winner], fitted[k]), beyond[k])
         for k in ranked
         if alike(terms[finalists[k].name], terms[finalists[winner].name])
+        and not broken(fitted[k])
         and not again(fitted[k].effects[-1], fitted[k], fitted[winner].effects[-1], fitted[winner])
     )
     gain = joint.cost - fitted[winner].cost
@@ -257,14 +267,17 @@ def excess(joint: Joint, only: str = "") -> float:
 
     It needs no candidate: what looks like nothing in the catalogue, nor like anything smooth, is noticed by its size.
     Rows beyond :data:`RARE` times the noise count as that, so that a few of them are not taken for physics; and a row
-    counts as half an observation, as neighbours share the filter.
+    counts as half an observation, as neighbours share the filter. Where such rows come in block after block, as they do
+    after every reversal on a joint that springs before it slips, it is how many blocks that counts.
     """
     chances = []
     for equation in joint.equations:
         if equation.name == "breakaway" or (only and equation.name != only):
             continue
-        powers = np.minimum(np.abs(joint.residual[joint.stack.part(equation.name)]), RARE) ** 2
+        rows = joint.stack.part(equation.name)
+        powers = np.minimum(np.abs(joint.residual[rows]), RARE) ** 2
         chances.append(_beyond(powers, EXCESS))
+        chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
         if equation.name == "torque":
             chances += [_beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views]
     return min(1.0, len(chances) * min(chances, default=1.0))
@@ -274,6 +287,17 @@ def _beyond(powers: Array, limit: float) -> float:
     """Return the chance of such a mean square, were the noise's ``limit``; 1 without rows."""
     half = 0.5 * len(powers)
     return float(stats.chi2.sf(half * float(np.mean(powers)) / limit, half)) if len(powers) else 1.0
+
+
+def _recurring(residual: Array, block: np.ndarray) -> float:
+    """Return the chance of so many blocks with a row beyond :data:`RARE`, were one in a hundred to have any.
+
+    1 where all of it is no more than :data:`EXCESS` times the noise's power.
+    """
+    if not len(residual) or float(np.mean(residual**2)) <= EXCESS:
+        return 1.0
+    found = len(np.unique(block[np.abs(residual) > RARE]))
+    return float(stats.binom.sf(found - 1, len(np.unique(block)), RARE_BLOCKS))
 
 
 def _best_of_each(candidates: Sequence[Candidate]) -> list[Candidate]:

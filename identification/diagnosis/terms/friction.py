@@ -12,6 +12,8 @@ from identification.diagnosis.terms.term import Context, Shape, Term, in_motion,
 from identification.diagnosis.view import View
 from identification.recording import Array
 
+AT_START_S = 0.02
+"""Stretch from whose line of torque the bristles' load at the start of a recording is taken."""
 ALPHAS = (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5)
 SAME_FALL = (0.6, 0.1)
 """Shares of its rise down to which friction has fallen where a fitted exponent and another one agree: which they are
@@ -71,7 +73,18 @@ def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
     level = _level(view, nominal)
-    return rows(dahl(view.angle, level, shape[0]) - view.sense * level)
+    return rows(dahl(view.angle, level, shape[0], _borne_at_start(view, nominal)) - view.sense * level)
+
+
+def _borne_at_start(view: View, nominal: Nominal) -> float:
+    """Return the friction with which a recording begins, N m: what the drive's torque then leaves to it.
+
+    A joint stands on its bristles as it came to rest, loaded by up to its static friction to either side, and no
+    recording shows how. One number of the measured torque, forgotten with the first slip, explains nothing else.
+    """
+    places = np.arange(max(2, round(AT_START_S / view.step)))
+    left = view.torque[places] - nominal.get("J") * view.acceleration[places]
+    return float(np.polyval(np.polyfit(places, left, 1), 0.0))
 
 
 def _patch(view: View, _nominal: Nominal, shape: Shape) -> Array:

@@ -10,25 +10,32 @@ from identification.recording import Array
 
 @compiled
 def lagged(series: Array, step: float, time_constant: float) -> Array:
-    """Return a series through a first-order lag that starts settled, shape (m,)."""
+    """Return a series through a first-order lag that starts settled, straight from sample to sample, shape (m,).
+
+    Held from sample to sample instead it would lag by half a step less than its time constant.
+    """
     out = np.empty_like(series)
     state = series[0]
+    out[0] = state
     share = 1.0 - np.exp(-step / time_constant)
-    for k in range(len(series)):
-        state += share * (series[k] - state)
+    rise = 1.0 - share * time_constant / step
+    for k in range(1, len(series)):
+        change = series[k] - series[k - 1]
+        state += share * (series[k - 1] - state) + rise * change
         out[k] = state
     return out
 
 
 @compiled
-def dahl(angle: Array, level: Array, stiffness: float) -> Array:
+def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
     """Return Dahl's friction dF = stiffness (1 - F sgn(dtheta)/level) dtheta, N m, shape (m,).
 
-    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long.
+    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long. ``start`` is the
+    friction at the first sample, N m.
     """
     out = np.empty_like(angle)
-    force = 0.0
-    out[0] = 0.0
+    force = min(max(start, -level[0]), level[0])
+    out[0] = force
     for k in range(1, len(angle)):
         travel = angle[k] - angle[k - 1]
         if travel != 0.0 and level[k] > 0.0:

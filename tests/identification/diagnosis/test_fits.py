@@ -8,10 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.diagnosis.contest import broken
+from identification.diagnosis.equations import equations, noise, without_tones
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.promise import promise
 from identification.diagnosis.search import excess, screened
-from identification.diagnosis.stack import Candidate
+from identification.diagnosis.stack import Candidate, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.diagnosis.view import View, views
@@ -85,6 +88,50 @@ def test_much_in_one_recording_is_noticed_and_a_little_in_all_is_not() -> None:
     assert excess(joint) > 0.5
     assert excess(replace(joint, residual=joint.residual + 6.0 * rows)) < 1e-3
     assert excess(replace(joint, residual=1.1 * joint.residual)) > 0.5
+
+
+def test_large_errors_of_a_few_rows_are_noticed_where_they_recur() -> None:
+    """After every reversal a joint that springs leaves a row or two of 20 times the noise, and none anywhere else."""
+    joint = nominal_fit(honest())
+    rows = joint.stack.part("torque")
+    block = joint.stack.block[rows]
+    _, first = np.unique(block, return_index=True)
+    few, many = joint.residual.copy(), joint.residual.copy()
+    few[rows][first[:1]] += 60.0
+    many[rows][first[::2]] += 20.0
+    assert excess(replace(joint, residual=few)) > 0.5
+    assert excess(replace(joint, residual=many)) < 1e-6
+
+
+def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
+    """Friction that rises with the speed, from a bench whose static friction may not be below its Coulomb friction."""
+    joint = nominal_fit(honest())
+    assert not broken(joint)
+    promised, kept = promise(joint.stack, (), joint.residual)
+    assert kept == pytest.approx(promised, rel=0.05)
+    values = {**joint.nominal.values, "Mc": joint.nominal.values["Ms"]}
+    flat = replace(joint.nominal, values=values)
+    rows = equations(joint.equations[0].views, flat, "N m", joint.equations)
+    assert broken(replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack)))
+
+
+def test_a_tone_is_no_noise() -> None:
+    """14 Hz passes for noise in differences from row to row; at 50 times the noise it was not noticed at all."""
+    low_pass = nominal_fit(honest()).equations[0].views[0].low_pass
+    rng = np.random.default_rng(2)
+    step = 0.001 * low_pass.factor
+    count = 1200
+    half = low_pass.half
+    raw = rng.standard_normal(count * low_pass.factor + 2 * half + 1)
+    quiet = low_pass(raw[None])[0][:count]
+    time = np.arange(len(quiet)) * step
+    kept = rng.uniform(size=len(quiet)) > 0.3
+    owner = np.zeros(int(kept.sum()))
+    loud = quiet + 50.0 * quiet.std() * np.sin(2.0 * np.pi * 14.03 * time + 1.0)
+    floor = noise(quiet[kept], owner, low_pass)
+    assert noise(loud[kept], owner, low_pass) > 10.0 * floor
+    assert noise(without_tones(loud[kept], owner, time[kept]), owner, low_pass) == pytest.approx(floor, rel=0.1)
+    assert noise(without_tones(quiet[kept], owner, time[kept]), owner, low_pass) == pytest.approx(floor, rel=0.03)
 
 
 def _ramp(hunting_rad_s: float) -> View:

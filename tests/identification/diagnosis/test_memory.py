@@ -10,11 +10,13 @@ from identification.diagnosis.terms.memory import dahl, heated, lagged, play
 TIME = np.arange(2000) * 1e-3
 
 
-def test_a_lag_answers_a_step_exponentially() -> None:
-    step = np.where(TIME >= 0.5, 1.0, 0.0)
-    answer = lagged(step, 1e-3, 0.1)
+def test_a_lag_answers_a_ramp_by_its_time_constant_late() -> None:
+    ramp = np.maximum(TIME - 0.5, 0.0)
+    answer = lagged(ramp, 1e-3, 0.1)
     later = TIME >= 0.5
-    assert answer[later] == pytest.approx(1.0 - np.exp(-(TIME[later] - 0.499) / 0.1), abs=1e-9)
+    since = TIME[later] - 0.5
+    assert answer[later] == pytest.approx(since - 0.1 * (1.0 - np.exp(-since / 0.1)), abs=1e-9)
+    assert np.all(answer[~later] == 0.0)
 
 
 def test_play_follows_only_beyond_its_gap() -> None:
@@ -31,6 +33,16 @@ def test_dahl_friction_starts_at_its_stiffness_and_ends_at_its_level() -> None:
     angle = np.linspace(0.0, 0.05, 2001)
     force = dahl(angle, np.full(2001, 7.0), 2000.0)
     assert force == pytest.approx(7.0 * (1.0 - np.exp(-2000.0 * angle / 7.0)), abs=1e-9)
+
+
+def test_dahl_friction_forgets_what_it_began_with() -> None:
+    angle = np.linspace(0.0, 0.05, 2001)
+    level = np.full(2001, 7.0)
+    loaded, free = dahl(angle, level, 2000.0, -5.0), dahl(angle, level, 2000.0)
+    assert loaded[0] == -5.0
+    assert loaded == pytest.approx(7.0 - 12.0 * np.exp(-2000.0 * angle / 7.0), abs=1e-9)
+    assert loaded[-1] == pytest.approx(free[-1], abs=1e-4)
+    assert dahl(angle, level, 2000.0, -50.0)[0] == -7.0, "no more than it bears"
 
 
 def test_dahl_friction_dissipates() -> None:

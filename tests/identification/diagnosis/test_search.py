@@ -93,6 +93,8 @@ def test_friction_that_falls_is_found_from_an_estimate_without_a_fall() -> None:
     begun = started(here, "N m", stuck, Model())
     assert begun.cost < 0.9 * fit(here, "N m", stuck).cost
     assert begun.nominal.values["Ms"] > 1.1 * begun.nominal.values["Mc"]
+    assert stuck.flat
+    assert not begun.nominal.flat
     raised = stuck.raised(0.05, {"Ms"})
     assert raised.values["Ms"] == values["Ms"], "what is fixed stays"
     assert "Ms" not in raised.free
