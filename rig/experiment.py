@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from drivers.amt21 import COUNTS_PER_TURN
+from identification.design.drive import drive_loop
 from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import NAMES, Nominal, Sensors
+from identification.design.pinning import Nominal, Sensors
 from identification.design.propose import Proposal, propose
-from identification.model.nominal import NOMINAL
 from rig.bench import Bench, EncoderSection, ServoSection
 from rig.configuration import Document
-from rig.errors import InputError
 from rig.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
-from rig.results import IDENTIFY_SCHEMA
+from rig.planned_nominal import believed
 from rig.run import bench_constants
 from rig.sequence import Array, Sequence, StageSection, Tone, excitation
 
@@ -89,14 +86,16 @@ def plan_experiment(
         for k, stage in enumerate(sequence.value.stages)
         if stage.stage == "hot_fire"
     )
-    values, source, weakest = _nominal_values(nominal_file)
+    known = believed(nominal_file)
     noise = NOISE_SHARE * bench.value.limits.current_A if current_noise_A is None else current_noise_A
     torque = min(limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A)
+    step = _joint_step(bench.value)
     nominal = Nominal(
-        values,
+        known.values,
         bench_constants(bench.value),
-        Sensors(bench.value.cycle_s, _joint_step(bench.value), noise * limits.torque_per_ampere),
+        Sensors(bench.value.cycle_s, step, noise * limits.torque_per_ampere),
         torque,
+        loop=drive_loop(known.recordings, torque, step),
     )
     loaded = [s for s in sequence.value.stages if s.stage == "loaded"]
     bounds = Bounds(
@@ -109,47 +108,12 @@ def plan_experiment(
         weights=_weights(bench.value, loaded),
     )
     frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
-    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, weakest)
+    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, known.weakest)
     stages = _stages(sequence.value.stages, frames, found.stages)
     proposed = sequence.value.model_copy(update={"name": f"{sequence.value.name}-proposed", "stages": stages})
-    return Experiment(sequence.value, nominal, source, noise, found, proposed, seed, time.perf_counter() - started)
-
-
-def _nominal_values(path: Path | None) -> tuple[dict[str, float], str, str | None]:
-    """Return nominal values, where they came from, and the parameter that was pinned worst, if that is known.
-
-    What an identification left open comes from the catalogue.
-
-    Raises:
-        InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
-    """
-    if path is None:
-        return dict(NOMINAL), "the catalogue's nominal values", None
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
-    if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA or raw.get("motion") != "rotary":
-        raise InputError(f"{path}: a result of `rig identify --json` on a rotary bench is needed; run it again")
-    try:
-        known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
-        found = {n: float(v) for n, v in known.items() if v is not None}
-        widths = {n: _half_width(raw["parameters"][n]) for n in known}
-    except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
-    open_names = [n for n in NAMES if n not in found]
-    words = f"the identification {path}"
-    if open_names:
-        words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
-    return {**NOMINAL, **found}, words, max(widths, key=lambda n: widths[n]) if widths else None
-
-
-def _half_width(parameter: dict[str, Any]) -> float:
-    """Return a parameter's relative half width in a result file; infinite where it was left open."""
-    value, low, high = (parameter[key] for key in ("value", "low", "high"))
-    return math.inf if not value or low is None or high is None else 0.5 * (high - low) / abs(value)
+    return Experiment(
+        sequence.value, nominal, known.source, noise, found, proposed, seed, time.perf_counter() - started
+    )
 
 
 def _joint_step(bench: Bench) -> float:

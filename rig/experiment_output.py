@@ -41,8 +41,8 @@ def text(experiment: Experiment) -> str:
         "",
         table(["stage", "kg", "s", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1, 2)),
         "",
-        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; a stiff "
-        f"drive loop is assumed; {experiment.proposal.judged} excitations judged, "
+        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; "
+        f"{_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
         f"{experiment.proposal.rehearsed} experiments rehearsed, in {experiment.seconds:.1f} s",
     ]
     return "\n".join(lines)
@@ -116,6 +116,13 @@ def _words(found: Pinned) -> str:
     if open_names:
         return f"says nothing of {', '.join(open_names)}"
     return f"pins all {len(found.half_widths)}; the weakest is {found.weakest}, to {percent(100.0 * found.worst)}"
+
+
+def _drive(experiment: Experiment) -> str:
+    loop = experiment.nominal.loop
+    if loop is None:
+        return "a stiff drive loop is assumed"
+    return f"drive loop as recorded: velocity gain {loop.velocity_gain:.3g} N m s/rad"
 
 
 def _width(found: Pinned, name: str) -> str:

@@ -11,12 +11,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
-from identification.design.forward import Response, respond, usual_loop
+from identification.design.forward import Loop, Response, respond, usual_loop
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
 from identification.estimate.noise_level import CLIP
@@ -29,6 +29,10 @@ from identification.recording import Array, Bench, Model, Recording
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
 """Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
+
+STRAY_STRETCHES = 2
+"""Stretches of motion that there may be more or fewer than ways of the command. With more the shaft sticks and slips;
+with fewer it turns without coming to rest, which next to chance it may always do."""
 
 NOISE_SEED = 0
 GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
@@ -94,7 +98,8 @@ class Pinned:
 class Nominal:
     """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m.
 
-    ``stiffness`` is the drive's velocity gain over the one assumed, which the inertia stands for.
+    ``loop`` is the drive as recordings showed it, None where it is assumed from the inertia; ``stiffness`` is the
+    velocity gain over that one's.
     """
 
     values: Mapping[str, float]
@@ -103,6 +108,12 @@ class Nominal:
     torque_limit: float
     alpha: float = 2.0
     stiffness: float = 1.0
+    loop: Loop | None = None
+
+    def drive(self) -> Loop:
+        """Return the drive's loop."""
+        loop = self.loop or usual_loop(self.values["J"], self.torque_limit, self.sensors.joint_step)
+        return replace(loop, velocity_gain=self.stiffness * loop.velocity_gain)
 
     def moment(self, weight: float) -> float:
         """Return F_P L1 of a weight on the lever, N m."""
@@ -120,17 +131,17 @@ def stage_response(
         rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
         share: Of the noise that is in the torque itself.
     """
-    loop = usual_loop(nominal.stiffness * nominal.values["J"], nominal.torque_limit, nominal.sensors.joint_step)
     moment, sensors = nominal.moment(stage.weight), nominal.sensors
     chance = rng or np.random.default_rng(NOISE_SEED)
     noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
-    return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, loop, noise)
+    return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, nominal.drive(), noise)
 
 
 def stage_information(stage: PlannedStage, nominal: Nominal, response: Response | None = None) -> Information:
     """Return the Fisher information of one stage on all nine, each relative to its value, in the order of NAMES.
 
-    Zero where the stage has too few breakaways, or moves so that the estimator could not follow. Relative, so that the
+    Zero where the stage has too few breakaways, or moves so that the estimator could not follow, or does not go from
+    rest to rest with its command: what it does then is up to drive and chance. Relative, so that the
     matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
 
     Args:
@@ -140,6 +151,8 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     """
     found = motion(_recording(stage, nominal, response or stage_response(stage, nominal)))
     if found is None or len(found.table) < LEAST_BREAKAWAYS:
+        return NOTHING
+    if abs(len(found.table) - _ways(stage.command)) > STRAY_STRETCHES:
         return NOTHING
     names = NAMES if stage.weight else SYSTEM_PARAMETERS
     free = [INDEX[n] for n in names]
@@ -160,6 +173,13 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     normal = np.zeros((len(NAMES), len(NAMES)))
     normal[: len(names), : len(names)] = turn.T @ (own.T @ own - cross / power @ cross.T) @ turn
     return Information(normal)
+
+
+def _ways(command: Array) -> int:
+    """Return how many times a command sets out in a direction that it did not have before."""
+    direction = np.sign(np.diff(command))
+    direction = direction[direction != 0.0]
+    return 1 + int(np.count_nonzero(np.diff(direction)))
 
 
 def _recording(stage: PlannedStage, nominal: Nominal, response: Response) -> Recording:

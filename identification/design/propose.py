@@ -3,26 +3,30 @@
 Informations of stages add and grow with time. So many sines are judged once on short stages, and a convex problem
 shares the time among them (:mod:`identification.design.shares`). The few that get a share take the place of the stages:
 one sine alone leaves parameters that trade off, and a slow one beside a fast one, or a light weight beside a heavy one,
-tells them apart. What rests on the drive loop that was assumed is dropped: each sine that gets a share is judged with
-softer and stiffer drives too. In the end the best few designs are rehearsed with those drives, which decides.
+tells them apart. What rests on the very drive loop is dropped: each sine that gets a share is judged with softer and
+stiffer drives too. In the end the best few designs are simulated with those drives and noise, and the best of them that
+the default method identifies is proposed.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.design.excitation import Bounds, Frame, Part
-from identification.design.pinning import Nominal, Pinned, pinned, stage_information
-from identification.design.rehearsal import rehearse
-from identification.design.search import STIFFNESSES, Design, Search, merit, planned
+from identification.design.pinning import Nominal, Pinned, PlannedStage, pinned, stage_information
+from identification.design.rehearsal import expected, rehearse
+from identification.design.search import Design, Search, drives, planned
 
-CANDIDATES = 30
-"""Random excitations judged for each of unloaded and loaded stages."""
-REFINEMENTS = 16
+CANDIDATES = (30, 70)
+"""Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
+REFINEMENTS = 40
 """Small changes tried afterwards of those that get a share."""
+WHOLE_SEED = 100
+"""Of the noise in what goes through the whole method; drives are numbered from 0."""
 Progress = Callable[[str, float], None]
 
 
@@ -32,12 +36,12 @@ class Proposal:
 
     Attributes:
         weakest: The parameter that is to be pinned better.
-        present: By the rehearsal of the present excitation.
+        present: What a simulation of the present excitation gives.
         stages: The proposal; the present excitation where nothing better was found.
-        pinned: By its rehearsal.
+        pinned: What simulations of it give, the default method's among them.
         promised: By its Fisher information.
         judged: Excitations simulated.
-        rehearsed: Whole experiments rehearsed.
+        rehearsed: Whole experiments that the default method identified.
     """
 
     weakest: str
@@ -71,40 +75,50 @@ def propose(
         bounds: Limits of the bench.
         rng: Source of all randomness.
         progress: Called with what is done and its share.
-        weakest: That parameter; None for the one that a rehearsal of the present excitation pins worst.
+        weakest: That parameter; None for the one that the present excitation pins worst.
     """
     tell = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
-    best = now = _rehearsed(frames, present, nominal)
+    now = _expected(frames, present, nominal)
     target = weakest or now.weakest
-    search = Search(frames, nominal, bounds, rng, target)
+    search = Search(frames, nominal, bounds, rng, target, now.half_widths[target])
     kinds = sorted({f.loaded for f in frames})
     for number, loaded in enumerate(kinds):
-        for k in range(CANDIDATES):
+        wanted = CANDIDATES[loaded]
+        for k in range(wanted):
             search.add(search.random(loaded))
-            tell("candidates", (number + (k + 1) / CANDIDATES) / len(kinds))
+            tell("candidates", (number + (k + 1) / wanted) / len(kinds))
     for k in range(REFINEMENTS):
         search.add(search.changed())
         tell("refinement", (k + 1) / REFINEMENTS)
-    designs = search.designs()
-    chosen = Design(present, present_pins(frames, nominal))
+    best, chosen = now, Design(present, present_pins(frames, nominal))
+    ranked = [(_expected(frames, design.parts, nominal), design) for design in search.designs()]
+    ranked = sorted((p for p in ranked if search.merit(p[0]) < search.merit(now)), key=lambda p: search.merit(p[0]))
     tried = 0
-    for k, design in enumerate(designs):
-        if merit(design.promised, target) > merit(best, target):
-            break  # a rehearsal is seldom better than the information, and designs come the most promising first
-        found = _rehearsed(frames, design.parts, nominal)
+    for found, design in ranked:
+        whole = rehearse(_stages(frames, design.parts), nominal, np.random.default_rng(WHOLE_SEED))
         tried += 1
-        if merit(found, target) < merit(best, target):
-            best, chosen = found, design
-        tell("rehearsal", (k + 1) / len(designs))
-    return Proposal(target, now, chosen.parts, best, chosen.promised, search.count, 1 + tried)
+        tell("rehearsal", tried / len(ranked))
+        worse = max(found, whole, key=search.merit)
+        if search.merit(worse) < search.merit(now):
+            best, chosen = worse, design
+            break
+    return Proposal(target, now, chosen.parts, best, chosen.promised, search.count, tried)
 
 
-def _rehearsed(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> Pinned:
-    """Return the worst of the rehearsals of one design, with drives that are softer and stiffer than assumed."""
-    stages = [planned(frames[p.frame], p.excitation) for p in parts]
+def _stages(frames: Sequence[Frame], parts: Sequence[Part]) -> list[PlannedStage]:
+    return [planned(frames[p.frame], p.excitation) for p in parts]
+
+
+def _expected(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> Pinned:
+    """Return what one design would give: the median over drives, each with another noise; where one fails, nothing."""
     runs = [
-        rehearse(stages, replace(nominal, stiffness=stiffness), np.random.default_rng(k))
-        for k, stiffness in enumerate(STIFFNESSES)
+        expected(_stages(frames, parts), replace(nominal, stiffness=stiffness), np.random.default_rng(k)).half_widths
+        for k, stiffness in enumerate((nominal.stiffness, *drives(nominal)))
     ]
-    return Pinned({name: max(run.half_widths[name] for run in runs) for name in runs[0].half_widths})
+    return Pinned(
+        {
+            name: math.inf if math.isinf(max(r[name] for r in runs)) else float(np.median([r[name] for r in runs]))
+            for name in runs[0]
+        }
+    )

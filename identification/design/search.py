@@ -10,6 +10,7 @@ import numpy as np
 
 from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.pinning import (
+    NAMES,
     NOTHING,
     Information,
     Nominal,
@@ -24,25 +25,30 @@ from identification.recording import Array
 
 DESIGNS = 3
 """Designs that are rehearsed beside the present one, at most."""
-PARTS = 2
-"""Stages that take the place of the unloaded ones, and of the loaded ones, at most."""
-TRIAL_S = 10.0
-"""Duration of the stage on which an excitation is judged."""
+PARTS = 5
+"""Stages of a design, at most."""
+_SUPPORT = 9
+"""Excitations with the greatest shares, of which a design's are chosen."""
+TRIAL_S, TRIAL_PERIODS = 5.0, 2.5
+"""Least duration of the stage on which an excitation is judged, s and its periods."""
 LEAST_S = 4.0
 """Least duration of a proposed stage."""
-STIFFNESSES = (0.75, 1.35)
-"""Drives, beside the one assumed, that a proposal must bear: their velocity gain over its."""
+ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
+"""Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where that one is assumed,
+and where recordings showed it."""
 _MARGIN = 0.85
 """Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
 _FOLLOWING_MARGIN = 0.5
 """The same for the following error, which rests on the assumed drive loop."""
-_SLOWEST_HZ, _FASTEST_HZ = 0.15, 2.5
-_LEAST_ACCELERATION, _GREATEST_ACCELERATION = 0.45, 15.0
-"""Of a random sine at its ends, rad/s^2. The less it is the longer the shaft is near rest; below, it creeps."""
+_SLOWEST_HZ, _FASTEST_HZ = 0.2, 4.0
+_LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
+"""Of a random sine at its middle, rad/s."""
+_LEAST_ACCELERATION = 0.15
+"""At its ends, rad/s^2. The less it is the longer the shaft is near rest."""
 _LEAST_ANGLE = math.radians(0.6)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
-_USELESS = 0.1
-"""Relative half width beyond which another parameter's interval counts against a design."""
+_HEAVIEST = 0.25
+"""Share of loaded sines that get the heaviest weight whatever the draw."""
 _SPREAD = 0.2
 """Standard deviation of the logarithm of a refinement's change."""
 
@@ -69,9 +75,9 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
     return PlannedStage(frame.render(excitation), excitation.weight)
 
 
-def merit(pins: Pinned, target: str) -> float:
-    """Return the target's relative half width, more where another parameter's is beyond use; the less the better."""
-    return pins.half_widths[target] * max(1.0, pins.worst / max(_USELESS, pins.half_widths[target]))
+def drives(nominal: Nominal) -> tuple[float, ...]:
+    """Return the velocity gains, over the nominal drive's, that a proposal must bear beside it."""
+    return ASSUMED if nominal.loop is None else SEEN
 
 
 @dataclass
@@ -83,8 +89,14 @@ class Search:
     bounds: Bounds
     rng: np.random.Generator
     target: str
+    now: float
+    """The target's relative half width as it is: what no other parameter's should exceed."""
     pool: list[Candidate] = field(default_factory=list)
     count: int = 0
+
+    def merit(self, pins: Pinned) -> float:
+        """Return the target's relative half width, more where another's exceeds what it is now; the less the better."""
+        return pins.half_widths[self.target] * max(1.0, pins.worst / max(self.now, pins.half_widths[self.target]))
 
     def add(self, part: Part | None) -> None:
         """Judge an excitation on a short stage and keep it where it says anything."""
@@ -93,18 +105,20 @@ class Search:
             self.pool.append(Candidate(part, rate))
 
     def random(self, loaded: bool) -> Part:
-        """Return a sine, logarithmically uniform in frequency and acceleration, under one of the weights."""
+        """Return a sine, logarithmically uniform in frequency and speed, under one of the weights."""
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
         frequency = _log_uniform(rng, _SLOWEST_HZ, min(_FASTEST_HZ, b.highest_Hz))
-        acceleration = _log_uniform(rng, _LEAST_ACCELERATION, _GREATEST_ACCELERATION)
         pace = 2.0 * math.pi * frequency
-        reach = 0.5 * _MARGIN * (b.angle_max - b.angle_min)
-        amplitude = max(min(reach, acceleration / pace**2, _MARGIN * b.speed / pace), _LEAST_ANGLE)
-        # Friction rises with the weight, and so does what is seen of the load's: half of all are the heaviest.
-        heaviest = max(b.weights) if rng.random() < 0.5 else float(rng.choice(b.weights))
-        found = Excitation(((amplitude, frequency),), heaviest if loaded else 0.0, 0.0)
-        return Part(number, found.lasting(self._trial(number)))
+        speed = max(
+            _log_uniform(rng, _LEAST_SPEED, min(_GREATEST_SPEED, _MARGIN * b.speed)), _LEAST_ACCELERATION / pace
+        )
+        amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLE)
+        # Friction rises with the weight, and so does what fast sines show of the load's; under the lighter ones the
+        # drive holds the shaft where friction falls.
+        weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
+        found = Excitation(((amplitude, frequency),), weight if loaded else 0.0, 0.0)
+        return Part(number, found.lasting(self._trial(number, frequency)))
 
     def changed(self) -> Part | None:
         """Return a small change of an excitation that gets a share, and now and then the next weight up or down."""
@@ -122,20 +136,24 @@ class Search:
         if self.frames[part.frame].loaded and self.rng.random() < 0.3:
             place = ladder.index(weight) + int(self.rng.choice([-1, 1]))
             weight = ladder[min(max(place, 0), len(ladder) - 1)]
-        changed = replace(e, tones=(tone,), weight=weight).lasting(self._trial(part.frame))
+        changed = replace(e, tones=(tone,), weight=weight).lasting(self._trial(part.frame, frequency))
         return replace(part, excitation=changed)
 
     def designs(self) -> list[Design]:
-        """Return the best design, and those that do without one of its excitations, the most promising first."""
+        """Return the best design, and those without one of its longest excitations, the most promising first."""
         best = self._design(list(self.pool))
         if best is None:
             return []
         found = [best]
-        for candidate in best[1]:
+        for candidate in self._longest(best[1])[: DESIGNS - 1]:
             without = self._design([c for c in self.pool if c is not candidate])
             found += [without] if without is not None else []
-        ranked = sorted((design for design, _ in found), key=lambda d: merit(d.promised, self.target))
-        return ranked[:DESIGNS]
+        ranked = sorted((design for design, _ in found), key=lambda d: self.merit(d.promised))
+        return ranked
+
+    def _longest(self, chosen: Sequence[Candidate]) -> list[Candidate]:
+        """Return candidates by their shares of the time, the greatest first."""
+        return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
         """Return the best design from a pool in which every part is sturdy; None where a kind of stage has none."""
@@ -151,19 +169,33 @@ class Search:
         return None
 
     def _complete(self, pool: Sequence[Candidate]) -> bool:
-        return {self.frames[c.part.frame].loaded for c in pool} == {f.loaded for f in self.frames}
+        return set(map(self._loaded, pool)) == {f.loaded for f in self.frames}
 
     def _shares(self, pool: Sequence[Candidate]) -> Array:
         return best_shares([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))
 
     def _few(self, pool: Sequence[Candidate]) -> list[Candidate]:
-        """Return those with the greatest shares, a few of each kind."""
+        """Return a few that do nearly as well as the whole pool: those are left out in turn that are missed least."""
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
-        room = max(1, int(sum(f.total for f in self.frames) / LEAST_S / len({f.loaded for f in self.frames})))
-        out = []
-        for loaded in sorted({f.loaded for f in self.frames}):
-            out += [c for c in ranked if self.frames[c.part.frame].loaded == loaded][: min(PARTS, room)]
-        return out
+        chosen = ranked[:_SUPPORT]
+        kinds = {f.loaded for f in self.frames}
+        lacking = kinds - {self._loaded(c) for c in chosen}
+        chosen += [next(c for c in ranked if self._loaded(c) == loaded) for loaded in lacking]
+        room = max(len(kinds), min(PARTS, int(sum(f.total for f in self.frames) / LEAST_S)))
+        while len(chosen) > room:
+            rests = [[c for c in chosen if c is not left] for left in chosen]
+            chosen = min((rest for rest in rests if self._complete(rest)), key=self._reached)
+        return chosen
+
+    def _loaded(self, candidate: Candidate) -> bool:
+        return self.frames[candidate.part.frame].loaded
+
+    def _reached(self, chosen: Sequence[Candidate]) -> float:
+        """Return the merit of sharing the whole time among these, pauses and least durations aside."""
+        total = sum(f.total for f in self.frames)
+        pairs = zip(chosen, self._shares(chosen), strict=True)
+        told = [Information(c.rate.normal * float(share) * total) for c, share in pairs]
+        return self.merit(pinned(told, any(f.loaded for f in self.frames)))
 
     def _timed(self, chosen: Sequence[Candidate]) -> Design:
         """Share the whole time among a few excitations, each rounded down to half periods."""
@@ -180,15 +212,17 @@ class Search:
         return Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))
 
     def _sturdy(self, candidate: Candidate) -> bool:
-        """Judge a candidate with other drives; its information becomes the mean; False where one does not bear it."""
-        rates = [self._rate(candidate.part, replace(self.nominal, stiffness=stiffness)) for stiffness in STIFFNESSES]
-        known = [rate for rate in rates if rate is not None]
-        candidate.sturdy = len(known) == len(rates)
-        candidate.rate = Information(np.mean([r.normal for r in (candidate.rate, *known)], axis=0))
+        """Judge a candidate with other drives; the least information counts; False where one does not bear it."""
+        beside = drives(self.nominal)
+        rates = [self._rate(candidate.part, replace(self.nominal, stiffness=stiffness)) for stiffness in beside]
+        known = [candidate.rate, *(rate for rate in rates if rate is not None)]
+        candidate.sturdy = len(known) > len(beside)
+        place = NAMES.index(self.target)
+        candidate.rate = min(known, key=lambda rate: float(rate.normal[place, place]))
         return candidate.sturdy
 
-    def _trial(self, number: int) -> float:
-        return min(TRIAL_S, self.frames[number].present.seconds)
+    def _trial(self, number: int, frequency: float) -> float:
+        return min(max(TRIAL_S, TRIAL_PERIODS / frequency), self.frames[number].present.seconds)
 
     def _rate(self, part: Part, nominal: Nominal) -> Information | None:
         """Return an excitation's information per second; None where it breaks a limit or says nothing."""

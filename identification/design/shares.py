@@ -15,7 +15,7 @@ from identification.design.pinning import NAMES, Information
 from identification.recording import Array
 
 _ROUNDS = 500
-_OTHERS = 0.01
+_OTHERS = 0.04
 """Weight of every other parameter's relative variance beside the target's, so that none is left open."""
 _FLOOR = 1e-12
 

@@ -19,7 +19,7 @@ stages:
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, name, value in ((propose, "CANDIDATES", 8), (propose, "REFINEMENTS", 2), (search, "DESIGNS", 1)):
+    for module, name, value in ((propose, "CANDIDATES", (8, 8)), (propose, "REFINEMENTS", 2), (search, "DESIGNS", 1)):
         monkeypatch.setattr(module, name, value)
 
 

@@ -1,0 +1,96 @@
+"""The drive's loop as recordings show it: how its torque answered the shaft.
+
+A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e from its target. The
+logged command reaches the loop some cycles late, which is worth more than e itself: whole cycles are sought, and for
+what is left of one the command and its derivatives are regressors too. The encoder's steps and the loop's own delay
+would lower Kv: the regression is of means over a few samples, of the shaft's angle at the delay that fits best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from identification.design.forward import Loop, usual_loop
+from identification.prepare import ampere_torque
+from identification.recording import Array, Recording
+
+_MEAN = 4
+"""Samples over which both sides are averaged."""
+_LATENESSES = range(7)
+"""Cycles by which a command may be late."""
+_DELAYS_S = tuple(2e-4 * k for k in range(8))
+"""Between the shaft's motion and what the loop makes of it."""
+_MISFIT = 0.15
+"""Greatest rms of what the regression leaves, over that of the torque's changes, at which the loop counts as seen."""
+_GAINS = 3
+
+
+def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
+    """Return the loop that recordings were made in; None where they do not log it, or answer otherwise.
+
+    Args:
+        recordings: Of one bench; those without command, motor angle and current are left out.
+        torque_limit: N m.
+        count: Joint angle of one step of the encoder that the drive follows, rad.
+    """
+    usable = [r for r in recordings if {"command", "motor_angle", "current"} <= r.channels.keys()]
+    if not usable:
+        return None
+    middle = _DELAYS_S[len(_DELAYS_S) // 2]
+    late = min(_LATENESSES, key=lambda cycles: _fit(usable, cycles, middle)[1])
+    gains, misfit = min((_fit(usable, late, delay) for delay in _DELAYS_S), key=lambda fit: fit[1])
+    if misfit > _MISFIT or np.any(gains <= 0.0):
+        return None
+    velocity, total, product = float(gains[0]), float(gains[1] / gains[0]), float(gains[2] / gains[0])
+    # Kp and Ki enter alike; where noise leaves them no real values, equal ones come nearest.
+    half = 0.5 * total
+    apart = math.sqrt(max(half * half - product, 0.0))
+    usual = usual_loop(1.0, torque_limit, count)
+    return Loop(half + apart, velocity, half - apart, usual.filter_Hz, torque_limit, count)
+
+
+def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Array, float]:
+    """Return the gains of e', e and its integral, and the relative misfit.
+
+    Args:
+        recordings: At least one.
+        late: Cycles by which the command reaches the loop late.
+        delay: Of what the loop makes of the shaft's motion, s.
+    """
+    rows, torques = [], []
+    for number, recording in enumerate(recordings):
+        own, torque = _regressors(recording, late, delay)
+        others = np.zeros((len(torque), len(recordings)))
+        others[:, number] = 1.0
+        rows.append(np.column_stack([own, others]))
+        torques.append(torque)
+    design, torque = np.concatenate(rows), np.concatenate(torques)
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0.0] = 1.0
+    solution = np.linalg.lstsq(design / scale, torque, rcond=None)[0]
+    left = torque - design / scale @ solution
+    return (solution / scale)[:_GAINS], float(np.std(left) / max(float(np.std(torque)), 1e-12))
+
+
+def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, Array]:
+    """Return the regressors, gains first, shape (n, 6), and the torque at the joint, N m, shape (n,)."""
+    time, period, channels = recording.time, recording.period, recording.channels
+    angle = np.interp(time - delay, time, channels["motor_angle"]) / recording.bench.gear_ratio
+    command = np.concatenate([np.full(late, channels["command"][0]), channels["command"]])[: len(time)]
+    away = command - angle
+    middle = 0.5 * (away[1:] + away[:-1])
+    pace = np.diff(command) / period
+    columns = [
+        np.diff(away) / period,
+        middle,
+        np.cumsum(middle) * period,
+        pace,
+        0.5 * (command[1:] + command[:-1]),
+        np.gradient(pace, period),
+    ]
+    torque = ampere_torque(recording) * channels["current"][1:]
+    share = np.full(_MEAN, 1.0 / _MEAN)
+    return np.column_stack([np.convolve(c, share, "valid") for c in columns]), np.convolve(torque, share, "valid")

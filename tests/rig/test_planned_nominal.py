@@ -1,0 +1,47 @@
+"""What a plan takes from the result of an identification."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from identification.design.pinning import NAMES
+from identification.model.nominal import NOMINAL
+from rig.planned_nominal import believed
+from rig.results import IDENTIFY_SCHEMA
+
+
+def result(folder: Path) -> Path:
+    """Write a result in which J is 3 % wide and mu_2 was left open, of a recording that is not what it was."""
+    recording = folder / "recording.mcap"
+    recording.write_bytes(b"changed since")
+    parameters = {n: {"value": 1.0, "low": 0.99, "high": 1.01} for n in NAMES}
+    parameters["J"] = {"value": 2.0, "low": 1.94, "high": 2.06}
+    inputs = [{"file": str(recording), "sha256": "0" * 64}, {"file": str(folder / "gone" / "x"), "sha256": "0"}]
+    record = {"schema": IDENTIFY_SCHEMA, "motion": "rotary", "parameters": parameters, "inputs": inputs}
+    path = folder / "identify.json"
+    path.write_text(json.dumps(record))
+    return path
+
+
+def test_the_widest_for_its_value_is_the_weakest(tmp_path: Path) -> None:
+    known = believed(result(tmp_path))
+    assert known.weakest == "J"
+    assert known.values["J"] == 2.0
+    assert known.source == f"the identification {tmp_path / 'identify.json'}"
+
+
+def test_what_was_left_open_is_the_weakest_and_comes_from_the_catalogue(tmp_path: Path) -> None:
+    path = result(tmp_path)
+    record = json.loads(path.read_text())
+    record["parameters"]["mu_2"] = {"value": None, "low": None, "high": None}
+    path.write_text(json.dumps(record))
+    known = believed(path)
+    assert known.weakest == "mu_2"
+    assert known.values["mu_2"] == pytest.approx(NOMINAL["mu_2"])
+    assert "mu_2, which it leaves open" in known.source
+
+
+def test_recordings_that_have_changed_or_gone_say_nothing_of_the_drive(tmp_path: Path) -> None:
+    assert believed(result(tmp_path)).recordings == ()
+    assert believed(None).recordings == ()
