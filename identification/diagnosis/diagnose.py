@@ -50,6 +50,8 @@ REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.95
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
+SUREST = 0.99
+"""Most confidence in any name."""
 UNFINISHED = 0.8
 """Most confidence in a name beside which the test says that more is missing: of 16 such blind rigs (seed 20280301) 13
 had a right name first."""
@@ -257,10 +259,8 @@ def _effect(
         index = round(found.final.effects[k].shape[place])
         where = replace(where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,))
     open_names = _open(taken)
-    sure = min([0.99, *(max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals)])
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
-    most = UNFINISHED if found.p_after <= LEVEL else 0.99
-    confidence = min(most, sure * (0.5 + 0.5 * quality))
+    confidence = confidence_of(taken, quality, found.p_after)
     rivals = tuple(
         Rival(
             r.name,
@@ -280,6 +280,19 @@ def _effect(
         rivals=rivals,
         separating_experiment=entry.experiment,
     )
+
+
+def confidence_of(taken: Round, quality: float, p_after: float) -> float:
+    """Return the confidence in a name: over its rivals, by how much it explains, and whether more is missing after all.
+
+    Args:
+        taken: With its rivals.
+        quality: Share of the mismatch beyond the noise that is explained in its main equation.
+        p_after: Of the test that anything more is missing.
+    """
+    over = [max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals]
+    most = UNFINISHED if p_after <= LEVEL else SUREST
+    return min(most, min([SUREST, *over]) * (0.5 + 0.5 * quality))
 
 
 def _why_not(rival: Contender) -> str:

@@ -16,7 +16,7 @@ from identification.recording import Array
 
 UNKEPT = 1.5
 """Mean square of the torque's mismatch with the constants that a fit ended at over that which it promises, from which
-on it is no model. On simulated rigs it is 1.0 to 1.3, and 5 to 100 000 where friction would have to rise."""
+on it is no model. With right names it was 1.00 to 1.03 on eight simulated rigs; 490 000 where friction had to rise."""
 
 
 def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[float, float]:

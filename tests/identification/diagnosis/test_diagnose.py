@@ -7,15 +7,26 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.contest import Contender, Round
+from identification.diagnosis.diagnose import confidence_of, diagnose
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.recording import Dataset, Model, Recording, RecordingError
 
-from .benches import campaign, honest
+from .benches import campaign, honest, nominal_fit
 
 
 def of(recordings: tuple[Recording, ...], seed: int = 1) -> Diagnosis:
     return diagnose(Dataset(recordings), rng=np.random.default_rng(seed))
+
+
+def test_confidence_falls_with_close_rivals_with_what_is_left_and_where_more_is_missing() -> None:
+    joint = nominal_fit(honest())
+    alone, rivalled = Round("a", ()), Round("a", (Contender("b", joint, 0.0, ""), Contender("c", joint, 9.0, "")))
+    assert confidence_of(alone, 1.0, 0.5) == 0.99
+    assert confidence_of(rivalled, 1.0, 0.5) == pytest.approx(0.5)
+    assert confidence_of(alone, 0.0, 0.5) == pytest.approx(0.495)
+    assert confidence_of(alone, 1.0, 1e-4) == 0.8
+    assert confidence_of(rivalled, 1.0, 1e-4) == pytest.approx(0.5)
 
 
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
