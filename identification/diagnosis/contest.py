@@ -11,7 +11,7 @@ from scipy import stats
 
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.joint import Added, Joint
-from identification.diagnosis.promise import promise, unkept
+from identification.diagnosis.promise import promise, risen, unkept
 from identification.diagnosis.terms.term import Context
 from identification.diagnosis.view import View
 
@@ -87,7 +87,8 @@ def implausible(joint: Joint) -> str:
 
 def broken(joint: Joint) -> bool:
     """Whether a fit's own constants do not keep what it promises; it then says nothing of its effects either."""
-    return unkept(*promise(joint.stack, joint.effects, joint.residual))
+    promised, kept = promise(joint.stack, joint.effects, joint.residual)
+    return unkept(promised, kept) and unkept(promised, risen(joint.stack, joint.effects))
 
 
 def _scales(views: Sequence[View]) -> dict[str, float]:

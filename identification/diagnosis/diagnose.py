@@ -48,13 +48,16 @@ TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity
 """Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
-ADEQUATE = 0.95
+ADEQUATE = 0.70
 """Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
 SUREST = 0.99
 """Most confidence in any name."""
 UNFINISHED = 0.8
 """Most confidence in a name beside which the test says that more is missing: of 16 such blind rigs (seed 20280301) 13
 had a right name first."""
+FAINT, FAINT_MOST = 3.5, 0.9
+"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that: a fifth of it may be
+something else and still pass for noise (:data:`identification.diagnosis.kept.EXCESS`)."""
 UNLIKELY = 0.05
 """Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
 
@@ -260,7 +263,7 @@ def _effect(
         where = replace(where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,))
     open_names = _open(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
-    confidence = confidence_of(taken, quality, found.p_after)
+    confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before)
     rivals = tuple(
         Rival(
             r.name,
@@ -282,16 +285,17 @@ def _effect(
     )
 
 
-def confidence_of(taken: Round, quality: float, p_after: float) -> float:
+def confidence_of(taken: Round, quality: float, p_after: float, before: float) -> float:
     """Return the confidence in a name: over its rivals, by how much it explains, and whether more is missing after all.
 
     Args:
         taken: With its rivals.
         quality: Share of the mismatch beyond the noise that is explained in its main equation.
         p_after: Of the test that anything more is missing.
+        before: Mean square of that equation's mismatch over the noise's without any name.
     """
     over = [max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals]
-    most = UNFINISHED if p_after <= LEVEL else SUREST
+    most = UNFINISHED if p_after <= LEVEL else FAINT_MOST if before < FAINT else SUREST
     return min(most, min([SUREST, *over]) * (0.5 + 0.5 * quality))
 
 

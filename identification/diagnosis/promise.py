@@ -12,6 +12,7 @@ import numpy as np
 
 from identification.diagnosis.linear import Added
 from identification.diagnosis.stack import Stack
+from identification.estimate.assemble import RISES
 from identification.recording import Array
 
 UNKEPT = 1.5
@@ -37,6 +38,25 @@ def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[fl
     other = equation.tangent[:, [name not in stack.nominal.free for name in equation.names]]
     rest -= other @ np.linalg.lstsq(other, rest, rcond=None)[0]
     return float(np.mean(residual[stack.part("torque")] ** 2)), float(np.mean(rest**2)) / equation.sigma**2
+
+
+def risen(stack: Stack, effects: Sequence[Added]) -> float:
+    """Return the mean square of the torque's mismatch over the noise's with the rises of friction toward rest held.
+
+    All else that the torque is linear in is free. What real machines do at the slowest speeds asks for rises that no
+    bench has, of which the effects named are no part.
+    """
+    equation = next(e for e in stack.equations if e.name == "torque")
+    columns = {name: equation.tangent[:, k] for k, name in enumerate(equation.names)}
+    for coulomb, static, speed in RISES:
+        level, rise = columns.get(coulomb), columns.pop(static, None)
+        if level is not None and rise is not None:
+            columns[coulomb] = level + rise
+        columns.pop(speed, None)
+    own = [stack.columns(e.term, e.shape).get("torque") for e in effects]
+    design = np.column_stack([*columns.values(), *(c for c in own if c is not None)])
+    left = equation.residual - design @ np.linalg.lstsq(design, equation.residual, rcond=None)[0]
+    return float(np.mean(left**2)) / equation.sigma**2
 
 
 def unkept(promised: float, kept: float) -> bool:

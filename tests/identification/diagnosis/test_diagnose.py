@@ -22,11 +22,12 @@ def of(recordings: tuple[Recording, ...], seed: int = 1) -> Diagnosis:
 def test_confidence_falls_with_close_rivals_with_what_is_left_and_where_more_is_missing() -> None:
     joint = nominal_fit(honest())
     alone, rivalled = Round("a", ()), Round("a", (Contender("b", joint, 0.0, ""), Contender("c", joint, 9.0, "")))
-    assert confidence_of(alone, 1.0, 0.5) == 0.99
-    assert confidence_of(rivalled, 1.0, 0.5) == pytest.approx(0.5)
-    assert confidence_of(alone, 0.0, 0.5) == pytest.approx(0.495)
-    assert confidence_of(alone, 1.0, 1e-4) == 0.8
-    assert confidence_of(rivalled, 1.0, 1e-4) == pytest.approx(0.5)
+    assert confidence_of(alone, 1.0, 0.5, 100.0) == 0.99
+    assert confidence_of(rivalled, 1.0, 0.5, 100.0) == pytest.approx(0.5)
+    assert confidence_of(alone, 0.0, 0.5, 100.0) == pytest.approx(0.495)
+    assert confidence_of(alone, 1.0, 1e-4, 100.0) == 0.8
+    assert confidence_of(rivalled, 1.0, 1e-4, 100.0) == pytest.approx(0.5)
+    assert confidence_of(alone, 1.0, 0.5, 2.0) == 0.9
 
 
 def test_nothing_is_found_where_nothing_is_hidden() -> None:
