@@ -67,6 +67,21 @@ def test_a_delay_laid_into_real_channels_comes_back() -> None:
     assert late - own == pytest.approx(-0.004, rel=0.05)
 
 
+@pytest.mark.parametrize(("drive", "least", "most"), [(1, 0.25e-3, 0.40e-3), (2, 0.06e-3, 0.18e-3)])
+def test_a_constant_load_on_a_screw(drive: int, least: float, most: float) -> None:
+    """Half the sum of the mean torques both ways is -0.26 to -0.40 mN m on drive 1 and -0.01 to -0.18 on drive 2.
+
+    The second swings once a turn by more than that. Only speeds were recorded: no two recordings share an angle.
+    """
+    found = diagnosed(f"screw_drive_{drive}_untold")
+    effect = next(e for e in found["effects"] if e["name"] == "asymmetric_coulomb")
+    assert found["verdict"] == "named"
+    assert -most < effect["parameters"]["torque_Nm"]["value"] < -least
+    others = {e["name"] for e in found["effects"]} - {"asymmetric_coulomb"}
+    assert others <= ({"torque_ripple", "cogging"} if drive == 2 else set())
+    assert found["fit"]["validate_final_rms"] < found["fit"]["validate_baseline_rms"]
+
+
 def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> None:
     """Where its unexplained half volt comes from: they fall at 4.6 s and stay, while the firmware asks for 5.4 V up."""
     said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint stands" in w]
