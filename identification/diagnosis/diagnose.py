@@ -119,7 +119,7 @@ def diagnose(
     unseen = taken_up(baseline, terms)
     traces = _traces(found.baseline, scored)
     alarm = verdict is not Verdict.NOTHING_MISSING
-    places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()))
+    places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()), *_too_little(found, verdict))
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -194,6 +194,15 @@ def _judged(found: Search, rng: np.random.Generator) -> tuple[Verdict, Location 
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open(r) for r in found.rounds)
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
+
+
+def _too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
+    """Say what effects of the catalogue explain a part of a mismatch that has no name."""
+    if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
+        return ()
+    share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
+    words = "; and ".join(e.statement for e in _effects(found, verdict))
+    return (f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be explained if {words}",)
 
 
 def _rows(found: Search, equation: str) -> int:
