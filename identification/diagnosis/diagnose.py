@@ -36,7 +36,8 @@ from identification.diagnosis.stack import stacked
 from identification.diagnosis.stretches import crowded, standing
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
-from identification.diagnosis.view import View, one_clock, views, without_origin
+from identification.diagnosis.unsought import unsought
+from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
 from identification.estimate.assemble import units_of
 from identification.prepare import prepare, torque_unit
@@ -46,17 +47,6 @@ GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
 """Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
 TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
 """Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
-PLACED = (
-    "gravity_imbalance",
-    "return_spring",
-    "end_stop",
-    "position_dependent_friction",
-    "load_position_dependence",
-)
-"""Effects at a place, of which recordings that do not share an origin of their angles say nothing."""
-DRIFTING = ("coulomb_drift", "viscous_thermal_drift")
-"""Effects of running time, which recordings on clocks of their own do not have: in the order in which they happen to be
-listed anything drifts that differs between them."""
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.7
@@ -95,9 +85,8 @@ def diagnose(
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
     here, first = begun(dataset, bandwidth)
-    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
-    left_out |= set(PLACED if without_origin(here) else ())
-    left_out |= set(() if one_clock(fitted) else DRIFTING)
+    hidden, why = unsought(fitted, here)
+    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ()), *hidden}
     terms = [t for t in TERMS if t.name not in left_out]
     if onlooker is not None:
         onlooker(first)
@@ -141,7 +130,7 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=traces,
-        warnings=(*_warnings(dataset, here, unseen), *places),
+        warnings=(*_warnings(dataset, here, unseen), *why, *places),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -415,16 +404,6 @@ def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> 
     warnings = []
     if unseen:
         warnings.append(f"{_unseen(unseen)}; what would show it: {' '.join(ENTRIES[n].experiment for n in unseen)}")
-    if without_origin(here):
-        warnings.append(
-            "angles were not recorded, only speeds: each recording counts them from where it began, so that effects at "
-            f"a place ({', '.join(title(n) for n in PLACED)}) are not sought, and phases are each recording's own"
-        )
-    if not one_clock(dataset.part("fit")):
-        warnings.append(
-            "the recordings have no clock in common, so that what drifts with running time "
-            f"({', '.join(title(n) for n in DRIFTING)}) is not sought"
-        )
     if not dataset.part("validate"):
         warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
     for view in here:
