@@ -36,6 +36,7 @@ from identification.diagnosis.stack import stacked
 from identification.diagnosis.stretches import crowded, standing
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
+from identification.diagnosis.unsought import unsought
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
 from identification.estimate.assemble import units_of
@@ -91,9 +92,10 @@ def diagnose(
     bandwidth = bandwidth_Hz or common_bandwidth(fitted)
     tell("nominal model", 0.0)
     unit = torque_unit(fitted[0])
-    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ())}
-    terms = [t for t in TERMS if t.name not in left_out]
     here, first = begun(dataset, bandwidth)
+    hidden, why = unsought(fitted, here)
+    left_out = {*dataset.model.terms, *(TURNING if _slides(fitted[0].bench) else ()), *hidden}
+    terms = [t for t in TERMS if t.name not in left_out]
     if onlooker is not None:
         onlooker(first)
     found = search(here, unit, first, terms, chance, tell, GIVING, dataset.model.fixed)
@@ -115,7 +117,7 @@ def diagnose(
     unseen = taken_up(baseline, terms)
     traces = _traces(found.baseline, scored)
     alarm = verdict is not Verdict.NOTHING_MISSING
-    places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()))
+    places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()), *_too_little(found, verdict))
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -137,7 +139,7 @@ def diagnose(
         maps=drawn,
         steps=found.steps,
         traces=traces,
-        warnings=(*_warnings(dataset, here, unseen), *places),
+        warnings=(*_warnings(dataset, here, unseen), *why, *places),
         seconds=perf_counter() - clock,
         alpha=dataset.model.alpha,
     )
@@ -190,6 +192,15 @@ def _judged(found: Search, rng: np.random.Generator) -> tuple[Verdict, Location 
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open(r) for r in found.rounds)
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
+
+
+def _too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
+    """Say what effects of the catalogue explain a part of a mismatch that has no name."""
+    if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
+        return ()
+    share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
+    words = "; and ".join(e.statement for e in _effects(found, verdict))
+    return (f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be explained if {words}",)
 
 
 def _rows(found: Search, equation: str) -> int:

@@ -287,10 +287,13 @@ def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
     moves = []
     coefficients = np.array(effect.coefficients)
     if effect.term.size is None:
+        here = effect.term.read(coefficients, effect.shape, context)
+        scale = float(np.max(np.abs(coefficients))) or 1.0
         for k in range(len(coefficients)):
             step = np.zeros(len(coefficients))
-            step[k] = STEP
-            moves.append(dict(effect.term.read(coefficients + step, effect.shape, context)))
+            step[k] = STEP * scale
+            there = effect.term.read(coefficients + step, effect.shape, context)
+            moves.append({name: value + (there[name] - value) / scale for name, value in here.items()})
     for index, reach in effect.term.refine.items():
         moves.append(dict(effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)))
     return moves

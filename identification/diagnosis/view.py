@@ -177,6 +177,12 @@ def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
     return tuple(replace(v, motor=v.motor - gear * zeros.get(v.index, 0.0)) for v in found)
 
 
+def one_clock(recordings: Sequence[Recording]) -> bool:
+    """Whether the time stamps of recordings follow one another, as on one clock."""
+    spans = sorted((float(r.time[0]), float(r.time[-1])) for r in recordings)
+    return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
+
+
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
     """Return when each recording began, s of running time.
 
@@ -184,9 +190,8 @@ def run_starts(recordings: Sequence[Recording]) -> list[float]:
     back than the recordings are long, as the machine was cold then; else from the first stamp. Recordings without a
     common clock are laid end to end.
     """
-    spans = sorted((float(r.time[0]), float(r.time[-1])) for r in recordings)
-    if len(spans) > 1 and all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans)):
-        first, last = spans[0][0], spans[-1][1]
+    if len(recordings) > 1 and one_clock(recordings):
+        first, last = min(float(r.time[0]) for r in recordings), max(float(r.time[-1]) for r in recordings)
         zero = 0.0 if 0.0 <= first < last - first else first
         return [float(r.time[0]) - zero for r in recordings]
     lengths = [float(r.time[-1] - r.time[0]) for r in recordings]
@@ -392,3 +397,9 @@ def _travel(angle: Array, turned: BoolArray) -> Array:
 def torque_per_ampere(view: View) -> float:
     """Return the joint torque of one motor ampere, N m/A."""
     return ampere_torque(view.recording)
+
+
+def without_origin(views: Sequence[View]) -> bool:
+    """Whether recordings count their angles each from where it began, as speed alone was recorded in them."""
+    unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
+    return len(views) > 1 and len(unknown) > 0

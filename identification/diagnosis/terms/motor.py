@@ -26,7 +26,7 @@ from identification.diagnosis.terms.term import (
     shaped,
 )
 from identification.diagnosis.terms.wave import sine_cosine
-from identification.diagnosis.view import View, torque_per_ampere
+from identification.diagnosis.view import View, torque_per_ampere, without_origin
 from identification.recording import Array
 from identification.signals import central_difference
 
@@ -47,17 +47,34 @@ BRUSH_CURRENTS: tuple[Shape, ...] = tuple((i,) for i in (0.2, 0.5, 1.0, 2.0))
 
 
 def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    return -sine_cosine(shape[0], view.motor)
-
-
-def _cycles(context: Context) -> Sequence[Shape]:
-    """Return cycles a motor turn, without one a turn of the joint itself: that is a weight out of balance."""
-    gear = context.views[0].recording.bench.gear_ratio
-    return [shape for shape in CYCLES_PER_TURN if shape[0] * gear != 1.0]
+    return _by_origin(view, shape, -sine_cosine(shape[0], view.motor))
 
 
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return sine_cosine(shape[0], view.motor) * -_drive(view, nominal)
+    return _by_origin(view, shape, sine_cosine(shape[0], view.motor) * -_drive(view, nominal))
+
+
+def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
+    """Return a wave's two columns; where each recording has an origin of its own, two for each of them."""
+    if len(shape) == 1:
+        return wave
+    out = np.zeros((2 * round(shape[1]), wave.shape[1]))
+    if 2 * view.index < len(out):  # the phase in one that took no part nobody has asked
+        out[2 * view.index : 2 * view.index + 2] = wave
+    return out
+
+
+def _waves(context: Context) -> Sequence[Shape]:
+    """Return cycles a motor turn and, where recordings do not share an origin of their angles, how many there are."""
+    if without_origin(context.views):
+        return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
+    return CYCLES_PER_TURN
+
+
+def _cycles(context: Context) -> Sequence[Shape]:
+    """Return the same without one cycle a turn of the joint itself: that is a weight out of balance."""
+    gear = context.views[0].recording.bench.gear_ratio
+    return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
 
 
 def _drive(view: View, nominal: Nominal) -> Array:
@@ -169,15 +186,16 @@ def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
 
 def _wave(name: str) -> Reader:
     def read(c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        amplitude, phase = polar(float(c[0]), float(c[1]))
-        return {name: amplitude, "per_motor_turn": shape[0], "phase_rad": phase}
+        waves = [polar(float(sine), float(cosine)) for sine, cosine in zip(c[::2], c[1::2], strict=True)]
+        amplitude = float(np.median([amplitude for amplitude, _ in waves]))
+        return {name: amplitude, "per_motor_turn": shape[0], "phase_rad": waves[0][1]}
 
     return read
 
 
 TERMS = (
     Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles),
-    Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), lambda _context: CYCLES_PER_TURN, follows=True),
+    Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, follows=True),
     Term(
         "torque_saturation",
         in_motion(_saturation),

@@ -19,8 +19,8 @@ from identification.diagnosis.search import chance, flipped
 from identification.diagnosis.stack import Candidate, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import views
-from identification.recording import Bench, Dataset, Model
+from identification.diagnosis.view import one_clock, views
+from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit
 
@@ -158,3 +158,34 @@ def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
     still = {n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()}
     aside = views([replace(recordings[0], channels=still)], 25.0)
     assert "torque" not in held_out(nominal_fit(recordings[:2]), aside, "N m")
+
+
+def test_recordings_of_speed_alone_share_no_origin_of_their_angles() -> None:
+    """Each has a phase of its own, and a place says nothing."""
+    shared = campaign({"cogging": {"torque_Nm": 1.5, "per_motor_turn": 7.0, "phase_rad": 0.3}}, 3)
+    turned = tuple(only_speed(r) for r in shared if r.role == "fit")
+    found = diagnose(Dataset(turned, Model()), rng=np.random.default_rng(0))
+    assert [e.name for e in found.effects] == ["cogging"]
+    assert found.effects[0].parameters["per_motor_turn"].value == 7.0
+    assert found.effects[0].parameters["torque_Nm"].value == pytest.approx(1.5, rel=0.1)
+    assert any("counts them from where it began" in w for w in found.warnings)
+
+
+def only_speed(recording: Recording) -> Recording:
+    channels = dict(recording.channels)
+    angle = channels.pop("motor_angle") / recording.bench.gear_ratio
+    channels.pop("angle")
+    channels["velocity"] = np.gradient(angle, channels["time"])
+    return replace(recording, channels=channels)
+
+
+def test_nothing_drifts_between_recordings_that_have_no_clock_in_common() -> None:
+    hidden = campaign({"coulomb_drift": {"rate_Nm_s": 0.03}}, 3, 6.0)
+    assert one_clock(hidden)
+    found = diagnose(Dataset(hidden, Model()), rng=np.random.default_rng(0))
+    assert [e.name for e in found.effects] == ["coulomb_drift"]
+    apart = tuple(replace(r, channels={**r.channels, "time": r.time - r.time[0]}) for r in hidden)
+    assert not one_clock(apart)
+    found = diagnose(Dataset(apart, Model()), rng=np.random.default_rng(0))
+    assert all(e.name != "coulomb_drift" for e in found.effects)
+    assert any("no clock in common" in w for w in found.warnings)

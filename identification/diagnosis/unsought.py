@@ -1,0 +1,49 @@
+"""Effects that recordings cannot show because of what was not recorded: an origin of their angles, a common clock."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+from identification.diagnosis.view import View, one_clock, without_origin
+from identification.diagnosis.wording import title
+from identification.recording import Recording
+
+PLACED = (
+    "gravity_imbalance",
+    "return_spring",
+    "end_stop",
+    "position_dependent_friction",
+    "load_position_dependence",
+)
+"""Effects at a place, of which recordings that do not share an origin of their angles say nothing."""
+DRIFTING = ("coulomb_drift", "viscous_thermal_drift")
+"""Effects of running time, which recordings on clocks of their own do not have: in the order in which they happen to be
+listed anything drifts that differs between them."""
+
+
+def unsought(fitted: Sequence[Recording], views: Sequence[View]) -> tuple[frozenset[str], tuple[str, ...]]:
+    """Return effects that are not to be sought, and warnings that say so.
+
+    Args:
+        fitted: Recordings to fit.
+        views: Of the same.
+    """
+    names: set[str] = set()
+    warnings = []
+    if without_origin(views):
+        names.update(PLACED)
+        warnings.append(
+            "angles were not recorded, only speeds: each recording counts them from where it began, so that effects at "
+            f"a place ({_titles(PLACED)}) are not sought, and phases are each recording's own"
+        )
+    if not one_clock(fitted):
+        names.update(DRIFTING)
+        warnings.append(
+            f"the recordings have no clock in common, so that what drifts with running time ({_titles(DRIFTING)}) is "
+            "not sought"
+        )
+    return frozenset(names), tuple(warnings)
+
+
+def _titles(names: Collection[str]) -> str:
+    return ", ".join(title(n) for n in names)
