@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +12,7 @@ from identification.model.nominal import NOMINAL
 from identification.recording import Recording
 from rig.errors import InputError
 from rig.provenance import sha256_file
-from rig.results import IDENTIFY_SCHEMA
+from rig.reference import read_identification
 from rig.run import load_run
 
 
@@ -42,14 +41,7 @@ def believed(path: Path | None) -> Believed:
     """
     if path is None:
         return Believed(dict(NOMINAL), "the catalogue's nominal values")
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
-    if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA or raw.get("motion") != "rotary":
-        raise InputError(f"{path}: a result of `rig identify --json` on a rotary bench is needed; run it again")
+    raw = read_identification(path)
     try:
         known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
         found = {n: float(v) for n, v in known.items() if v is not None}

@@ -63,7 +63,7 @@ def test_a_sequence_beyond_the_bench_is_refused(
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(None, "cannot be read"), ("{", "not JSON"), ('{"schema": "x"}', "a result of `rig identify --json`")],
+    [(None, "cannot be read"), ("{", "not JSON"), ('{"schema": "x"}', "a result of `rig identify`")],
 )
 def test_a_nominal_that_cannot_be_used(
     sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, words: str
