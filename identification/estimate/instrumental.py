@@ -1,9 +1,9 @@
 """The estimating equations: prediction errors uncorrelated with the instruments.
 
-Least squares of the prediction errors is biased here. The current sensor's noise reaches the true torque through the
-drive's current loop and comes back through its velocity loop, so the measured torque is neither the true one with
-noise added nor the other way round; at 1 % of full scale J came out 25 to 70 % off. With instruments
-that hold nothing of a stretch's own noise the errors need only have mean zero.
+Least squares of the prediction errors is biased here, and so is their likelihood. The current sensor's noise reaches
+the true torque through the drive's current loop and comes back through its velocity loop, so the measured torque is
+neither the true one with noise added nor the other way round; at 1 % of full scale J came out 25 to 70 % off. With
+instruments that hold nothing of a stretch's own noise the errors need only have mean zero.
 """
 
 from __future__ import annotations
@@ -110,12 +110,16 @@ def defect(problem: Problem) -> float:
 
 
 def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]], Array]) -> Array:
-    """Solve for the inertia by instruments and for all else by least squares beside it; return the residuals.
+    """Solve for the inertia by instruments and for all else by likelihood beside it; return the residuals.
 
-    Only the inertia is badly biased by least squares. For the others they are more precise than instruments that are
-    means over a few stretches, and begun where the problem starts they stay in its basin. In turn: least squares of all
-    else, then the estimating equations' step of the inertia with all else eliminated, to first order untouched by the
-    others' bias.
+    Only the inertia is badly biased by likelihood. For the others it is more precise than instruments that are means
+    over a few stretches, and begun where the problem starts it stays in its basin. In turn: the likeliest of all else,
+    then the estimating equations' step of the inertia with all else eliminated, to first order untouched by the others'
+    bias.
+
+    Args:
+        problem: At the end of the stages' own searches; keeps the result as its start.
+        refine: Searches the free parameters but the inertia, at the noise levels that it is given over their own.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not pin the parameters.

@@ -101,6 +101,15 @@ def test_bound_of_a_regression() -> None:
     assert bound(table, table, np.full(500, 4.0)) == pytest.approx(np.linalg.inv(table.T @ table), rel=1e-9)
 
 
+def test_an_unknown_that_touches_no_residual_is_all_but_unbounded() -> None:
+    table: Array = np.random.default_rng(6).normal(size=(200, 3))
+    table[:, 1] = 0.0
+    found = bound(table, table, np.full(200, 4.0))
+    known = table[:, [0, 2]]
+    assert found[1, 1] > 1e9 * max(found[0, 0], found[2, 2])
+    assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(np.linalg.inv(known.T @ known), rel=1e-9)
+
+
 def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     rng = np.random.default_rng(5)
     signal = np.sin(np.arange(4000) / 50.0)[:, None]
