@@ -166,12 +166,11 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
         return NOTHING
     jacobian = problem.jacobian(x, residual)
     others = instruments(problem, jacobian)
-    mean = others + (jacobian - others) / problem.siblings[:, None]
-    own, along = mean[:, : len(names)], mean[:, len(names) :]
-    cross, power = own.T @ along, np.sum(along**2, axis=0)
+    count, whole = len(names), jacobian.mixed(1.0 / problem.siblings, others).product()
+    cross, power = whole[:count, count:], np.diag(whole)[count:]
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ (own.T @ own - cross / power @ cross.T) @ turn
+    normal[:count, :count] = turn.T @ (whole[:count, :count] - cross / power @ cross.T) @ turn
     return Information(normal)
 
 
