@@ -36,6 +36,7 @@ from identification.diagnosis.stack import stacked
 from identification.diagnosis.stretches import crowded, standing
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
+from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.unsought import unsought
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import finding, title
@@ -104,7 +105,7 @@ def diagnose(
         tell("the same on the valve's side", 0.0)
         here = views(fitted, bandwidth, True, dataset.recordings)
         again = started(here, unit, first.nominal, dataset.model)
-        found = search(here, unit, again, terms, chance, tell, fixed=dataset.model.fixed)
+        found = search(here, unit, again, on_the_joint(terms), chance, tell, fixed=dataset.model.fixed)
     baseline = found.baseline
     aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)

@@ -106,7 +106,8 @@ def fit(
         follow = share if any(e.term.follows for e in best.effects) else 1.0
         nominal = best.nominal.moved(follow * step.straight, step.bend, share)
         effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
-        nominal = replace(_begun(nominal, effects)[0], hidden=hidden_load(best.effects))
+        hidden = replace(nominal, hidden=hidden_load(best.effects), zero_A=current_zero(best.effects))
+        nominal, effects = _begun(hidden, effects)
     assert best is not None
     best = _kept(views, unit, best)
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
@@ -162,6 +163,11 @@ def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
     slope, constant = found.get("return_spring", (0.0, 0.0))
     return sine, -cosine, slope, -constant
+
+
+def current_zero(effects: Sequence[Added]) -> float:
+    """Return what the logged current reads without any, as the effects so far say, A."""
+    return sum(e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients)
 
 
 def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:

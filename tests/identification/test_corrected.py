@@ -51,8 +51,8 @@ LINEAR = {
     "gear_mesh_ripple": ({"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0}, (23.0,), (1e-3, 0.0)),
     "coupling_hysteresis": ({"torque_Nm": 4.0, "deflection_rad": 2e-3}, (4.0,), (2e-3,)),
     "encoder_eccentricity": ({"amplitude_rad": 1e-3, "phase_rad": 0.0}, (), (1e-3, 0.0)),
-    "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.5,), (0.8,)),
-    "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6,), (0.8,)),
+    "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.5, 0.0), (0.8,)),
+    "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6, 0.0), (0.8,)),
     "supply_sag": ({"resistance_ohm": 0.2}, (), (0.2,)),
 }
 """Effect to its parameters, and to the shape and coefficients that the search would find for them."""

@@ -43,7 +43,7 @@ STEP_A = (0.01, 0.1)
 the winding rests without current within the step."""
 ROUNDED_A = (0.15, 10.0)
 """Current over which a brush drop is reached; where it is less, it looks like a dead time."""
-BRUSH_CURRENTS: tuple[Shape, ...] = tuple((i,) for i in (0.2, 0.5, 1.0, 2.0))
+DEAD_CURRENTS, BRUSH_CURRENTS = (0.05,), (0.2, 0.5, 1.0, 2.0)
 
 
 def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -138,14 +138,14 @@ def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
 
 
 def _mean_over_sample(
-    view: View, antiderivative: Callable[[Array], Array], function: Callable[[Array], Array]
+    view: View, zero_A: float, antiderivative: Callable[[Array], Array], function: Callable[[Array], Array]
 ) -> Array:
     """Return the mean of a function of the current over each sample's period, the current going straight through it.
 
-    Around a reversal the current changes by its knee, and more, within one period.
+    Around a reversal the current changes by its knee, and more, within one period. Without any it reads ``zero_A``.
     """
-    current = view.current
-    assert current is not None
+    assert view.current is not None
+    current = view.current - zero_A
     ends = 0.5 * (current[1:] + current[:-1])
     before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
     change = after - before
@@ -155,13 +155,13 @@ def _mean_over_sample(
 
 
 def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    knee = shape[0]
+    knee, zero_A = shape
 
     def log_cosh(current: Array) -> Array:
         size = np.abs(current) / knee
         return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
 
-    return rows(_mean_over_sample(view, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
+    return rows(_mean_over_sample(view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
 
 
 def _current_offset(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -184,6 +184,16 @@ def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
     return lambda context: everywhere(context, lambda v: _has_current(v) and v.voltage is not None, shapes)
 
 
+def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
+    """Return trial shapes: the current over which a drop is reached, and what the logged current reads without any."""
+    return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(context)
+
+
+def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Let a drop follow the current's sign as it is: its sensor's offset may be larger than the step."""
+    return nominal, (shape[0], nominal.zero_A)
+
+
 def _wave(name: str) -> Reader:
     def read(c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
         waves = [polar(float(sine), float(cosine)) for sine, cosine in zip(c[::2], c[1::2], strict=True)]
@@ -194,7 +204,7 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles),
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, exact=True),
     Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, follows=True),
     Term(
         "torque_saturation",
@@ -213,19 +223,21 @@ TERMS = (
         "inverter_dead_time",
         {"voltage": _brushes},
         one("voltage_V"),
-        _with_voltage(((0.05,),)),
+        _about_zero(DEAD_CURRENTS),
         refine={0: 0.0},
         limits={0: STEP_A},
         positive=(0,),
+        begin=_at_zero,
     ),
     Term(
         "brush_drop",
         {"voltage": _brushes},
         lambda c, shape, _context: {"voltage_V": float(c[0]), "current_A": shape[0]},
-        _with_voltage(BRUSH_CURRENTS),
+        _about_zero(BRUSH_CURRENTS),
         refine={0: 0.0},
         limits={0: ROUNDED_A},
         positive=(0,),
+        begin=_at_zero,
     ),
     Term(
         "winding_heating",
@@ -242,6 +254,7 @@ TERMS = (
         {"torque": _current_offset, "breakaway": _current_offset, "voltage": _current_offset_voltage},
         one("current_A"),
         _with_current(NO_SHAPE),
+        exact=True,
     ),
     Term(
         "current_drift",

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from dataclasses import replace
+
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.terms.memory import play
-from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, one, polar, rows, shaped
+from identification.diagnosis.terms.memory import delayed, play
+from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, polar, rows, shaped
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
@@ -14,6 +17,7 @@ from identification.signals import BoolArray
 
 TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
+DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
 SLIPS_PER_RECORDING = 12
@@ -103,8 +107,26 @@ def _read_eccentric(c: Array, _shape: Shape, _context: Context) -> dict[str, flo
     return {"amplitude_rad": amplitude, "phase_rad": phase}
 
 
-def _late(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    return rows(view.velocity)
+def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
+    # Not the speed times the delay: where the speed changes within the delay that leaves far more than encoders' noise.
+    logged = view.motor / view.recording.bench.gear_ratio - (0.0 if view.lag is None else view.lag)
+    return rows(delayed(logged, view.step, -shape[0]) - logged)
+
+
+def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
+    torque = nominal.torque(view) - view.known
+    return rows(delayed(torque, view.step, -shape[0]) - torque)
+
+
+def on_the_joint(terms: Iterable[Term]) -> list[Term]:
+    """Return effects as they show where friction follows the joint's encoder: what is late in it is late in friction.
+
+    Left out, the torque that is ahead of such angles passes for a current that lags.
+    """
+    return [
+        replace(t, columns={**t.columns, "torque": _late_torque}, follows=True) if t.name == "transport_delay" else t
+        for t in terms
+    ]
 
 
 def _slip(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -169,9 +191,11 @@ TERMS = (
     Term(
         "transport_delay",
         {"transmission": _late},
-        one("time_s"),
-        lambda context: everywhere(context, _both_encoders, ((),)),
+        shaped("time_s"),
+        lambda context: everywhere(context, _both_encoders, DELAYS_S),
+        refine={0: 0.0},
         positive=(0,),
+        size=1.0,
     ),
     Term(
         "encoder_eccentricity",
