@@ -56,7 +56,7 @@ SENSING: tuple[Entry, ...] = (
     Entry(
         name="current_drift",
         group="sensing",
-        equation="I_logged = I + r t, t since the recording's start",
+        equation="I_logged = I + r (t + t_0), t since the recording's start, t_0 since the zero was taken before it",
         assumption="the implied assumption that the current's zero stays where it is",
         shows_in="torque",
         coordinate="time: one torque that grows from a recording's start, the same both ways and at rest",
