@@ -49,7 +49,7 @@ LINEAR = {
     "backlash": ({"gap_rad": 0.007}, (0.007,), (1.0,)),
     "compliance": ({"stiffness_Nm_rad": 900.0}, (), (1.0 / 900.0,)),
     "gear_mesh_ripple": ({"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0}, (23.0,), (1e-3, 0.0)),
-    "coupling_hysteresis": ({"torque_Nm": 4.0, "deflection_rad": 2e-3}, (4.0,), (2e-3,)),
+    "coupling_hysteresis": ({"torque_Nm": 4.0, "deflection_rad": 2e-3}, (4.0, 0.0), (2e-3,)),
     "encoder_eccentricity": ({"amplitude_rad": 1e-3, "phase_rad": 0.0}, (), (1e-3, 0.0)),
     "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.5,), (0.8,)),
     "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6,), (0.8,)),

@@ -10,12 +10,14 @@ from identification.diagnosis.terms.term import Context, Shape, Term, everywhere
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
-from identification.signals import BoolArray
+from identification.signals import BoolArray, central_difference
 
 TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
+ROTOR_SHARE = 0.5
+"""Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit seeks it."""
 SLIPS_PER_RECORDING = 12
 FIRST_SAMPLES = 20
 """Over which the encoders are asked where in its gap, or loop, a recording begins."""
@@ -28,6 +30,15 @@ def _both_encoders(view: View) -> bool:
 def transmitted(view: View) -> Array:
     """Return the torque that the transmission carries, declared loads behind it included, N m."""
     return np.asarray(view.torque - view.known)
+
+
+def carried(view: View, rotor: float) -> Array:
+    """Return the torque that comes through the coupling behind a rotor of this inertia at the joint (kg m^2), N m.
+
+    While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
+    """
+    acceleration = central_difference(view.motor_speed, view.step) / view.recording.bench.gear_ratio
+    return np.asarray(transmitted(view) - rotor * acceleration)
 
 
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -46,7 +57,7 @@ def lead(view: View, gap: float) -> Array:
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    torque, width = transmitted(view), shape[0]
+    torque, width = carried(view, shape[1]), shape[0]
     state = _sheared(torque, width)
     known = _forgotten(torque, 2.0 * width)
     if view.lag is None or not known.any():
@@ -75,7 +86,7 @@ def _loops(context: Context) -> list[Shape]:
     if not known:
         return []
     greatest = max(float(np.max(np.abs(transmitted(v)))) for v in known)
-    return [(share * greatest,) for share in LOOP_SHARES]
+    return [(share * greatest, ROTOR_SHARE * context.nominal.get("J")) for share in LOOP_SHARES]
 
 
 def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -156,7 +167,7 @@ TERMS = (
         {"transmission": _loop},
         lambda c, shape, _context: {"deflection_rad": float(c[0]), "torque_Nm": shape[0]},
         _loops,
-        refine={0: 0.0},
+        refine={0: 0.0, 1: 0.0},
         positive=(0,),
     ),
     Term(
