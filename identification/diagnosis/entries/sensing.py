@@ -10,7 +10,10 @@ SENSING: tuple[Entry, ...] = (
     Entry(
         name="time_skew",
         group="sensing",
-        equation="I_logged(t) = I(t - T), angles at t",
+        equation=(
+            "I_logged(t) = I(t - T), angles at t; where U was computed from angles by the controller's law: "
+            "U_logged(t) = U of command(t), U = that of command(t + T)"
+        ),
         assumption="the implied assumption that current and angle are sampled at the same instant",
         shows_in="torque",
         coordinate="frequency: grows with the rate of change of the current, at any load and either way",
