@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.begin import begun, started
+from identification.diagnosis.clock import one_clock
 from identification.diagnosis.contest import implausible
 from identification.diagnosis.diagnose import diagnose, held_out
 from identification.diagnosis.joint import Added, fit, pinned
@@ -19,7 +20,7 @@ from identification.diagnosis.search import chance, flipped
 from identification.diagnosis.stack import Candidate, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.view import one_clock, views
+from identification.diagnosis.view import views
 from identification.recording import Bench, Dataset, Model, Recording
 
 from .benches import campaign, nominal_fit
