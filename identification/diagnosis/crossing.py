@@ -17,7 +17,7 @@ from identification.diagnosis.contest import Contender, Round
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import ROTOR_SHARE, lead
+from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead
 from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import central_difference
@@ -110,7 +110,7 @@ def told_apart(
         own = next(e for e in joint.effects if e.term.name == own.term.name)
     gap = own.shape[0] if own.term.name == "backlash" else 2.0 * own.coefficients[0]
     seen = crossed(views, gap)
-    other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"))
+    other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
     prefers_loop = 0.0 if seen is None else (seen.share - CARRIED) / seen.error
@@ -129,13 +129,16 @@ def told_apart(
     return best, out
 
 
-def _other(own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None, rotor: float) -> Added:
+def _other(
+    own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None, rotor: float, twist: float
+) -> Added:
     """Return the other of the pair, as large as the one that was named; the loop with the torque that was seen.
 
-    Its fit begins from the rotor's inertia that was seen as well, or from a supposed one, ``rotor``, kg m^2.
+    Its fit begins from the rotor's inertia that was seen as well, or from a supposed one, ``rotor``, kg m^2; a gap's
+    from a shaft that twists by ``twist``, rad/(N m), for each count.
     """
     if own.term.name != "backlash":
-        return Added(by_name["backlash"], (gap,), (1.0,))
+        return Added(by_name["backlash"], (gap, 0.5 * TWIST_COUNTS[1], twist), (1.0,))
     term = by_name["coupling_hysteresis"]
     if seen is None or seen.torque <= 0.0:
         return Added(term, (1.0, rotor), (0.5 * gap,))

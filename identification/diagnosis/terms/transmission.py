@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
@@ -10,10 +12,12 @@ from identification.diagnosis.terms.term import Context, Shape, Term, everywhere
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
-from identification.signals import BoolArray, central_difference
+from identification.signals import BoolArray, central_difference, quantum
 
 TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
-GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
+GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
+TWIST_COUNTS = (0.0, 2.0)
+"""Counts of the joint's encoder by which a shaft may twist under the greatest torque and still count as stiff."""
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
 ROTOR_SHARE = 0.5
@@ -42,7 +46,23 @@ def carried(view: View, rotor: float) -> Array:
 
 
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    return rows(lead(view, shape[0]))
+    gap, counts, per_torque = shape
+    return rows(lead(view, gap) + counts * per_torque * transmitted(view))
+
+
+def count_of_twist(views: Sequence[View]) -> float:
+    """Return the compliance that twists a shaft by one count of the joint's encoder at the greatest torque, rad/(N m).
+
+    The stiffest shaft twists to the flank that carries, and what it twists by adds itself to a narrow gap.
+    """
+    known = [v for v in views if v.lag is not None]
+    greatest = max((float(np.max(np.abs(transmitted(v)))) for v in known), default=0.0)
+    return max(quantum(v.recording.channels["angle"]) for v in known) / greatest if greatest > 0.0 else 0.0
+
+
+def _gaps(context: Context) -> Sequence[Shape]:
+    per_torque = count_of_twist(context.views)
+    return everywhere(context, _both_encoders, [(gap, 0.5 * TWIST_COUNTS[1], per_torque) for gap in GAPS_RAD])
 
 
 def lead(view: View, gap: float) -> Array:
@@ -143,8 +163,9 @@ TERMS = (
         "backlash",
         {"transmission": _play},
         shaped("gap_rad"),
-        lambda context: everywhere(context, _both_encoders, GAPS_RAD),
-        refine={0: 0.0},
+        _gaps,
+        refine={0: 0.0, 1: 0.5 * TWIST_COUNTS[1]},
+        limits={1: TWIST_COUNTS},
         positive=(0,),
         size=1.0,
     ),
