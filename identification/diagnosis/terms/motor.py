@@ -28,7 +28,7 @@ from identification.diagnosis.terms.term import (
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View, torque_per_ampere, without_origin
 from identification.recording import Array
-from identification.signals import central_difference
+from identification.signals import central_difference, resample
 
 COPPER_PER_K = 0.00393
 """Temperature coefficient of a copper winding's resistance."""
@@ -44,6 +44,9 @@ the winding rests without current within the step."""
 ROUNDED_A = (0.15, 10.0)
 """Current over which a brush drop is reached; where it is less, it looks like a dead time."""
 DEAD_CURRENTS, BRUSH_CURRENTS = (0.05,), (0.2, 0.5, 1.0, 2.0)
+
+ZEROED_S = (0.0, 2.0)
+"""How long before a recording its current's zero may have been taken: the power comes on and the loops settle."""
 
 
 def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -98,9 +101,18 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
 
 
 def _loss(view: View) -> Array:
+    """Return what the winding turns into heat, W: the power it takes less what leaves as motion, I (U - Ke omega).
+
+    By R I^2 it would be too little by the rise of R itself, some per cent of a warm winding's; it is taken where there
+    is no voltage.
+    """
     assert view.current is not None
-    resistance = view.recording.bench.resistance
-    return np.asarray((resistance or 0.0) * view.current**2)
+    bench = view.recording.bench
+    cold = (bench.resistance or 0.0) * view.current**2
+    if view.voltage is None or bench.back_emf_constant is None:
+        return np.asarray(cold)
+    taken = view.current * (view.voltage - bench.back_emf_constant * view.motor_speed)
+    return np.where(np.isnan(taken), cold, taken)
 
 
 def _rises(view: View, shape: Shape) -> Array:
@@ -117,7 +129,10 @@ def _rises(view: View, shape: Shape) -> Array:
 def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
-    return np.asarray(COPPER_PER_K * resistance * view.current * _rises(view, shape))
+    warmer = COPPER_PER_K * resistance * view.current
+    # The magnet makes torque and back-EMF with one flux, which both fall with.
+    weaker = MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
+    return np.asarray((warmer - weaker) * _rises(view, shape))
 
 
 def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -142,16 +157,19 @@ def _mean_over_sample(
 ) -> Array:
     """Return the mean of a function of the current over each sample's period, the current going straight through it.
 
-    Around a reversal the current changes by its knee, and more, within one period. Without any it reads ``zero_A``.
+    Around a reversal the current changes by its knee, and more, within one period. Without any it reads ``zero_A``. The
+    function is taken of the samples as they were logged, and then brought onto the grid as the voltage is: of a current
+    that interpolation has rounded the step is wider.
     """
-    assert view.current is not None
-    current = view.current - zero_A
+    recording = view.recording
+    current = recording.channels["current"] - zero_A
     ends = 0.5 * (current[1:] + current[:-1])
     before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
     change = after - before
     small = np.abs(change) < 1e-9
     mean = (antiderivative(after) - antiderivative(before)) / np.where(small, 1.0, change)
-    return np.asarray(np.where(small, function(current), mean))
+    offset = -0.5 * recording.period if "current" in recording.averaged else 0.0
+    return resample(recording.time, np.where(small, function(current), mean), view.time, offset)
 
 
 def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -162,6 +180,11 @@ def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
         return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
 
     return rows(_mean_over_sample(view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
+
+
+def _drift(view: View, shape: Shape) -> Array:
+    """Return the time since the current's zero was taken, as the power came on before the recording, s."""
+    return np.asarray(view.time - view.time[0] + shape[0])
 
 
 def _current_offset(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -259,11 +282,13 @@ TERMS = (
     Term(
         "current_drift",
         {
-            "torque": lambda v, n, s: _current_offset(v, n, s) * (v.time - v.time[0]),
-            "breakaway": lambda v, n, s: _current_offset(v, n, s) * (v.time - v.time[0]),
-            "voltage": lambda v, n, s: _current_offset_voltage(v, n, s) * (v.time - v.time[0]),
+            "torque": lambda v, n, s: _current_offset(v, n, s) * _drift(v, s),
+            "breakaway": lambda v, n, s: _current_offset(v, n, s) * _drift(v, s),
+            "voltage": lambda v, n, s: _current_offset_voltage(v, n, s) * _drift(v, s),
         },
         one("rate_A_s"),
-        _with_current(NO_SHAPE),
+        _with_current(((0.5 * ZEROED_S[1],),)),
+        refine={0: 0.5 * ZEROED_S[1]},
+        limits={0: ZEROED_S},
     ),
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,13 +13,17 @@ from identification.diagnosis.terms.term import Context, Shape, Term, everywhere
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
-from identification.signals import BoolArray
+from identification.signals import BoolArray, central_difference, quantum
 
 TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
-GAPS_RAD: tuple[Shape, ...] = tuple((float(g),) for g in np.geomspace(5e-5, 5e-2, 13))
+GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
+TWIST_COUNTS = (0.0, 2.0)
+"""Counts of the joint's encoder by which a shaft may twist under the greatest torque and still count as stiff."""
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
+ROTOR_SHARE = 0.5
+"""Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit seeks it."""
 SLIPS_PER_RECORDING = 12
 FIRST_SAMPLES = 20
 """Over which the encoders are asked where in its gap, or loop, a recording begins."""
@@ -34,8 +38,33 @@ def transmitted(view: View) -> Array:
     return np.asarray(view.torque - view.known)
 
 
+def carried(view: View, rotor: float) -> Array:
+    """Return the torque that comes through the coupling behind a rotor of this inertia at the joint (kg m^2), N m.
+
+    While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
+    """
+    acceleration = central_difference(view.motor_speed, view.step) / view.recording.bench.gear_ratio
+    return np.asarray(transmitted(view) - rotor * acceleration)
+
+
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    return rows(lead(view, shape[0]))
+    gap, counts, per_torque = shape
+    return rows(lead(view, gap) + counts * per_torque * transmitted(view))
+
+
+def count_of_twist(views: Sequence[View]) -> float:
+    """Return the compliance that twists a shaft by one count of the joint's encoder at the greatest torque, rad/(N m).
+
+    The stiffest shaft twists to the flank that carries, and what it twists by adds itself to a narrow gap.
+    """
+    known = [v for v in views if v.lag is not None]
+    greatest = max((float(np.max(np.abs(transmitted(v)))) for v in known), default=0.0)
+    return max(quantum(v.recording.channels["angle"]) for v in known) / greatest if greatest > 0.0 else 0.0
+
+
+def _gaps(context: Context) -> Sequence[Shape]:
+    per_torque = count_of_twist(context.views)
+    return everywhere(context, _both_encoders, [(gap, 0.5 * TWIST_COUNTS[1], per_torque) for gap in GAPS_RAD])
 
 
 def lead(view: View, gap: float) -> Array:
@@ -50,7 +79,7 @@ def lead(view: View, gap: float) -> Array:
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    torque, width = transmitted(view), shape[0]
+    torque, width = carried(view, shape[1]), shape[0]
     state = _sheared(torque, width)
     known = _forgotten(torque, 2.0 * width)
     if view.lag is None or not known.any():
@@ -79,7 +108,7 @@ def _loops(context: Context) -> list[Shape]:
     if not known:
         return []
     greatest = max(float(np.max(np.abs(transmitted(v)))) for v in known)
-    return [(share * greatest,) for share in LOOP_SHARES]
+    return [(share * greatest, ROTOR_SHARE * context.nominal.get("J")) for share in LOOP_SHARES]
 
 
 def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -154,8 +183,9 @@ TERMS = (
         "backlash",
         {"transmission": _play},
         shaped("gap_rad"),
-        lambda context: everywhere(context, _both_encoders, GAPS_RAD),
-        refine={0: 0.0},
+        _gaps,
+        refine={0: 0.0, 1: 0.5 * TWIST_COUNTS[1]},
+        limits={1: TWIST_COUNTS},
         positive=(0,),
         size=1.0,
     ),
@@ -178,7 +208,7 @@ TERMS = (
         {"transmission": _loop},
         lambda c, shape, _context: {"deflection_rad": float(c[0]), "torque_Nm": shape[0]},
         _loops,
-        refine={0: 0.0},
+        refine={0: 0.0, 1: 0.0},
         positive=(0,),
     ),
     Term(
