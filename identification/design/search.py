@@ -45,8 +45,9 @@ _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Of a random sine at its middle, rad/s."""
 _LEAST_ACCELERATION = 0.45
 """At its ends, rad/s^2. The less it is the longer the shaft is near rest; below, identification has gone astray."""
-_LEAST_ANGLE = math.radians(0.6)
-"""Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
+_LEAST_ANGLES = math.radians(0.6), math.radians(0.3)
+"""Least amplitude, without and with load, rad: smaller swings rest on what no nominal model knows (play, presliding).
+Where the load rubs 0.3 deg are half a millimetre, which is many times what a contact gives before it slips."""
 _HEAVIEST = 0.25
 """Share of loaded sines that get the heaviest weight whatever the draw."""
 _NEAR = 0.75
@@ -115,7 +116,7 @@ class Search:
         number = [f.loaded for f in self.frames].index(loaded)
         frequency, speed = self._near(loaded) if rng.random() < _NEAR else self._any()
         pace = 2.0 * math.pi * frequency
-        amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLE)
+        amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLES[loaded])
         # Friction rises with the weight, and so does what fast sines show of the load's; under the lighter ones the
         # drive holds the shaft where friction falls.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
@@ -146,7 +147,8 @@ class Search:
         ((amplitude, frequency),) = e.tones
         wider, faster = np.exp(_SPREAD * self.rng.standard_normal(2))
         frequency = min(frequency * float(faster), self.bounds.highest_Hz)
-        least = max(_LEAST_ANGLE, _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2)
+        calmest = _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2
+        least = max(_LEAST_ANGLES[self.frames[part.frame].loaded], calmest)
         tone = (max(amplitude * float(wider), least), frequency)
         weight = e.weight
         if self.frames[part.frame].loaded and self.rng.random() < 0.3:
@@ -218,12 +220,15 @@ class Search:
         total = sum(f.total for f in self.frames)
         least = min(LEAST_S, total / len(chosen))
         spans = least + (total - least * len(chosen)) * self._shares(chosen)
-        parts, informations = [], []
-        for candidate, span in zip(chosen, spans, strict=True):
-            part = candidate.part
-            seconds = float(span) - self.frames[part.frame].pause
-            parts.append(replace(part, excitation=part.excitation.lasting(seconds)))
-            informations.append(Information(candidate.rate.normal * float(span)))
+        parts: dict[int, Part] = {}
+        informations, left = [], 0.0
+        # What rounding leaves of the time goes to the next, the longest last.
+        for k in np.argsort(spans, kind="stable").tolist():
+            part, pause = chosen[k].part, self.frames[chosen[k].part.frame].pause
+            room = float(spans[k]) + left
+            parts[k] = replace(part, excitation=part.excitation.lasting(room - pause))
+            left = room - pause - parts[k].excitation.seconds
+            informations.append(Information(chosen[k].rate.normal * (room - left)))
         order = sorted(range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight))
         return Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))
 
