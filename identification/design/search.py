@@ -45,9 +45,8 @@ _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Of a random sine at its middle, rad/s."""
 _LEAST_ACCELERATION = 0.45
 """At its ends, rad/s^2. The less it is the longer the shaft is near rest; below, identification has gone astray."""
-_LEAST_ANGLES = math.radians(0.6), math.radians(0.3)
-"""Least amplitude, without and with load, rad: smaller swings rest on what no nominal model knows (play, presliding).
-Where the load rubs 0.3 deg are half a millimetre, which is many times what a contact gives before it slips."""
+_LEAST_ANGLE = math.radians(0.6)
+"""Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _HEAVIEST = 0.25
 """Share of loaded sines that get the heaviest weight whatever the draw."""
 _NEAR = 0.75
@@ -116,7 +115,7 @@ class Search:
         number = [f.loaded for f in self.frames].index(loaded)
         frequency, speed = self._near(loaded) if rng.random() < _NEAR else self._any()
         pace = 2.0 * math.pi * frequency
-        amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLES[loaded])
+        amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLE)
         # Friction rises with the weight, and so does what fast sines show of the load's; under the lighter ones the
         # drive holds the shaft where friction falls.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
@@ -147,8 +146,7 @@ class Search:
         ((amplitude, frequency),) = e.tones
         wider, faster = np.exp(_SPREAD * self.rng.standard_normal(2))
         frequency = min(frequency * float(faster), self.bounds.highest_Hz)
-        calmest = _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2
-        least = max(_LEAST_ANGLES[self.frames[part.frame].loaded], calmest)
+        least = max(_LEAST_ANGLE, _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2)
         tone = (max(amplitude * float(wider), least), frequency)
         weight = e.weight
         if self.frames[part.frame].loaded and self.rng.random() < 0.3:
