@@ -34,6 +34,13 @@ STRAY_STRETCHES = 2
 """Stretches of motion that there may be more or fewer than ways of the command. With more the shaft sticks and slips;
 with fewer it turns without coming to rest, which next to chance it may always do."""
 
+MOST = 2.0
+"""Median stretches that one is believed as at most: the stretches of a sine differ by chance alone, and where one says
+far more than the others it was all but stopped there, which no other run need repeat."""
+
+LIKELY = 0.999
+"""Share of the noises under which the likelihood's slope at the values simulated counts as noise."""
+
 NOISE_SEED = 0
 GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
 """Size of the nominal model's own residuals, in units of their noise, and correlation of neighbours, above which the
@@ -164,15 +171,71 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     residual = problem.residuals(x)
     if not _follows(residual[: len(residual) - problem.breakaways]):
         return NOTHING
-    jacobian = problem.jacobian(x, residual)
+    jacobian, slope = likelihood_slope(problem)
+    sought = len(free) - 1
+    if slope > stats.chi2.ppf(LIKELY, sought) / sought:
+        return NOTHING
     others = instruments(problem, jacobian)
     mean = others + (jacobian - others) / problem.siblings[:, None]
-    own, along = mean[:, : len(names)], mean[:, len(names) :]
-    cross, power = own.T @ along, np.sum(along**2, axis=0)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ (own.T @ own - cross / power @ cross.T) @ turn
+    normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(problem, mean)) @ turn
     return Information(normal)
+
+
+def likelihood_slope(problem: Problem) -> tuple[Array, float]:
+    """Return the sensitivities at a problem's start, shape (r, p + m), and how steep the likelihood is there.
+
+    Where noise decides what the shaft does next, the filter, linear about its prediction, errs with a mean: values
+    other than those simulated are then likelier by far, and what such a stage says is wrong. Steepness is that of the
+    log likelihood in the parameters, squared, in the metric of their information and over their number: chi-squared
+    and about 1 where only noise makes it. The inertia does not count, as it is not estimated by likelihood.
+    """
+    x, count = problem.origin(), len(problem.free)
+    errors, deviations = problem.predictions(x)
+    jacobian, widening = problem.derivatives(x, errors, deviations)
+    residual = np.clip(errors / deviations, -CLIP, CLIP)
+    score = jacobian.T @ residual + widening.T @ (1.0 - residual**2)
+    known = jacobian.T @ jacobian + 2.0 * widening.T @ widening
+    times = list(range(count, len(score)))
+    sought = [k for k in range(count) if problem.free[k] != INDEX["J"]]
+    steepness = _squared(score, known, [*sought, *times]) - _squared(score, known, times)
+    return jacobian, steepness / max(len(sought), 1)
+
+
+def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
+    """Return the size of some unknowns' scores in the metric of what is known of them."""
+    part = score[list(places)]
+    return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
+
+
+def _by_stretch(problem: Problem, jacobian: Array) -> Array:
+    """Return each stretch's information, its breakaway time eliminated, shape (m, p, p).
+
+    Args:
+        problem: At its start.
+        jacobian: Sensitivities of every residual, shape (r, p + m).
+    """
+    count, owners = len(problem.free), problem.owners.astype(np.int64)
+    out = np.empty((problem.breakaways, count, count))
+    for j in range(problem.breakaways):
+        rows = jacobian[owners == j]
+        own, along = rows[:, :count], rows[:, count + j]
+        cross = own.T @ along
+        out[j] = own.T @ own - np.outer(cross, cross) / max(float(along @ along), 1e-300)
+    return out
+
+
+def _sound(stretches: Array) -> Array:
+    """Return the sum of stretches' informations, none believed more than it takes to be :data:`MOST` median ones.
+
+    Args:
+        stretches: Of each, shape (m, p, p).
+    """
+    told = np.einsum("mkk->mk", stretches)
+    usual = np.median(told, axis=0)
+    excess = np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1)
+    return np.asarray(np.tensordot(np.minimum(1.0, MOST / np.maximum(excess, MOST)), stretches, 1))
 
 
 def _ways(command: Array) -> int:
