@@ -17,6 +17,7 @@ import numpy as np
 from scipy import stats
 
 from identification.design.forward import Loop, Response, respond, usual_loop
+from identification.estimate.arrow import Arrow
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
 from identification.estimate.noise_level import CLIP
@@ -33,6 +34,13 @@ LEAST_BREAKAWAYS = 4
 STRAY_STRETCHES = 2
 """Stretches of motion that there may be more or fewer than ways of the command. With more the shaft sticks and slips;
 with fewer it turns without coming to rest, which next to chance it may always do."""
+
+MOST = 2.0
+"""Median stretches that one is believed as at most: the stretches of a sine differ by chance alone, and where one says
+far more than the others it was all but stopped there, which no other run need repeat."""
+
+LIKELY = 0.999
+"""Share of the noises under which the likelihood's slope at the values simulated counts as noise."""
 
 NOISE_SEED = 0
 GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
@@ -164,14 +172,66 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     residual = problem.residuals(x)
     if not _follows(residual[: len(residual) - problem.breakaways]):
         return NOTHING
-    jacobian = problem.jacobian(x, residual)
+    jacobian, slope = likelihood_slope(problem)
+    sought = len(free) - 1
+    if slope > stats.chi2.ppf(LIKELY, sought) / sought:
+        return NOTHING
     others = instruments(problem, jacobian)
-    count, whole = len(names), jacobian.mixed(1.0 / problem.siblings, others).product()
-    cross, power = whole[:count, count:], np.diag(whole)[count:]
+    mean = jacobian.mixed(1.0 / problem.siblings, others)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[:count, :count] = turn.T @ (whole[:count, :count] - cross / power @ cross.T) @ turn
+    normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(mean)) @ turn
     return Information(normal)
+
+
+def likelihood_slope(problem: Problem) -> tuple[Arrow, float]:
+    """Return the sensitivities at a problem's start, and how steep the likelihood is there.
+
+    Where noise decides what the shaft does next, the filter, linear about its prediction, errs with a mean: values
+    other than those simulated are then likelier by far, and what such a stage says is wrong. Steepness is that of the
+    log likelihood in the parameters, squared, in the metric of their information and over their number: chi-squared
+    and about 1 where only noise makes it. The inertia does not count, as it is not estimated by likelihood.
+    """
+    x, count = problem.origin(), len(problem.free)
+    errors, deviations = problem.predictions(x)
+    jacobian, widening = problem.derivatives(x, errors, deviations)
+    residual = np.clip(errors / deviations, -CLIP, CLIP)
+    score = jacobian.back(residual) + widening.back(1.0 - residual**2)
+    known = jacobian.product() + 2.0 * widening.product()
+    times = list(range(count, len(score)))
+    sought = [k for k in range(count) if problem.free[k] != INDEX["J"]]
+    steepness = _squared(score, known, [*sought, *times]) - _squared(score, known, times)
+    return jacobian, steepness / max(len(sought), 1)
+
+
+def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
+    """Return the size of some unknowns' scores in the metric of what is known of them."""
+    part = score[list(places)]
+    return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
+
+
+def _by_stretch(slopes: Arrow) -> Array:
+    """Return each stretch's information, its breakaway time eliminated, shape (m, p, p)."""
+    count = slopes.parameters.shape[1]
+    out = np.empty((slopes.stretches, count, count))
+    for j in range(slopes.stretches):
+        rows = slopes.owners == j
+        own, along = slopes.parameters[rows], slopes.own[rows]
+        cross = own.T @ along
+        out[j] = own.T @ own - np.outer(cross, cross) / max(float(along @ along), 1e-300)
+    return out
+
+
+def _sound(stretches: Array) -> Array:
+    """Return the sum of stretches' informations, none believed more than it takes to be :data:`MOST` median ones.
+
+    Args:
+        stretches: Of each, shape (m, p, p).
+    """
+    told = np.einsum("mkk->mk", stretches)
+    usual = np.median(told, axis=0)
+    excess = np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1)
+    return np.asarray(np.tensordot(np.minimum(1.0, MOST / np.maximum(excess, MOST)), stretches, 1))
 
 
 def _ways(command: Array) -> int:

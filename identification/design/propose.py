@@ -21,9 +21,9 @@ from identification.design.pinning import Nominal, Pinned, PlannedStage, pinned,
 from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Design, Search, drives, planned
 
-CANDIDATES = (30, 70)
+CANDIDATES = (20, 50)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
-REFINEMENTS = 40
+REFINEMENTS = 70
 """Small changes tried afterwards of those that get a share."""
 WHOLE_SEED = 100
 """Of the noise in what goes through the whole method; drives are numbered from 0."""
@@ -79,7 +79,7 @@ def propose(
     """
     tell = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
-    now = _expected(frames, present, nominal)
+    now, _ = _expected(frames, present, nominal)
     target = weakest or now.weakest
     search = Search(frames, nominal, bounds, rng, target, now.half_widths[target])
     kinds = sorted({f.loaded for f in frames})
@@ -92,10 +92,13 @@ def propose(
         search.add(search.changed())
         tell("refinement", (k + 1) / REFINEMENTS)
     best, chosen = now, Design(present, present_pins(frames, nominal))
-    ranked = [(_expected(frames, design.parts, nominal), design) for design in search.designs()]
-    ranked = sorted((p for p in ranked if search.merit(p[0]) < search.merit(now)), key=lambda p: search.merit(p[0]))
+    judged = [(*_expected(frames, design.parts, nominal), design) for design in search.designs()]
+    # What the values simulated are not likely under will come out beside them: its widths are worth less.
+    ranked = sorted(
+        (p for p in judged if search.merit(p[0]) < search.merit(now)), key=lambda p: search.merit(p[0]) * p[1]
+    )
     tried = 0
-    for found, design in ranked:
+    for found, _, design in ranked:
         whole = rehearse(_stages(frames, design.parts), nominal, np.random.default_rng(WHOLE_SEED))
         tried += 1
         tell("rehearsal", tried / len(ranked))
@@ -110,15 +113,18 @@ def _stages(frames: Sequence[Frame], parts: Sequence[Part]) -> list[PlannedStage
     return [planned(frames[p.frame], p.excitation) for p in parts]
 
 
-def _expected(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> Pinned:
-    """Return what one design would give: the median over drives, each with another noise; where one fails, nothing."""
+def _expected(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> tuple[Pinned, float]:
+    """Return what one design would give, and how steep the likelihood is at the values simulated.
+
+    Medians over drives, each with another noise; where one fails, nothing.
+    """
     runs = [
-        expected(_stages(frames, parts), replace(nominal, stiffness=stiffness), np.random.default_rng(k)).half_widths
+        expected(_stages(frames, parts), replace(nominal, stiffness=stiffness), np.random.default_rng(k))
         for k, stiffness in enumerate((nominal.stiffness, *drives(nominal)))
     ]
-    return Pinned(
-        {
-            name: math.inf if math.isinf(max(r[name] for r in runs)) else float(np.median([r[name] for r in runs]))
-            for name in runs[0]
-        }
-    )
+    widths = [pins.half_widths for pins, _ in runs]
+    half_widths = {
+        name: math.inf if math.isinf(max(w[name] for w in widths)) else float(np.median([w[name] for w in widths]))
+        for name in widths[0]
+    }
+    return Pinned(half_widths), float(np.median([steepness for _, steepness in runs]))

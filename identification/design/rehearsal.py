@@ -14,7 +14,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.pinning import NAMES, Nominal, Pinned, PlannedStage, stage_response
+from identification.design.pinning import NAMES, Nominal, Pinned, PlannedStage, likelihood_slope, stage_response
 from identification.estimate.default import WHITE, identify
 from identification.estimate.information import settle
 from identification.estimate.instrumental import covariances
@@ -54,8 +54,11 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     return Pinned(widths)
 
 
-def expected(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
+def expected(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> tuple[Pinned, float]:
     """Return the relative half widths that the joint fit would state if it ended at the values simulated.
+
+    And how much steeper the likelihood is there than noise makes it, 1 or more: by about so many of its deviations the
+    fit would end elsewhere.
 
     Infinite throughout where the filter does not follow.
     """
@@ -64,7 +67,7 @@ def expected(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     motions = [motion(_recording(k, s, nominal, rng)) for k, s in enumerate(stages)]
     known = [m for m in motions if m is not None]
     if len(known) < len(stages):
-        return nothing
+        return nothing, math.inf
     free = [INDEX[n] for n in names]
     problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), torque_noise(known))
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
@@ -74,14 +77,15 @@ def expected(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     residual = problem.residuals(problem.origin())
     inside = residual[: len(residual) - problem.breakaways]
     if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
-        return nothing
+        return nothing, math.inf
     try:
         achieved = covariances(problem).achieved
     except np.linalg.LinAlgError:
-        return nothing
+        return nothing, math.inf
     turn = rise_to_static(names)
     spread = Spread(names, turn @ achieved @ turn.T, math.inf)
-    return Pinned({n: spread.half_width(n) / nominal.values[n] for n in names})
+    steepness = math.sqrt(max(likelihood_slope(problem)[1], 1.0))
+    return Pinned({n: spread.half_width(n) / nominal.values[n] for n in names}), steepness
 
 
 def _recording(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator) -> Recording:

@@ -49,6 +49,11 @@ _LEAST_ANGLE = math.radians(0.6)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _HEAVIEST = 0.25
 """Share of loaded sines that get the heaviest weight whatever the draw."""
+_NEAR = 0.75
+"""Share of sines drawn about where friction falls."""
+_NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
+"""Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2: below, the shaft sticks
+and slips; above, it is past the fall of friction before a sample is taken."""
 _SPREAD = 0.2
 """Standard deviation of the logarithm of a refinement's change."""
 
@@ -105,20 +110,31 @@ class Search:
             self.pool.append(Candidate(part, rate))
 
     def random(self, loaded: bool) -> Part:
-        """Return a sine, logarithmically uniform in frequency and speed, under one of the weights."""
+        """Return a sine under one of the weights: of any speed and frequency, or about where friction falls."""
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
-        frequency = _log_uniform(rng, _SLOWEST_HZ, min(_FASTEST_HZ, b.highest_Hz))
+        frequency, speed = self._near(loaded) if rng.random() < _NEAR else self._any()
         pace = 2.0 * math.pi * frequency
-        speed = max(
-            _log_uniform(rng, _LEAST_SPEED, min(_GREATEST_SPEED, _MARGIN * b.speed)), _LEAST_ACCELERATION / pace
-        )
         amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLE)
         # Friction rises with the weight, and so does what fast sines show of the load's; under the lighter ones the
         # drive holds the shaft where friction falls.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
         found = Excitation(((amplitude, frequency),), weight if loaded else 0.0, 0.0)
         return Part(number, found.lasting(self._trial(number, frequency)))
+
+    def _any(self) -> tuple[float, float]:
+        """Return a frequency, Hz, and a speed at the middle, rad/s, logarithmically uniform."""
+        frequency = _log_uniform(self.rng, _SLOWEST_HZ, min(_FASTEST_HZ, self.bounds.highest_Hz))
+        speed = _log_uniform(self.rng, _LEAST_SPEED, min(_GREATEST_SPEED, _MARGIN * self.bounds.speed))
+        return frequency, max(speed, _LEAST_ACCELERATION / (2.0 * math.pi * frequency))
+
+    def _near(self, loaded: bool) -> tuple[float, float]:
+        """Return the same of a sine whose speed at the middle is a few times the Stribeck speed."""
+        speed = self.nominal.values["omega_sL" if loaded else "omega_sf"] * _log_uniform(self.rng, *_NEAR_SPEEDS)
+        speed = min(speed, _MARGIN * self.bounds.speed)
+        acceleration = _log_uniform(self.rng, *_NEAR_ACCELERATIONS)
+        frequency = acceleration / (2.0 * math.pi * speed)
+        return min(max(frequency, _SLOWEST_HZ), self.bounds.highest_Hz), speed
 
     def changed(self) -> Part | None:
         """Return a small change of an excitation that gets a share, and now and then the next weight up or down."""
@@ -202,12 +218,15 @@ class Search:
         total = sum(f.total for f in self.frames)
         least = min(LEAST_S, total / len(chosen))
         spans = least + (total - least * len(chosen)) * self._shares(chosen)
-        parts, informations = [], []
-        for candidate, span in zip(chosen, spans, strict=True):
-            part = candidate.part
-            seconds = float(span) - self.frames[part.frame].pause
-            parts.append(replace(part, excitation=part.excitation.lasting(seconds)))
-            informations.append(Information(candidate.rate.normal * float(span)))
+        parts: dict[int, Part] = {}
+        informations, left = [], 0.0
+        # What rounding leaves of the time goes to the next, the longest last.
+        for k in np.argsort(spans, kind="stable").tolist():
+            part, pause = chosen[k].part, self.frames[chosen[k].part.frame].pause
+            room = float(spans[k]) + left
+            parts[k] = replace(part, excitation=part.excitation.lasting(room - pause))
+            left = room - pause - parts[k].excitation.seconds
+            informations.append(Information(chosen[k].rate.normal * (room - left)))
         order = sorted(range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight))
         return Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))
 

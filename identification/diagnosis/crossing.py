@@ -17,7 +17,7 @@ from identification.diagnosis.contest import Contender, Round
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import lead
+from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead
 from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import central_difference
@@ -39,11 +39,13 @@ class Crossing:
     """What the crossings of a gap say.
 
     Attributes:
+        inertia: Of the rotor at the joint, kg m^2.
         torque: That closes the loop, N m; about zero for a gap.
         share: Of the torque of the motion.
         error: Standard error of the share, by crossings, and what a gap itself came to.
     """
 
+    inertia: float
     torque: float
     share: float
     error: float
@@ -72,7 +74,7 @@ def crossed(views: Sequence[View], gap: float) -> Crossing | None:
     scores = np.stack([c.T @ (t - c @ found) for c, t in zip(parts, torques, strict=True)])
     spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[1, 1]))
     usual = float(np.median(np.concatenate(moving)))
-    return Crossing(float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK))
+    return Crossing(float(found[0]), float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK))
 
 
 def _columns(view: View, gap: float) -> tuple[Array, list[tuple[int, int]]]:
@@ -108,7 +110,7 @@ def told_apart(
         own = next(e for e in joint.effects if e.term.name == own.term.name)
     gap = own.shape[0] if own.term.name == "backlash" else 2.0 * own.coefficients[0]
     seen = crossed(views, gap)
-    other = _other(own, by_name, gap, seen)
+    other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
     prefers_loop = 0.0 if seen is None else (seen.share - CARRIED) / seen.error
@@ -127,11 +129,18 @@ def told_apart(
     return best, out
 
 
-def _other(own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None) -> Added:
-    """Return the other of the pair, as large as the one that was named; the loop with the torque that was seen."""
+def _other(
+    own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None, rotor: float, twist: float
+) -> Added:
+    """Return the other of the pair, as large as the one that was named; the loop with the torque that was seen.
+
+    Its fit begins from the rotor's inertia that was seen as well, or from a supposed one, ``rotor``, kg m^2; a gap's
+    from a shaft that twists by ``twist``, rad/(N m), for each count.
+    """
     if own.term.name != "backlash":
-        return Added(by_name["backlash"], (gap,), (1.0,))
+        return Added(by_name["backlash"], (gap, 0.5 * TWIST_COUNTS[1], twist), (1.0,))
     term = by_name["coupling_hysteresis"]
     if seen is None or seen.torque <= 0.0:
-        return Added(term, (1.0,), (0.5 * gap,))
-    return Added(replace(term, refine={}), (seen.torque,), (0.5 * gap,))
+        return Added(term, (1.0, rotor), (0.5 * gap,))
+    shape = (seen.torque, seen.inertia if seen.inertia > 0.0 else rotor)
+    return Added(replace(term, refine={1: term.refine[1]}), shape, (0.5 * gap,))

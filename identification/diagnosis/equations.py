@@ -171,10 +171,19 @@ def _build(
         sigma = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     else:
         sigma = noise(without_tones(rest, owner, np.concatenate(times)), owner, views[0].low_pass)
-    sigma = max(sigma, 1e-9 * float(np.max(np.abs(residual), initial=1e-300)))
-    return Equation(
+    found = Equation(
         name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, np.concatenate(times), sigma
     )
+    return replace(found, sigma=max(sigma, least_noise(found)))
+
+
+def least_noise(equation: Equation) -> float:
+    """Return the noise below which an equation's rows cannot be: of rounding."""
+    least = 1e-9 * float(np.max(np.abs(equation.residual), initial=1e-300))
+    if equation.name != "transmission":
+        return least
+    # In slow motion rounding errors follow one another; no filter averages them out.
+    return max(least, *(quantum(v.recording.channels["angle"]) / math.sqrt(12.0) for v in equation.views))
 
 
 def _torque(views: Sequence[View], nominal: Nominal, unit: str) -> Equation | None:
@@ -242,10 +251,7 @@ def _transmission(views: Sequence[View]) -> Equation | None:
 
     kept = [np.ones(len(v.kept_times), bool) for v in both]
     names = [f"zero of {v.recording.name}" for v in both]
-    built = _build("transmission", "rad", both, kept, measured, tangent, names)
-    # In slow motion rounding errors follow one another; no filter averages them out.
-    rounding = max(quantum(v.recording.channels["angle"]) for v in both) / math.sqrt(12.0)
-    return None if built is None else replace(built, sigma=max(built.sigma, rounding))
+    return _build("transmission", "rad", both, kept, measured, tangent, names)
 
 
 def _voltage(views: Sequence[View]) -> Equation | None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -39,6 +40,8 @@ REACHES = (1.0, 0.2)
 """How far continuous shapes are sought in the first rounds, over their full reach."""
 TRIALS = 9
 ZOOMS = 3
+POLISHES, SHORTEST = 4, 1.0 / 64.0
+"""Most steps of a shape beyond the grid in one round, and the least share of one that is tried."""
 COARSE, PLACE_RAD = 0.02, 0.01
 """What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle as such, rad."""
 
@@ -89,6 +92,9 @@ def fit(
         if k < len(REACHES):
             for place in range(len(effects)):
                 effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
+        else:
+            for place in range(len(effects)):
+                effects = (*effects[:place], _polished(here, effects, place), *effects[place + 1 :])
         solved = solve(here, effects)
         effects = solved.effects
         settled = solved.cost >= (1.0 - SETTLED) * least
@@ -106,7 +112,8 @@ def fit(
         follow = share if any(e.term.follows for e in best.effects) else 1.0
         nominal = best.nominal.moved(follow * step.straight, step.bend, share)
         effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
-        nominal = replace(_begun(nominal, effects)[0], hidden=hidden_load(best.effects))
+        hidden = replace(nominal, hidden=hidden_load(best.effects), zero_A=current_zero(best.effects))
+        nominal, effects = _begun(hidden, effects)
     assert best is not None
     best = _kept(views, unit, best)
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
@@ -164,30 +171,97 @@ def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
     return sine, -cosine, slope, -constant
 
 
-def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
-    """Return effect ``k`` with its continuous shape entries refined, the nominal tangent and the others free."""
-    effect = effects[k]
-    if not effect.term.refine:
-        return effect
+def current_zero(effects: Sequence[Added]) -> float:
+    """Return what the logged current reads without any, as the effects so far say, A."""
+    return sum(e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients)
+
+
+class _Others(NamedTuple):
+    """What is left for one effect to explain: rows that it is tied to, the nominal tangent and other effects out."""
+
+    stack: Stack
+    granted: Array
+    left: Array
+
+    def columns(self, effect: Added, shape: Shape) -> Array:
+        """Return an effect's regressors at a shape, what the others absorb taken out, shape (n, k)."""
+        columns = self.stack.projected(self.stack.whitened(self.stack.columns(effect.term, shape)))
+        return np.asarray(columns - self.granted @ (self.granted.T @ columns))
+
+    def rest(self, effect: Added, columns: Array) -> Array:
+        """Return what an effect leaves with its best coefficients."""
+        if effect.term.size is not None:
+            return np.asarray(self.left - effect.term.size * columns[:, 0])
+        return np.asarray(self.left - columns @ np.linalg.lstsq(columns, self.left, rcond=1e-10)[0])
+
+
+def _others(stack: Stack, effects: Sequence[Added], k: int) -> _Others:
     # Rows that neither this effect nor what is tied to it touches cost the same whatever its shape.
-    stack = stack.only(tied(effect.term.columns, [e.term.columns for e in effects]))
+    stack = stack.only(tied(effects[k].term.columns, [e.term.columns for e in effects]))
     here = {e.name for e in stack.equations}
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
     others, known = wide(stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()])
     granted, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
     left = stack.projected((target - known)[:, None])[:, 0]
-    left = left - granted @ (granted.T @ left)
+    return _Others(stack, granted, left - granted @ (granted.T @ left))
+
+
+def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
+    """Return effect ``k`` with its continuous shape entries refined, the nominal tangent and the others free."""
+    effect = effects[k]
+    if not effect.term.refine:
+        return effect
+    others = _others(stack, effects, k)
 
     def cost(shape: Shape) -> float:
-        columns = stack.projected(stack.whitened(stack.columns(effect.term, shape)))
-        columns = columns - granted @ (granted.T @ columns)
-        if effect.term.size is not None:
-            rest = left - effect.term.size * columns[:, 0]
-            return float(rest @ rest)
-        rest = left - columns @ np.linalg.lstsq(columns, left, rcond=1e-10)[0]
+        rest = others.rest(effect, others.columns(effect, shape))
         return float(rest @ rest)
 
     return replace(effect, shape=_search(cost, effect, share))
+
+
+def _polished(stack: Stack, effects: Sequence[Added], k: int) -> Added:
+    """Return effect ``k`` with its shape moved by Gauss-Newton steps, coefficients free, from where the grid left it.
+
+    The grid's last step is a part in 250 of a frequency or a time, and a swing of many cycles says more than that.
+    Shapes that are their effect's size move with the constants instead (:func:`_shifted`).
+    """
+    effect = effects[k]
+    if not effect.term.refine or effect.term.size is not None:
+        return effect
+    others = _others(stack, effects, k)
+    reaches = effect.term.refine.items()
+    columns = others.columns(effect, effect.shape)
+    for _ in range(POLISHES):
+        coefficients, *_ = np.linalg.lstsq(columns, others.left, rcond=1e-10)
+        rest = others.left - columns @ coefficients
+        moved = [others.columns(effect, displaced(effect.shape, i, reach, STEP)) for i, reach in reaches]
+        slopes = np.stack([(m - columns) @ coefficients / STEP for m in moved], axis=1)
+        every = np.concatenate([columns, slopes], axis=1)
+        scale = np.linalg.norm(every, axis=0)
+        scale[scale == 0.0] = 1.0
+        step = (np.linalg.lstsq(every / scale, rest, rcond=1e-10)[0] / scale)[columns.shape[1] :]
+        shape = _downhill(others, effect, np.clip(step, -LARGEST_SHIFT, LARGEST_SHIFT), float(rest @ rest))
+        if shape is None:
+            break
+        effect = replace(effect, shape=shape)
+        columns = others.columns(effect, shape)
+    return effect
+
+
+def _downhill(others: _Others, effect: Added, step: Array, least: float) -> Shape | None:
+    """Return the shape after as much of a step as makes things better by more than rounding; None where none does."""
+    share = 1.0
+    while share >= SHORTEST:
+        shape = effect.shape
+        for (index, reach), part in zip(effect.term.refine.items(), share * step, strict=True):
+            shape = displaced(shape, index, reach, float(part))
+        if effect.term.physical(shape):
+            rest = others.rest(effect, others.columns(effect, shape))
+            if float(rest @ rest) < (1.0 - SETTLED) * least:
+                return shape
+        share *= DAMPING
+    return None
 
 
 def _search(cost: Callable[[Shape], float], effect: Added, share: float) -> Shape:

@@ -25,7 +25,9 @@ SURE = float(stats.norm.isf(0.01))
 """Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise. There it
 must be worth :data:`LEAST_FURTHER` as well: below that and below the noise is where regressors of the others err."""
 SHAPE_ERROR = 1e-3
-"""Gain of one more effect over what is explained already, below which no regressor is true enough to show it."""
+"""Gain of one more effect over what is explained already, below which no regressor is true enough to show it..."""
+EXACT_ERROR = 1e-5
+"""... and below which not even those that are the physics itself are, as a constant is a constant."""
 
 
 def pruned(
@@ -62,20 +64,24 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
     parts = _touched(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
-    needed = needed_share(others)
+    beside = [e.term for e in without.effects if alike(e.term, term)]
+    true = all(t.exact for t in beside)
+    needed = needed_share(others, true)
     left = _beyond_noise(without, parts)
-    if left <= 1.0 and (others < LEAST_FURTHER or preference(joint, without) < SURE):
+    least = EXACT_ERROR if true else LEAST_FURTHER
+    if left <= 1.0 and (others < least or preference(joint, without) < SURE):
         needed = math.inf
     return gain / left, needed
 
 
-def needed_share(others: float) -> float:
+def needed_share(others: float, exact: bool = False) -> float:
     """Return the share of what is left that one more effect must explain; infinite where nothing would do.
 
     Args:
         others: Its gain over what the others explain in its equations.
+        exact: Whether the others' regressors are all the physics itself.
     """
-    if others < SHAPE_ERROR:
+    if others < (EXACT_ERROR if exact else SHAPE_ERROR):
         return math.inf
     return NEARLY_ALL if others < LEAST_FURTHER else FURTHER_SHARE
 

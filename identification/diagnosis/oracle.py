@@ -14,6 +14,7 @@ from identification.diagnosis.search import screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context, Term
+from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.view import views
 from identification.prepare import torque_unit
 from identification.recording import Dataset
@@ -56,7 +57,7 @@ def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: f
     gives = any(name in GIVING for name in names)
     here = views(fitted, bandwidth_Hz, gives, dataset.recordings)
     baseline = fit(here, unit, first.nominal)
-    left = {t.name: t for t in TERMS if t.name in names}
+    left = {t.name: t for t in (on_the_joint(TERMS) if gives else TERMS) if t.name in names}
     joint = baseline
     while left:
         best = _strongest(joint, list(left.values()))

@@ -16,6 +16,7 @@ from identification.diagnosis.further import groups
 from identification.diagnosis.generic import families
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import EXCESS, alike, pruned, revisited
+from identification.diagnosis.quiet import quieter
 from identification.diagnosis.result import Step
 from identification.diagnosis.stack import Candidate, Stack, surprise
 from identification.diagnosis.terms.term import Context, Term
@@ -119,6 +120,7 @@ def search(
             break
         joint, added = taken
         rounds.append(added)
+        baseline, joint = quieter(views, unit, baseline, joint)
         if added.name in until:
             return Search(baseline, joint, tuple(rounds), p_value, p_after, loudest, tuple(steps))
     before = joint

@@ -6,7 +6,6 @@ that no filter imitates physics.
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,6 +16,7 @@ import numpy as np
 from scipy import ndimage
 
 from identification.contact_force import contact_moment
+from identification.diagnosis.clock import run_starts
 from identification.prepare import (
     POSITION_BANDWIDTH,
     ampere_torque,
@@ -175,27 +175,6 @@ def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
         return tuple(found)
     gear = both[0].recording.bench.gear_ratio
     return tuple(replace(v, motor=v.motor - gear * zeros.get(v.index, 0.0)) for v in found)
-
-
-def one_clock(recordings: Sequence[Recording]) -> bool:
-    """Whether the time stamps of recordings follow one another, as on one clock."""
-    spans = sorted((float(r.time[0]), float(r.time[-1])) for r in recordings)
-    return all(ended < began for (_, ended), (began, _) in itertools.pairwise(spans))
-
-
-def run_starts(recordings: Sequence[Recording]) -> list[float]:
-    """Return when each recording began, s of running time.
-
-    Where their time stamps follow one another on one clock these say it: from that clock's zero, where it is no further
-    back than the recordings are long, as the machine was cold then; else from the first stamp. Recordings without a
-    common clock are laid end to end.
-    """
-    if len(recordings) > 1 and one_clock(recordings):
-        first, last = min(float(r.time[0]) for r in recordings), max(float(r.time[-1]) for r in recordings)
-        zero = 0.0 if 0.0 <= first < last - first else first
-        return [float(r.time[0]) - zero for r in recordings]
-    lengths = [float(r.time[-1] - r.time[0]) for r in recordings]
-    return [float(x) for x in np.concatenate(([0.0], np.cumsum(lengths)[:-1]))]
 
 
 def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, valve_side: bool) -> View:

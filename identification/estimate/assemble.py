@@ -67,6 +67,17 @@ def fit_of(
     )
 
 
+def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
+    """Return the geometric mean over the used samples of their recording's rms torque error, N m or N.
+
+    What counts where recordings have unknown levels of error of their own, as in their likelihood: one that turns too
+    fast for the bandwidth has an error many times that of the others, whatever the values.
+    """
+    moving = [(int(np.sum(p.used)), p) for p in prepared if np.any(p.used)]
+    logs = [n * math.log(max(_errors([p], values, alpha)[0], 1e-300)) for n, p in moving]
+    return math.exp(math.fsum(logs) / max(sum(n for n, _ in moving), 1))
+
+
 def _errors(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> tuple[float, float]:
     """Return (rms torque error, its norm over that of the drive's torque) over the used samples."""
     error = torque = 0.0

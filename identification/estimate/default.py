@@ -10,7 +10,7 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import prediction_error, varpro
-from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, units_of
+from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, typical_error, units_of
 from identification.estimate.bootstrap import bootstrap
 from identification.estimate.prediction_error import Refined
 from identification.estimate.profile import profiles
@@ -161,8 +161,8 @@ def _refined(
     kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz"
     if isinstance(refined, str):
         return replace(plain, warnings=(f"{kept}: {refined}",))
-    before, after = fit_of(active, values, model.alpha), fit_of(active, refined.values, model.alpha)
-    fault = refusal(refined, before.train_rms, after.train_rms)
+    before, after = (typical_error(active, v, model.alpha) for v in (values, refined.values))
+    fault = refusal(refined, before, after)
     stages = (joint_convergence(refined),)
     if fault:
         return replace(plain, starts=refined.starts, stages=stages, warnings=(f"{kept}: {fault}",))
@@ -267,7 +267,10 @@ def refine_recordings(
 
 
 def refusal(refined: Refined, before: float, after: float) -> str:
-    """Say why the refined values are not taken; empty where they are."""
+    """Say why the refined values are not taken; empty where they are.
+
+    ``before`` and ``after`` are typical equation errors, of the values begun from and of the refined ones.
+    """
     if abs(refined.whiteness) > WHITE:
         return (
             f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, limit {WHITE}), "

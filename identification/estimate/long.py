@@ -13,7 +13,7 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import default
-from identification.estimate.assemble import fit_of, parameter_table, trace_of, units_of
+from identification.estimate.assemble import fit_of, parameter_table, trace_of, typical_error, units_of
 from identification.estimate.default import Progress, floors_of, free_names, refusal, solve_stages, spread_of
 from identification.estimate.long_refinement import refine_pieces
 from identification.estimate.result import Identification, Starts
@@ -100,8 +100,8 @@ def identify_long(
     floors: dict[str, float] = {}
     starts: tuple[Starts, ...] = ()
     if not isinstance(refined, str):
-        before, after = fit_of(fit, values, model.alpha), fit_of(fit, refined.values, model.alpha)
-        fault = refusal(refined, before.train_rms, after.train_rms)
+        before, after = (typical_error(fit, v, model.alpha) for v in (values, refined.values))
+        fault = refusal(refined, before, after)
         stages.append(default.joint_convergence(refined))
         starts = refined.starts
     if fault or isinstance(refined, str):

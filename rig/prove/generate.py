@@ -7,6 +7,7 @@ leaves ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json
 
 from __future__ import annotations
 
+import math
 import secrets
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -96,10 +97,15 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return what is hidden with times as a recording shows them: it begins after the machine has settled."""
+    """Return what is hidden as a recording shows it, whose time begins after the machine has settled under power.
+
+    The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
+    """
     out = {name: dict(parameters) for name, parameters in effects.items()}
     if "encoder_slip" in out:
         out["encoder_slip"]["at_s"] -= SETTLE_S
+    if "load_swing" in out:
+        out["load_swing"]["fraction"] *= math.exp(-SETTLE_S / out["load_swing"]["decay_s"])
     return out
 
 

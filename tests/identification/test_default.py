@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate.assemble import typical_error
 from identification.estimate.default import free_names, identify, refine_recordings, refusal, solve_stages
 from identification.estimate.paper import identify_paper
 from identification.estimate.prediction_error import refine_stages
@@ -148,6 +149,18 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert "less likely than it began (deviance +20)" in refusal(replace(right, strayed=20.0), 1.0, 1.0)
     assert refusal(right, 1.0, 1.2) == ""
     assert "raise the equation error from 1 to 1.4" in refusal(right, 1.0, 1.4)
+
+
+def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    prepared = [prepare(r, 40.0) for r in practical_pair]
+    wrong = {**TRUTH, "mu_c": 1.1 * TRUTH["mu_c"]}
+    grown = typical_error(prepared, wrong, 2.0) / typical_error(prepared, TRUTH, 2.0)
+    alone = typical_error(prepared[1:], wrong, 2.0) / typical_error(prepared[1:], TRUTH, 2.0)
+    share = np.sum(prepared[1].used) / sum(np.sum(p.used) for p in prepared)
+    assert grown == pytest.approx(alone**share)
+    assert alone > 1.3
 
 
 def test_exact_channels_are_not_refined() -> None:

@@ -227,16 +227,25 @@ def test_a_shaft_that_sticks_and_slips_says_nothing(monkeypatch: pytest.MonkeyPa
     slow = PlannedStage(command(3.0, 0.2, 10.0), 30.6)
     assert stage_information(slow, nominal()) is NOTHING
     monkeypatch.setattr(pinning, "STRAY_STRETCHES", 1000)
+    assert stage_information(slow, nominal()) is NOTHING  # as values other than those simulated are likelier by far
+    monkeypatch.setattr(pinning, "LIKELY", 1.0)
     assert stage_information(slow, nominal()) is not NOTHING
+
+
+def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_two() -> None:
+    stretches = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 4.0]), np.diag([1.0, 4000.0])])
+    assert pinning._sound(stretches) == pytest.approx(np.diag([2.0 + 2e-3, 8.0 + 8.0]))
+    assert pinning._sound(stretches[:2]) == pytest.approx(np.diag([2.0, 8.0]))
 
 
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
     chance = [np.random.default_rng(2) for _ in range(2)]
-    there, whole = expected(stages, nominal(), chance[0]), rehearse(stages, nominal(), chance[1])
+    (there, steepness), whole = expected(stages, nominal(), chance[0]), rehearse(stages, nominal(), chance[1])
+    assert 1.0 <= steepness < 2.0
     for name, width in whole.half_widths.items():
         assert there.half_widths[name] == pytest.approx(width, rel=0.6)
-    still = expected([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
+    still, _ = expected([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
     assert math.isinf(still.worst)
 
 

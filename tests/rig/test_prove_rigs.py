@@ -18,9 +18,10 @@ from rig.prove.absorbed import floors, left_over
 from rig.prove.draw import Kind, Rig, apportion, assignment, draw
 from rig.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
 from rig.prove.folder import write
+from rig.prove.generate import as_recorded
 from rig.prove.score import STRONG
 from rig.prove.seal import seal, unseal
-from rig.prove.simulate import campaign, strength, twin_of
+from rig.prove.simulate import SETTLE_S, campaign, strength, twin_of
 from rig.prove.sizes import OUTSIDE_SIZES, SIZES
 from rig.sources import load_source
 from rig.truth import true_parameters
@@ -35,6 +36,18 @@ def short(rig: Rig) -> tuple[Rig, list[Experiment]]:
     """Return a rig with its first and last experiments only, two seconds of each."""
     plan = [e._replace(command=e.command[:2000]) for e in (experiments()[0], experiments()[3], experiments()[-1])]
     return rig._replace(pauses_s=rig.pauses_s[:3]), plan
+
+
+def test_what_is_sealed_is_told_as_a_recording_shows_it() -> None:
+    """It begins after the machine has settled; the swing that it shows is the smaller by then."""
+    hidden = {
+        "encoder_slip": {"angle_rad": 0.01, "at_s": 5.0, "recording": 2.0},
+        "load_swing": {"fraction": 0.2, "frequency_Hz": 1.0, "decay_s": 4.0},
+    }
+    told = as_recorded(hidden)
+    assert told["encoder_slip"] == {**hidden["encoder_slip"], "at_s": 5.0 - SETTLE_S}
+    assert told["load_swing"] == {**hidden["load_swing"], "fraction": pytest.approx(0.2 * np.exp(-SETTLE_S / 4.0))}
+    assert hidden["load_swing"]["fraction"] == 0.2, "the machine's own are as they were"
 
 
 @pytest.mark.parametrize("name", [*SIZES, *OUTSIDE_SIZES])

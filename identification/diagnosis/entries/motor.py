@@ -117,7 +117,7 @@ MOTOR: tuple[Entry, ...] = (
     Entry(
         name="winding_heating",
         group="motor",
-        equation=("R(dT) = R (1 + 0.00393 dT), Km(dT) = Km (1 - 0.001 dT), T d(dT)/dt = r R I^2 - dT"),
+        equation=("R(dT) = R (1 + 0.00393 dT), Km and Ke (dT) = those (1 - 0.001 dT), T d(dT)/dt = r R(dT) I^2 - dT"),
         assumption="the implied assumption that the motor's constants R and Km are constant (eq. 1)",
         shows_in="voltage",
         coordinate="time: grows with the heat of the current since the start, and falls at rest",

@@ -10,7 +10,10 @@ SENSING: tuple[Entry, ...] = (
     Entry(
         name="time_skew",
         group="sensing",
-        equation="I_logged(t) = I(t - T), angles at t",
+        equation=(
+            "I_logged(t) = I(t - T), angles at t; where U was computed from angles by the controller's law: "
+            "U_logged(t) = U of command(t), U = that of command(t + T)"
+        ),
         assumption="the implied assumption that current and angle are sampled at the same instant",
         shows_in="torque",
         coordinate="frequency: grows with the rate of change of the current, at any load and either way",
@@ -56,7 +59,7 @@ SENSING: tuple[Entry, ...] = (
     Entry(
         name="current_drift",
         group="sensing",
-        equation="I_logged = I + r t, t since the recording's start",
+        equation="I_logged = I + r (t + t_0), t since the recording's start, t_0 since the zero was taken before it",
         assumption="the implied assumption that the current's zero stays where it is",
         shows_in="torque",
         coordinate="time: one torque that grows from a recording's start, the same both ways and at rest",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.lateness import computed, too_early
 from identification.diagnosis.terms.memory import delayed
 from identification.diagnosis.terms.term import (
     NO_SHAPE,
@@ -126,6 +127,8 @@ def _has_weight(view: View) -> bool:
 
 
 def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
+    if computed(view.recording):
+        return rows(too_early(view, -shape[0]))
     torque = nominal.torque(view) - view.known
     return rows(delayed(torque, view.step, shape[0]) - torque)
 

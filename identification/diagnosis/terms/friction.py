@@ -113,7 +113,7 @@ def _thermal(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 TERMS = (
-    Term("asymmetric_coulomb", in_motion(lambda v, _n, _s: rows(np.ones(len(v.time)))), one("torque_Nm")),
+    Term("asymmetric_coulomb", in_motion(lambda v, _n, _s: rows(np.ones(len(v.time)))), one("torque_Nm"), exact=True),
     Term(
         "asymmetric_viscous",
         in_motion(lambda v, _n, _s: rows(np.abs(v.velocity))),
@@ -186,5 +186,6 @@ TERMS = (
         "coulomb_drift",
         in_motion(lambda v, _n, _s: rows(v.sense * v.run_time)),
         one("rate_Nm_s"),
+        exact=True,
     ),
 )

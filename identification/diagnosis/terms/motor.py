@@ -28,7 +28,7 @@ from identification.diagnosis.terms.term import (
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View, torque_per_ampere, without_origin
 from identification.recording import Array
-from identification.signals import central_difference
+from identification.signals import central_difference, resample
 
 COPPER_PER_K = 0.00393
 """Temperature coefficient of a copper winding's resistance."""
@@ -43,7 +43,10 @@ STEP_A = (0.01, 0.1)
 the winding rests without current within the step."""
 ROUNDED_A = (0.15, 10.0)
 """Current over which a brush drop is reached; where it is less, it looks like a dead time."""
-BRUSH_CURRENTS: tuple[Shape, ...] = tuple((i,) for i in (0.2, 0.5, 1.0, 2.0))
+DEAD_CURRENTS, BRUSH_CURRENTS = (0.05,), (0.2, 0.5, 1.0, 2.0)
+
+ZEROED_S = (0.0, 2.0)
+"""How long before a recording its current's zero may have been taken: the power comes on and the loops settle."""
 
 
 def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -98,9 +101,18 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
 
 
 def _loss(view: View) -> Array:
+    """Return what the winding turns into heat, W: the power it takes less what leaves as motion, I (U - Ke omega).
+
+    By R I^2 it would be too little by the rise of R itself, some per cent of a warm winding's; it is taken where there
+    is no voltage.
+    """
     assert view.current is not None
-    resistance = view.recording.bench.resistance
-    return np.asarray((resistance or 0.0) * view.current**2)
+    bench = view.recording.bench
+    cold = (bench.resistance or 0.0) * view.current**2
+    if view.voltage is None or bench.back_emf_constant is None:
+        return np.asarray(cold)
+    taken = view.current * (view.voltage - bench.back_emf_constant * view.motor_speed)
+    return np.where(np.isnan(taken), cold, taken)
 
 
 def _rises(view: View, shape: Shape) -> Array:
@@ -117,7 +129,10 @@ def _rises(view: View, shape: Shape) -> Array:
 def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     assert view.current is not None
     resistance = view.recording.bench.resistance or 0.0
-    return np.asarray(COPPER_PER_K * resistance * view.current * _rises(view, shape))
+    warmer = COPPER_PER_K * resistance * view.current
+    # The magnet makes torque and back-EMF with one flux, which both fall with.
+    weaker = MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
+    return np.asarray((warmer - weaker) * _rises(view, shape))
 
 
 def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
@@ -138,30 +153,38 @@ def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
 
 
 def _mean_over_sample(
-    view: View, antiderivative: Callable[[Array], Array], function: Callable[[Array], Array]
+    view: View, zero_A: float, antiderivative: Callable[[Array], Array], function: Callable[[Array], Array]
 ) -> Array:
     """Return the mean of a function of the current over each sample's period, the current going straight through it.
 
-    Around a reversal the current changes by its knee, and more, within one period.
+    Around a reversal the current changes by its knee, and more, within one period. Without any it reads ``zero_A``. The
+    function is taken of the samples as they were logged, and then brought onto the grid as the voltage is: of a current
+    that interpolation has rounded the step is wider.
     """
-    current = view.current
-    assert current is not None
+    recording = view.recording
+    current = recording.channels["current"] - zero_A
     ends = 0.5 * (current[1:] + current[:-1])
     before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
     change = after - before
     small = np.abs(change) < 1e-9
     mean = (antiderivative(after) - antiderivative(before)) / np.where(small, 1.0, change)
-    return np.asarray(np.where(small, function(current), mean))
+    offset = -0.5 * recording.period if "current" in recording.averaged else 0.0
+    return resample(recording.time, np.where(small, function(current), mean), view.time, offset)
 
 
 def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    knee = shape[0]
+    knee, zero_A = shape
 
     def log_cosh(current: Array) -> Array:
         size = np.abs(current) / knee
         return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
 
-    return rows(_mean_over_sample(view, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
+    return rows(_mean_over_sample(view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
+
+
+def _drift(view: View, shape: Shape) -> Array:
+    """Return the time since the current's zero was taken, as the power came on before the recording, s."""
+    return np.asarray(view.time - view.time[0] + shape[0])
 
 
 def _current_offset(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -184,6 +207,16 @@ def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
     return lambda context: everywhere(context, lambda v: _has_current(v) and v.voltage is not None, shapes)
 
 
+def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
+    """Return trial shapes: the current over which a drop is reached, and what the logged current reads without any."""
+    return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(context)
+
+
+def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Let a drop follow the current's sign as it is: its sensor's offset may be larger than the step."""
+    return nominal, (shape[0], nominal.zero_A)
+
+
 def _wave(name: str) -> Reader:
     def read(c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
         waves = [polar(float(sine), float(cosine)) for sine, cosine in zip(c[::2], c[1::2], strict=True)]
@@ -194,7 +227,7 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles),
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, exact=True),
     Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, follows=True),
     Term(
         "torque_saturation",
@@ -213,19 +246,21 @@ TERMS = (
         "inverter_dead_time",
         {"voltage": _brushes},
         one("voltage_V"),
-        _with_voltage(((0.05,),)),
+        _about_zero(DEAD_CURRENTS),
         refine={0: 0.0},
         limits={0: STEP_A},
         positive=(0,),
+        begin=_at_zero,
     ),
     Term(
         "brush_drop",
         {"voltage": _brushes},
         lambda c, shape, _context: {"voltage_V": float(c[0]), "current_A": shape[0]},
-        _with_voltage(BRUSH_CURRENTS),
+        _about_zero(BRUSH_CURRENTS),
         refine={0: 0.0},
         limits={0: ROUNDED_A},
         positive=(0,),
+        begin=_at_zero,
     ),
     Term(
         "winding_heating",
@@ -242,15 +277,18 @@ TERMS = (
         {"torque": _current_offset, "breakaway": _current_offset, "voltage": _current_offset_voltage},
         one("current_A"),
         _with_current(NO_SHAPE),
+        exact=True,
     ),
     Term(
         "current_drift",
         {
-            "torque": lambda v, n, s: _current_offset(v, n, s) * (v.time - v.time[0]),
-            "breakaway": lambda v, n, s: _current_offset(v, n, s) * (v.time - v.time[0]),
-            "voltage": lambda v, n, s: _current_offset_voltage(v, n, s) * (v.time - v.time[0]),
+            "torque": lambda v, n, s: _current_offset(v, n, s) * _drift(v, s),
+            "breakaway": lambda v, n, s: _current_offset(v, n, s) * _drift(v, s),
+            "voltage": lambda v, n, s: _current_offset_voltage(v, n, s) * _drift(v, s),
         },
         one("rate_A_s"),
-        _with_current(NO_SHAPE),
+        _with_current(((0.5 * ZEROED_S[1],),)),
+        refine={0: 0.5 * ZEROED_S[1]},
+        limits={0: ZEROED_S},
     ),
 )

@@ -60,7 +60,7 @@ def test_what_is_crossed_too_fast_to_see_stays_open() -> None:
     assert crossed(here, gap) is None
     start = nominal_fit(recordings("backlash"))
     baseline = fit(here, "N m", start.nominal)
-    own = Added(TERM["backlash"], (gap,), (1.0,))
+    own = Added(TERM["backlash"], (gap, 0.0, 0.0), (1.0,))
     named = Joint(baseline.nominal, (own,), baseline.equations, baseline.residual, baseline.stack)
     _, rounds = told_apart(here, "N m", baseline, named, [Round("backlash", ())], TERMS, [])
     assert [(r.name, r.preference) for r in rounds[0].rivals] == [("coupling_hysteresis", 0.0)]

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from identification.diagnosis.contest import Contender, Round
-from identification.diagnosis.diagnose import confidence_of, diagnose
+from identification.diagnosis.diagnose import diagnose
+from identification.diagnosis.judgement import confidence_of
 from identification.diagnosis.result import Diagnosis, Verdict
 from identification.recording import Dataset, Model, Recording, RecordingError
 

@@ -117,7 +117,8 @@ def integrate(
     external = friction_work = charge = 0.0
     warm = 1.0 + MAGNET_PER_K * x[HEAT]
     dead = dead_time_voltage(x[SUPPLY], e[at + NOMINAL_SUPPLY], e)
-    lag = 1.0 - math.exp(-h / e[table.LAG_TIME]) if e[table.LAG_TIME] > 0.0 else 1.0
+    lag_s = e[table.LAG_TIME]
+    lag = 1.0 - math.exp(-h / lag_s) if lag_s > 0.0 else 1.0
     strange = outside_torque(x[RUN], theta, x[TRAVEL], e) if outside else 0.0
     held, _ = level(abs(omega), 1.0 if omega >= 0.0 else -1.0, w, e)
     error, steepness = mesh_error(theta, e)
@@ -127,8 +128,10 @@ def integrate(
         flux = warm * flux_factor(rotor * gear, e)
         if powered:
             current = winding(current, voltage, per_speed * flux * turning, resistance, dead, decay, e)
+        # What acts over the step is the mean of the lagging current; its value at the end is half a step further on.
+        acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
-        torque = per_ampere * flux * saturated(effective, e) + cogging(rotor * gear, e)
+        torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
         external = device_torque(theta, omega, e)
         charge += current
         if two:

@@ -1,0 +1,203 @@
+"""What a search amounts to: the verdict, each name with its rivals, and how sure it is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.diagnosis.begin import NEAR_FLOOR
+from identification.diagnosis.contest import Contender, Round, probability
+from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.equations import Equation
+from identification.diagnosis.generic import LINEAR_UNITS
+from identification.diagnosis.joint import estimates
+from identification.diagnosis.locate import location, maps, placed
+from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
+from identification.diagnosis.search import LEVEL, Search
+from identification.diagnosis.wording import finding
+from identification.recording import Bench
+
+REJECTED = 1.645
+"""Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
+ADEQUATE = 0.70
+"""Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
+SUREST = 0.99
+"""Most confidence in any name."""
+UNFINISHED = 0.8
+"""Most confidence in a name beside which the test says that more is missing: of 16 such blind rigs (seed 20280301) 13
+had a right name first."""
+FAINT, FAINT_MOST = 3.5, 0.9
+"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that: a fifth of it may be
+something else and still pass for noise (:data:`identification.diagnosis.kept.EXCESS`)."""
+UNLIKELY = 0.05
+"""Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
+
+
+@dataclass(frozen=True)
+class _Excess:
+    """Power of an equation's whitened mismatch before and after, over its rows."""
+
+    equation: str
+    before: float
+    after: float
+
+    @property
+    def explained(self) -> float:
+        """Share of what is beyond the noise that is explained."""
+        beyond = max(self.before - 1.0, 1e-12)
+        return min(1.0, max(0.0, (self.before - max(self.after, 1.0)) / beyond))
+
+
+def _excess(found: Search) -> list[_Excess]:
+    stack = found.baseline.stack
+    out = []
+    for equation in found.baseline.equations:
+        rows = stack.part(equation.name)
+        before, after = (float(np.mean(j.residual[rows] ** 2)) for j in (found.baseline, found.final))
+        out.append(_Excess(equation.name, before, after))
+    return out
+
+
+def judged(found: Search, rng: np.random.Generator) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
+    """Return the verdict, where the mismatch is, and its maps."""
+    stack = found.baseline.stack
+    main = _main_equation(found)
+    rows = stack.part(main.name)
+    before, after = (main.sigma * j.residual[rows] for j in (found.baseline, found.final))
+    drawn = maps(stack, main, before, after, rng)
+    where = location(main, drawn[0], before) if drawn else None
+    if found.p_value > LEVEL:
+        return Verdict.NOTHING_MISSING, None, drawn
+    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
+    judges = [e for e in _excess(found) if e.equation != "breakaway"]
+    worst = max(judges, key=lambda e: e.before * _rows(found, e.equation))
+    if not found.final.effects or (worst.explained < ADEQUATE and worst.after > NEAR_FLOOR):
+        return Verdict.OUTSIDE_CATALOGUE, where, drawn
+    open_rivals = any(_open(r) for r in found.rounds)
+    return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
+
+
+def too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
+    """Say what effects of the catalogue explain a part of a mismatch that has no name."""
+    if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
+        return ()
+    share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
+    words = "; and ".join(e.statement for e in effects_of(found, verdict))
+    return (f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be explained if {words}",)
+
+
+def _rows(found: Search, equation: str) -> int:
+    rows = found.baseline.stack.part(equation)
+    return int(rows.stop - rows.start)
+
+
+def _main_equation(found: Search) -> Equation:
+    """Return the equation whose mismatch the final model takes away most of; the torque's where there is none."""
+    if found.p_value > LEVEL:
+        return found.baseline.equations[0]
+    stack = found.baseline.stack
+
+    def taken(equation: Equation) -> float:
+        rows = stack.part(equation.name)
+        return float(np.sum(found.baseline.residual[rows] ** 2) - np.sum(found.final.residual[rows] ** 2))
+
+    if found.final.effects:
+        return max(found.baseline.equations, key=taken)
+    loudest = found.loudest.split(" ")[0]
+    named = [e for e in found.baseline.equations if e.name == loudest]
+    return named[0] if named else found.baseline.equations[0]
+
+
+def _open(taken: Round) -> tuple[str, ...]:
+    """Return rivals that the data cannot reject."""
+    return tuple(r.name for r in taken.rivals if r.preference < REJECTED)
+
+
+def effects_of(found: Search, verdict: Verdict) -> tuple[Effect, ...]:
+    """Return every effect that was kept, with its parameters, rivals and confidence."""
+    sizes = estimates(found.final)
+    rounds = {r.name: r for r in found.rounds}
+    excess = {e.equation: e for e in _excess(found)}
+    return tuple(
+        _effect(found, k, added.term.name, sizes[k], rounds[added.term.name], excess)
+        for k, added in enumerate(found.final.effects)
+    )
+
+
+def own_bench(found: Search) -> Bench:
+    """Return the bench that was diagnosed."""
+    return found.baseline.equations[0].views[0].recording.bench
+
+
+def _effect(
+    found: Search,
+    k: int,
+    name: str,
+    sizes: Mapping[str, Estimate],
+    taken: Round,
+    excess: Mapping[str, _Excess],
+) -> Effect:
+    entry = ENTRIES[name]
+    linear, amperes = own_bench(found).motion == "linear", found.baseline.equations[0].unit == "A"
+    units = {q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters}
+    if amperes:
+        units = {n: unit.replace("N m", "A") for n, unit in units.items()}
+    parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
+    stack = found.baseline.stack
+    own = max(
+        (e for e in found.baseline.equations if e.name in found.final.effects[k].term.columns),
+        key=lambda e: excess[e.name].before * len(e.residual),
+    )
+    rows = stack.part(own.name)
+    before, after = (own.sigma * j.residual[rows] for j in (found.baseline, found.final))
+    drawn = maps(stack, own, before, after, np.random.default_rng(0))
+    where = location(own, placed(drawn, entry.coordinate.split(":")[0]), before)
+    place = found.final.effects[k].term.place
+    if place is not None:
+        index = round(found.final.effects[k].shape[place])
+        where = replace(where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,))
+    open_names = _open(taken)
+    quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
+    confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before)
+    rivals = tuple(
+        Rival(
+            r.name,
+            min(1.0 - probability(r.preference), UNLIKELY if r.beyond else 0.5),
+            _why_not(r),
+        )
+        for r in taken.rivals
+    )
+    return Effect(
+        name=name,
+        alias_group=(name, *open_names),
+        confidence=confidence,
+        statement=finding(entry, parameters, where.recordings),
+        assumption_broken=entry.assumption,
+        where=where,
+        parameters=parameters,
+        rivals=rivals,
+        separating_experiment=entry.experiment,
+    )
+
+
+def confidence_of(taken: Round, quality: float, p_after: float, before: float) -> float:
+    """Return the confidence in a name: over its rivals, by how much it explains, and whether more is missing after all.
+
+    Args:
+        taken: With its rivals.
+        quality: Share of the mismatch beyond the noise that is explained in its main equation.
+        p_after: Of the test that anything more is missing.
+        before: Mean square of that equation's mismatch over the noise's without any name.
+    """
+    over = [max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals]
+    most = UNFINISHED if p_after <= LEVEL else FAINT_MOST if before < FAINT else SUREST
+    return min(most, min([SUREST, *over]) * (0.5 + 0.5 * quality))
+
+
+def _why_not(rival: Contender) -> str:
+    """Say why a rival was not taken; empty where it might as well have been."""
+    if rival.preference >= REJECTED:
+        return f"its error is larger by {rival.preference:.1f} standard errors"
+    return f"it fits as well, but only with {rival.beyond}" if rival.beyond else ""

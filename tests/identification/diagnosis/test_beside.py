@@ -1,0 +1,67 @@
+"""What hides a second effect: noise taken too large, a delay to first order, a sign told by an offset current."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from identification.diagnosis.joint import Joint, fit
+from identification.diagnosis.kept import EXACT_ERROR, SHAPE_ERROR, needed_share
+from identification.diagnosis.quiet import quieter
+from identification.diagnosis.terms.transmission import on_the_joint
+
+from .benches import campaign, honest, nominal_fit
+from .test_fits import TERM, begun_with, power
+
+
+def after(joint: Joint, *names: str) -> Joint:
+    """Fit effects one after another, the noise measured again after each."""
+    views, base, found = joint.equations[0].views, joint, joint
+    for name in names:
+        added = begun_with(found, name).effects[-1]
+        found = fit(views, "N m", found.nominal, (*found.effects, added), base)
+        base, found = quieter(views, "N m", base, found)
+    return found
+
+
+def test_what_swings_as_noise_does_is_no_noise_once_it_is_named() -> None:
+    cogs = {"torque_Nm": 2.3, "per_motor_turn": 7.0, "phase_rad": 1.0}
+    joint = nominal_fit(campaign({"cogging": cogs}, 31, 8.0))
+    named = after(joint, "cogging")
+    assert named.equations[0].sigma < 0.5 * joint.equations[0].sigma
+    assert named.equations[0].sigma == pytest.approx(nominal_fit(honest()).equations[0].sigma, rel=0.2)
+    assert power(named, "torque") < 1.2
+
+
+def test_what_moves_slowly_leaves_the_noise_as_it_is() -> None:
+    joint = nominal_fit(honest())
+    slow = begun_with(joint, "asymmetric_coulomb")
+    before, same = quieter(joint.equations[0].views, "N m", joint, slow)
+    assert before is joint
+    assert same is slow
+
+
+def test_a_long_delay_leaves_nothing_that_another_effect_could_take_up() -> None:
+    joint = nominal_fit(campaign({"transport_delay": {"time_s": 0.012}}, 32, 8.0))
+    late = after(joint, "transport_delay")
+    assert late.effects[0].shape[0] == pytest.approx(0.012, rel=0.005)
+    assert power(late, "transmission") < 1.2
+    assert "torque" in next(t for t in on_the_joint(TERM.values()) if t.name == "transport_delay").columns
+
+
+def test_a_dead_time_steps_where_the_current_is_none_and_not_where_it_reads_none() -> None:
+    hidden = {"inverter_dead_time": {"voltage_V": 1.0}, "current_offset": {"current_A": 0.3}}
+    joint = nominal_fit(campaign(hidden, 33, 8.0))
+    sharp, rounded = (after(joint, name, "current_offset") for name in ("inverter_dead_time", "brush_drop"))
+    assert sharp.nominal.zero_A == pytest.approx(0.3, rel=0.02)
+    assert sharp.effects[0].shape[1] == pytest.approx(0.3, rel=0.02)
+    noise = [j.stack.equations[-1].sigma * math.sqrt(power(j, "voltage")) for j in (sharp, rounded)]
+    assert noise[0] < noise[1]
+
+
+def test_beside_what_is_the_physics_itself_less_makes_a_name() -> None:
+    little = 0.5 * SHAPE_ERROR
+    assert math.isinf(needed_share(little))
+    assert math.isfinite(needed_share(little, exact=True))
+    assert math.isinf(needed_share(0.5 * EXACT_ERROR, exact=True))

@@ -1,0 +1,56 @@
+"""Late angles where the voltage was computed from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.terms.lateness import computed, too_early
+from identification.diagnosis.view import views
+from identification.recording import Bench, Controller, Recording
+
+TIME = np.arange(3000) / 140.0
+LATE_S, GAIN, SUPPLY_V = 0.007, 2.0, 6.0
+BENCH = Bench(torque_constant=0.5, back_emf_constant=0.5, resistance=4.0)
+
+
+def _law(command_time: np.ndarray, angle_time: np.ndarray) -> np.ndarray:
+    return SUPPLY_V * GAIN * (np.sin(2.0 * command_time) - 0.9 * np.sin(2.0 * angle_time - 0.2))
+
+
+def _recording() -> Recording:
+    seen = TIME - LATE_S
+    channels = {
+        "angle": 0.9 * np.sin(2.0 * seen - 0.2),
+        "command": np.sin(2.0 * TIME),
+        "voltage": _law(TIME, seen),
+        "supply_voltage": np.full(len(TIME), SUPPLY_V),
+    }
+    return Recording("r", {"time": TIME, **channels}, BENCH, "unloaded", 0.0, controller=Controller("duty", GAIN))
+
+
+def test_only_the_command_in_a_computed_voltage_is_early() -> None:
+    (view,) = views([_recording()], 10.0)
+    seen = view.time - LATE_S
+    expected = 0.5 / 4.0 * (_law(view.time, seen) - _law(seen, seen))
+    off = too_early(view, LATE_S) - expected
+    assert np.max(np.abs(off[2:])) < 2e-3 * np.max(np.abs(expected))
+
+
+def test_a_voltage_is_computed_only_if_the_declared_law_makes_it() -> None:
+    recording = _recording()
+    assert computed(recording)
+    assert not computed(replace(recording, controller=None))
+    assert not computed(replace(recording, controller=Controller("duty", 1.01 * GAIN)))
+    assert not computed(replace(recording, channels={**recording.channels, "current": np.zeros(len(TIME))}))
+    noisy = recording.channels["voltage"] + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
+    assert not computed(replace(recording, channels={**recording.channels, "voltage": noisy}))
+
+
+@pytest.mark.parametrize("name", ["command", "supply_voltage"])
+def test_without_a_channel_of_the_law_nothing_is_computed(name: str) -> None:
+    recording = _recording()
+    channels = {n: c for n, c in recording.channels.items() if n != name}
+    assert not computed(replace(recording, channels=channels))
