@@ -19,10 +19,14 @@ from identification.recording import Array
 
 # Parameter vector of one evaluation.
 MC, DM, OMEGA_SF, SIGMA_2, INERTIA, MU_C, DMU, OMEGA_SL, MU_2, OFFSET, PARAMETERS = range(11)
-# Columns of the stretch table.
-FIRST, LAST, SIDE, FROM_REST = range(4)
+# Columns of the stretch table. The last is how fast the torque rises before the breakaway, N m/s; zero where the
+# stretch does not begin at rest.
+FIRST, LAST, SIDE, RISE = range(4)
 
 _LEAST_SPEED = 1e-7
+_SLIP = 0.7
+"""Mean square by which a speed held at zero or above comes to exceed one that is not, under a drift that rises through
+zero; in the unit that both have (simulated in the tests)."""
 
 
 @compiled
@@ -105,6 +109,19 @@ def _predict(
 
 
 @compiled
+def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
+    """Return the mean square speed that noise gives before the mean torque reaches the static limit, (rad/s)^2.
+
+    At rest friction holds whatever would turn the shaft back, so that noise pushes it forward only: a random walk held
+    at zero from below, whose drift ``rise`` t / ``inertia`` grows through zero as the torque (N m, at ``rise`` N m/s)
+    passes the limit. Walk and drift are alike over the time (noise^2 period / rise^2)^(1/3).
+    """
+    diffusion = noise * noise * period
+    alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
+    return _SLIP * diffusion * alike / (inertia * inertia)
+
+
+@compiled
 def innovations(
     stretches: Array,
     begins: Array,
@@ -151,13 +168,13 @@ def innovations(
         first = int(stretches[j, FIRST])
         last = int(stretches[j, LAST])
         side = float(stretches[j, SIDE])
-        if stretches[j, FROM_REST] > 0:
+        if stretches[j, RISE] > 0:
             begin = begins[j]
             state[0] = angle[first - 1]
             state[1] = side * _LEAST_SPEED
             state[2] = noise[1]
             state[3] = 0.0
-            state[4] = 0.0
+            state[4] = _slip_variance(noise[0], time[first] - time[first - 1], stretches[j, RISE], inertia)
         else:
             begin = time[first - 1]
             state[0] = angle[first - 1]

@@ -22,7 +22,13 @@ LEAST_COUNTS = 20.0
 """A stretch moves at least this many encoder steps."""
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply; 1 elsewhere."""
+ONSET_STEPS = 32.0
+"""Those right after a breakaway: friction's fall multiplies the error of every step, and the inertia follows."""
 FINE_SAMPLES = 30
+RISING = 20
+"""Samples before the first visible motion over which the torque's rise is taken."""
+LEAST_RISE = 0.1
+"""Rise that a stretch has at least, over the recording's median: what noise leaves of a slower one is not known."""
 STALLED = 0.01
 """Share of the greatest speed below which a stretch all but stops."""
 UNSURE = 0.1
@@ -134,14 +140,16 @@ def motion(recording: Recording) -> Motion | None:
     table, seen = _table(angle, step, holes)
     if len(table) < 2:
         return None
+    table[:, kernel.RISE] = _rises(at, torque, table, seen)
     steps = np.ones(len(at))
     inside = np.zeros(len(at), dtype=bool)
     for first, last, _, _ in table.astype(np.int64):
         inside[first:last] = True
-        steps[first : first + LEAD + FINE_SAMPLES] = FINE_STEPS
         steps[max(first, last - FINE_SAMPLES) : last] = FINE_STEPS
     slow = np.abs(velocity) < 0.3 * float(np.max(np.abs(velocity)))
     steps[slow] = FINE_STEPS
+    for first in table[:, kernel.FIRST].astype(np.int64):
+        steps[first : first + LEAD + FINE_SAMPLES] = ONSET_STEPS
     moment = contact_moment(recording, at, angle)
     return Motion(
         recording=recording,
@@ -178,8 +186,21 @@ def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Arra
     return out
 
 
+def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
+    """Return how fast the torque rises toward each breakaway, N m/s, shape (m,); infinite where it rises nowhere."""
+    out = np.empty(len(table))
+    for j, (side, last) in enumerate(zip(table[:, kernel.SIDE], seen.astype(np.int64), strict=True)):
+        window = slice(max(last + 1 - RISING, 0), last + 1)
+        out[j] = side * np.polyfit(time[window] - time[last], torque[window], 1)[0]
+    typical = float(np.median(out))
+    return np.maximum(out, LEAST_RISE * typical) if typical > 0.0 else np.full(len(out), np.inf)
+
+
 def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
-    """Return the kernel's table of stretches that start from rest and have no holes, and where each visibly moved."""
+    """Return the kernel's table of stretches that start from rest and have no holes, and where each visibly moved.
+
+    The torque's rise is left at one.
+    """
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
     rows: list[tuple[float, float, float, float]] = []
@@ -202,7 +223,7 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
             continue
         rows.append((begin + 1, last, float(np.sign(travel)), 1.0))
         seen.append(visible)
-    columns = kernel.FROM_REST + 1
+    columns = kernel.RISE + 1
     return np.array(rows, dtype=np.float64).reshape(-1, columns), np.array(seen, dtype=np.float64)
 
 

@@ -50,7 +50,7 @@ def run_kernel(angle: np.ndarray, torque: np.ndarray, side: float, steps: float)
     p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
-        np.array([[1.0, float(n), side, 1.0]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
+        np.array([[1.0, float(n), side, np.inf]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
         np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), np.zeros(n), p,
         out, spread, speeds,
     )  # fmt: skip
@@ -72,6 +72,17 @@ def test_linear_case_is_the_kalman_filter(side: float) -> None:
     found = run_kernel(angle, torque, side, 8.0)
     assert np.std(expected) > 0.5
     assert np.max(np.abs(found - expected)) < 0.02 * float(np.std(expected))
+
+
+def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero() -> None:
+    rng = np.random.default_rng(3)
+    speed, step, last = np.zeros(20000), 0.005, 3.0
+    for now in np.arange(-last, last, step):
+        speed = np.maximum(speed + (now + 0.5 * step) * step + np.sqrt(step) * rng.normal(size=len(speed)), 0.0)
+    excess = (np.mean(speed) - 0.5 * last**2) ** 2 + np.var(speed) - last
+    # Coarse steps miss part of what the walk meets at zero.
+    assert kernel._slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
+    assert kernel._slip_variance(0.5, 1e-3, np.inf, 0.2) == 0.0
 
 
 def test_inside_steps_converge() -> None:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.stretches import LEAD, motion
+from identification.estimate.stretches import LEAD, RISING, motion
 from identification.recording import Pendulum, Recording, RecordingError
 
 from .practical import logged, simulated
@@ -26,12 +26,22 @@ def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, R
     found = motion(practical_pair[1])
     assert found is not None
     assert len(found.table) >= 8
-    for (first, last, side, from_rest), seen in zip(found.table, found.seen, strict=True):
+    for (first, last, side, rise), seen in zip(found.table, found.seen, strict=True):
         window = truth["velocity"][int(seen) : int(last)]
         assert np.all(side * window > 0.0)
         assert truth["velocity"][int(first) - 1] == 0.0
-        assert from_rest == 1.0
+        assert rise > 0.0
         assert first <= seen < last
+
+
+def test_the_rise_is_that_of_the_torque_before_the_breakaway(practical_pair: tuple[Recording, Recording]) -> None:
+    found = motion(practical_pair[0])
+    assert found is not None
+    half = RISING // 2
+    for (_, _, side, rise), seen in zip(found.table, found.seen.astype(int), strict=True):
+        halves = found.torque[seen - 2 * half : seen - half], found.torque[seen - half : seen]
+        chord = side * float(np.mean(halves[1]) - np.mean(halves[0])) / (half * found.recording.period)
+        assert rise == pytest.approx(chord, rel=0.35)
 
 
 def test_stretches_do_not_overlap_and_mark_what_is_inside(practical_pair: tuple[Recording, Recording]) -> None:
