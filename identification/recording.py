@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -192,7 +193,7 @@ class Recording:
         """Time stamps, s, shape (n,)."""
         return self.channels["time"]
 
-    @property
+    @cached_property
     def period(self) -> float:
         """Median sample period, s."""
         return float(np.median(np.diff(self.time)))

@@ -17,6 +17,7 @@ import numpy as np
 from scipy import stats
 
 from identification.design.forward import Loop, Response, respond, usual_loop
+from identification.estimate.arrow import Arrow
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
 from identification.estimate.noise_level import CLIP
@@ -176,15 +177,15 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     if slope > stats.chi2.ppf(LIKELY, sought) / sought:
         return NOTHING
     others = instruments(problem, jacobian)
-    mean = others + (jacobian - others) / problem.siblings[:, None]
+    mean = jacobian.mixed(1.0 / problem.siblings, others)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(problem, mean)) @ turn
+    normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(mean)) @ turn
     return Information(normal)
 
 
-def likelihood_slope(problem: Problem) -> tuple[Array, float]:
-    """Return the sensitivities at a problem's start, shape (r, p + m), and how steep the likelihood is there.
+def likelihood_slope(problem: Problem) -> tuple[Arrow, float]:
+    """Return the sensitivities at a problem's start, and how steep the likelihood is there.
 
     Where noise decides what the shaft does next, the filter, linear about its prediction, errs with a mean: values
     other than those simulated are then likelier by far, and what such a stage says is wrong. Steepness is that of the
@@ -195,8 +196,8 @@ def likelihood_slope(problem: Problem) -> tuple[Array, float]:
     errors, deviations = problem.predictions(x)
     jacobian, widening = problem.derivatives(x, errors, deviations)
     residual = np.clip(errors / deviations, -CLIP, CLIP)
-    score = jacobian.T @ residual + widening.T @ (1.0 - residual**2)
-    known = jacobian.T @ jacobian + 2.0 * widening.T @ widening
+    score = jacobian.back(residual) + widening.back(1.0 - residual**2)
+    known = jacobian.product() + 2.0 * widening.product()
     times = list(range(count, len(score)))
     sought = [k for k in range(count) if problem.free[k] != INDEX["J"]]
     steepness = _squared(score, known, [*sought, *times]) - _squared(score, known, times)
@@ -209,18 +210,13 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
 
 
-def _by_stretch(problem: Problem, jacobian: Array) -> Array:
-    """Return each stretch's information, its breakaway time eliminated, shape (m, p, p).
-
-    Args:
-        problem: At its start.
-        jacobian: Sensitivities of every residual, shape (r, p + m).
-    """
-    count, owners = len(problem.free), problem.owners.astype(np.int64)
-    out = np.empty((problem.breakaways, count, count))
-    for j in range(problem.breakaways):
-        rows = jacobian[owners == j]
-        own, along = rows[:, :count], rows[:, count + j]
+def _by_stretch(slopes: Arrow) -> Array:
+    """Return each stretch's information, its breakaway time eliminated, shape (m, p, p)."""
+    count = slopes.parameters.shape[1]
+    out = np.empty((slopes.stretches, count, count))
+    for j in range(slopes.stretches):
+        rows = slopes.owners == j
+        own, along = slopes.parameters[rows], slopes.own[rows]
         cross = own.T @ along
         out[j] = own.T @ own - np.outer(cross, cross) / max(float(along @ along), 1e-300)
     return out

@@ -9,10 +9,12 @@ was drawn; weights, noise levels and the inertia's instrument are those of the e
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Arrow
 from identification.estimate.instrumental import influence_on_inertia
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
@@ -87,7 +89,6 @@ class _Equations:
         self.deviations = deviations
         problem.weigh()
         self.origin = problem.origin()
-        self.owners = problem.owners.astype(np.int64)
         residual = problem.residuals(self.origin)
         jacobian = problem.jacobian(self.origin, residual)
         self.begun = (residual, jacobian)
@@ -100,14 +101,15 @@ class _Equations:
         self.rest = self.sums(residual, jacobian, np.ones(problem.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 
-    def sums(self, residual: Array, jacobian: Array, counts: Array) -> tuple[Array, Array]:
+    def sums(self, residual: Array, jacobian: Arrow, counts: Array) -> tuple[Array, Array]:
         """Return the equations and their derivatives, shape (x,) and (x, x), for stretches counted so often."""
-        weight = huber_weight(residual, CLIP) * counts[self.owners]
-        side = jacobian.copy()
+        weight = huber_weight(residual, CLIP) * counts[jacobian.owners]
+        side = jacobian
         if self.inertia is not None:
-            side[:, self.inertia] = self.influence
-        weighted = side * weight[:, None]
-        return weighted.T @ residual, weighted.T @ jacobian
+            columns = jacobian.parameters.copy()
+            columns[:, self.inertia] = self.influence
+            side = replace(jacobian, parameters=columns)
+        return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
         """Return the free vector that solves them; None where the search does not settle."""

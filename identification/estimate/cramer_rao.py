@@ -13,18 +13,19 @@ from __future__ import annotations
 
 import numpy as np
 
+from identification.estimate.arrow import Arrow
 from identification.recording import Array
 
 _SILENT = 1e-12
 """Information on an unknown that touches no residual."""
 
 
-def bound(jacobian: Array, others: Array, stretches: Array) -> Array:
+def bound(jacobian: Arrow, others: Arrow, stretches: Array) -> Array:
     """Return the smallest covariance that an unbiased estimate can have.
 
     Args:
-        jacobian: d residuals / d unknowns, residuals over their standard deviations, shape (r, p).
-        others: The mean of the same over the other stretches, shape (r, p).
+        jacobian: d residuals / d unknowns, residuals over their standard deviations, of r rows and p columns.
+        others: The mean of the same over the other stretches.
         stretches: How many stretches the recording of each residual has, shape (r,).
 
     Returns:
@@ -33,11 +34,10 @@ def bound(jacobian: Array, others: Array, stretches: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: The unknowns are not all excited.
     """
-    mean = others + (jacobian - others) / stretches[:, None]
-    scale = np.linalg.norm(mean, axis=0)
+    normal = jacobian.mixed(1.0 / stretches, others).product()
+    scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
-    scaled = mean / scale
-    normal = scaled.T @ scaled
+    normal = normal / np.outer(scale, scale)
     silent = np.flatnonzero(np.diag(normal) == 0.0)
     normal[silent, silent] = _SILENT
     return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))

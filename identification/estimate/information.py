@@ -52,7 +52,7 @@ def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) 
     Gauss-Newton with one step length per stretch: a step that makes its stretch worse is undone and shortened.
     """
     count, m = len(problem.free), problem.breakaways
-    owners = problem.owners.astype(np.int64)
+    owners = problem.owners
     problem.weigh()
     x = problem.origin()
     residual = problem.residuals(x)
@@ -89,7 +89,7 @@ def reduce(problem: Problem, threshold: float = np.inf) -> Reduced:
     residual = problem.residuals(x)
     slope, along = problem.slopes(x, residual)
     weight = np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300))
-    owners, m, p = problem.owners.astype(np.int64), problem.breakaways, slope.shape[1]
+    owners, m, p = problem.owners, problem.breakaways, slope.shape[1]
     weighted = slope * weight[:, None]
     cross = np.column_stack([np.bincount(owners, column * along, m) for column in weighted.T])
     own = np.bincount(owners, weight * along * along, m)

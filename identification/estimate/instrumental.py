@@ -1,19 +1,20 @@
 """The estimating equations: prediction errors uncorrelated with the instruments.
 
-Least squares of the prediction errors is biased here. The current sensor's noise reaches the true torque through the
-drive's current loop and comes back through its velocity loop, so the measured torque is neither the true one with
-noise added nor the other way round; at 1 % of full scale J came out 25 to 70 % off. With instruments
-that hold nothing of a stretch's own noise the errors need only have mean zero.
+Least squares of the prediction errors is biased here, and so is their likelihood. The current sensor's noise reaches
+the true torque through the drive's current loop and comes back through its velocity loop, so the measured torque is
+neither the true one with noise added nor the other way round; at 1 % of full scale J came out 25 to 70 % off. With
+instruments that hold nothing of a stretch's own noise the errors need only have mean zero.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
 from identification.estimate.noise_level import CLIP, likeliest_noise
@@ -76,17 +77,18 @@ def _round(problem: Problem) -> Array:
     jacobian = problem.jacobian(x, residual)
     z = instruments(problem, jacobian)
     count = len(problem.free)
-    bread = np.linalg.inv(z.T @ (jacobian * _weight(residual)[:, None]))
-    metric = np.linalg.pinv(z.T @ z, hermitian=True)
-    deviation = np.sqrt(np.diag(bread @ (z.T @ z) @ bread.T))[:count]
-    score = z.T @ (residual * _weight(residual))
+    bread = np.linalg.inv(z.product(_weight(residual), jacobian))
+    power = z.product()
+    metric = np.linalg.pinv(power, hermitian=True)
+    deviation = np.sqrt(np.diag(bread @ power @ bread.T))[:count]
+    score = z.back(residual * _weight(residual))
     for _ in range(_CHORDS):
         step = -bread @ score
         logs = [abs(s) for s, k in zip(step, problem.free, strict=False) if k in LOGARITHMIC]
         share = min(1.0, _LONGEST_LOG / max([*logs, 1e-9]), _LONGEST_SHIFT / float(np.max(np.abs(step[count:]))))
         for _ in range(_HALVINGS):
             there = problem.residuals(x + share * step)
-            then = z.T @ (there * _weight(there))
+            then = z.back(there * _weight(there))
             if then @ metric @ then < score @ metric @ score:
                 break
             share *= 0.5
@@ -105,17 +107,21 @@ def defect(problem: Problem) -> float:
     x = problem.origin()
     residual = problem.residuals(x)
     z = instruments(problem, problem.jacobian(x, residual))
-    score = z.T @ (residual * _weight(residual))
-    return float(score @ np.linalg.pinv(z.T @ z, hermitian=True) @ score)
+    score = z.back(residual * _weight(residual))
+    return float(score @ np.linalg.pinv(z.product(), hermitian=True) @ score)
 
 
 def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]], Array]) -> Array:
-    """Solve for the inertia by instruments and for all else by least squares beside it; return the residuals.
+    """Solve for the inertia by instruments and for all else by likelihood beside it; return the residuals.
 
-    Only the inertia is badly biased by least squares. For the others they are more precise than instruments that are
-    means over a few stretches, and begun where the problem starts they stay in its basin. In turn: least squares of all
-    else, then the estimating equations' step of the inertia with all else eliminated, to first order untouched by the
-    others' bias.
+    Only the inertia is badly biased by likelihood. For the others it is more precise than instruments that are means
+    over a few stretches, and begun where the problem starts it stays in its basin. In turn: the likeliest of all else,
+    then the estimating equations' step of the inertia with all else eliminated, to first order untouched by the others'
+    bias.
+
+    Args:
+        problem: At the end of the stages' own searches; keeps the result as its start.
+        refine: Searches the free parameters but the inertia, at the noise levels that it is given over their own.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not pin the parameters.
@@ -156,22 +162,18 @@ def _inertia_step(problem: Problem) -> tuple[float, float]:
     return -float(influence @ (residual * _weight(residual))), float(np.linalg.norm(influence))
 
 
-def influence_on_inertia(problem: Problem, z: Array, jacobian: Array, residual: Array) -> Array:
+def influence_on_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Array:
     """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
     j = problem.free.index(kernel.INERTIA)
-    alone = _orthogonal(z, j)
-    return np.asarray(alone / float(alone @ (jacobian[:, j] * _weight(residual))))
+    alone = z.along(_mixture(z, j))
+    return np.asarray(alone / float(alone @ (jacobian.parameters[:, j] * _weight(residual))))
 
 
-def _orthogonal(z: Array, j: int) -> Array:
-    """Return the ``j``-th instrument less what the others can say of it, shape (r,)."""
-    return np.asarray(z @ _mixture(z, j))
-
-
-def _mixture(z: Array, j: int) -> Array:
+def _mixture(z: Arrow, j: int) -> Array:
     """Return the mixture of the instruments that makes the ``j``-th orthogonal to the others, shape (p,)."""
-    others = np.delete(z, j, axis=1)
-    taken = np.linalg.pinv(others.T @ others, hermitian=True) @ (others.T @ z[:, j])
+    power = z.product()
+    others = np.delete(power, j, axis=0)
+    taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
     return np.insert(-taken, j, 1.0)
 
 
@@ -191,13 +193,14 @@ def covariances(problem: Problem) -> Covariances:
     floor = bound(jacobian, z, problem.siblings)[:count, :count]
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
-    others = [k for k in range(jacobian.shape[1]) if k >= count or problem.free[k] != kernel.INERTIA]
-    spread, achieved = _scatter(problem, jacobian[:, others], residual)[: len(others) - problem.breakaways], floor
-    if kernel.INERTIA in problem.free:
+    if kernel.INERTIA not in problem.free:
+        spread, achieved = _scatter(jacobian, residual), floor
+    else:
         j = problem.free.index(kernel.INERTIA)
         influence = influence_on_inertia(problem, z, jacobian, residual)
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(floor, j, variance)
+        spread = _scatter(jacobian.without(j), residual)
         spread = np.insert(spread, j, max(_scatter_of_inertia(problem, z, jacobian, residual), 1.0))
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale)
 
@@ -214,30 +217,30 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
     return out
 
 
-def _scatter(problem: Problem, jacobian: Array, residual: Array) -> Array:
+def _scatter(jacobian: Arrow, residual: Array) -> Array:
     """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
 
-    Ratio of the clustered to the plain standard deviation of each unknown of least squares, drawn toward one as by
+    Ratio of the clustered to the plain standard deviation of each parameter of least squares, drawn toward one as by
     :data:`_PRIOR` stretch that scatters as it should. It may be below one: the drive's loop takes a part of the
     current's noise out again, and what errs at the beginning of a stretch is made good by its end.
     """
     weight = _weight(residual)
-    scale = np.linalg.norm(jacobian, axis=0)
+    normal = jacobian.product(weight)
+    scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
-    scaled = jacobian / scale
     # A stretch may say nothing of its own breakaway time.
-    influence = scaled @ np.linalg.pinv(scaled.T @ (scaled * weight[:, None]), hermitian=True)
-    owners = problem.owners.astype(np.int64)
-    plain, sums = np.zeros((2, problem.breakaways, jacobian.shape[1]))
-    np.add.at(plain, owners, influence**2)
-    np.add.at(sums, owners, influence * (residual * weight)[:, None])
+    inverse = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / scale[:, None]
+    influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
+    plain, sums = np.zeros((2, jacobian.stretches, influence.shape[1]))
+    np.add.at(plain, jacobian.owners, influence**2)
+    np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
     total = np.maximum(np.sum(plain, axis=0), 1e-300)
     stretches = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
     squared = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
     return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
 
 
-def _scatter_of_inertia(problem: Problem, z: Array, jacobian: Array, residual: Array) -> float:
+def _scatter_of_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> float:
     """Return the same ratio for the inertia, whose sum is one over pairs of stretches.
 
     A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
@@ -246,10 +249,11 @@ def _scatter_of_inertia(problem: Problem, z: Array, jacobian: Array, residual: A
     j = problem.free.index(kernel.INERTIA)
     weighted = residual * _weight(residual)
     mixed = _mixture(z, j)
-    first = (z @ mixed) * weighted
-    carrier = np.zeros_like(jacobian)
-    carrier[:, j] = weighted
-    second = (jacobian @ mixed) * instruments(problem, carrier)[:, j]
+    first = z.along(mixed) * weighted
+    columns = np.zeros_like(jacobian.parameters)
+    columns[:, j] = weighted
+    carrier = replace(jacobian, parameters=columns, own=np.zeros_like(weighted))
+    second = jacobian.along(mixed) * instruments(problem, carrier).parameters[:, j]
     second[len(second) - problem.breakaways :] = 0.0
-    sums = np.bincount(problem.owners.astype(np.int64), first + second)
+    sums = np.bincount(problem.owners, first + second)
     return float(np.linalg.norm(sums) / np.linalg.norm(first))

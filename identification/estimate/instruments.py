@@ -8,10 +8,13 @@ Methods for System Identification, 1983, ch. 4).
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import ndimage
 
 from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Arrow
 from identification.estimate.prediction_problem import Problem
 from identification.estimate.stretches import Motion
 from identification.recording import Array
@@ -22,21 +25,18 @@ _WIDEST = 7
 """Standard deviation of the smoothing: a share of the time since breakaway, less these samples, at most 2^7 samples."""
 
 
-def instruments(problem: Problem, jacobian: Array) -> Array:
-    """Return the instruments of every residual.
+def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
+    """Return the instruments of every residual; zero where no other stretch lasts as long.
 
     Args:
         problem: At its start.
-        jacobian: d residuals / d x there, shape (r, p).
-
-    Returns:
-        Shape (r, p); zero where no other stretch lasts as long.
+        jacobian: d residuals / d x there.
     """
     count = len(problem.free)
     both_ways = np.array([k == kernel.OFFSET for k in problem.free] + [False])
-    out = np.zeros_like(jacobian)
+    parameters, own = np.zeros_like(jacobian.parameters), np.zeros_like(jacobian.own)
     row, stretch = 0, 0
-    tie = len(jacobian) - problem.breakaways
+    tie = len(own) - problem.breakaways
     for m, begins in zip(problem.motions, problem.begins, strict=True):
         lengths = (m.table[:, kernel.LAST] - m.table[:, kernel.FIRST]).astype(np.int64)
         starts = row + np.concatenate(([0], np.cumsum(lengths)))
@@ -44,18 +44,18 @@ def instruments(problem: Problem, jacobian: Array) -> Array:
         for j, side in enumerate(m.table[:, kernel.SIDE]):
             sides.append(np.where(both_ways, 1.0, side))
             here = slice(starts[j], starts[j + 1])
-            curves.append(np.column_stack([jacobian[here, :count], jacobian[here, count + stretch + j]]) * sides[j])
-        ties = jacobian[tie + stretch + np.arange(len(lengths)), count + stretch + np.arange(len(lengths))]
+            curves.append(np.column_stack([jacobian.parameters[here], jacobian.own[here]]) * sides[j])
+        ties = jacobian.own[tie + stretch : tie + stretch + len(lengths)]
         onsets = _onsets(m, begins)
         for j, side in enumerate(sides):
             mean = _smooth(_mean_of_others(curves, onsets, j), onsets[j]) * side
-            out[starts[j] : starts[j + 1], :count] = mean[:, :count]
-            out[starts[j] : starts[j + 1], count + stretch + j] = mean[:, count]
-            out[tie + stretch + j, :count] = jacobian[tie + stretch + j, :count]
-            out[tie + stretch + j, count + stretch + j] = np.mean(np.delete(ties, j))
+            parameters[starts[j] : starts[j + 1]] = mean[:, :count]
+            own[starts[j] : starts[j + 1]] = mean[:, count]
+            parameters[tie + stretch + j] = jacobian.parameters[tie + stretch + j]
+            own[tie + stretch + j] = np.mean(np.delete(ties, j))
         row = int(starts[-1])
         stretch += len(lengths)
-    return out
+    return replace(jacobian, parameters=parameters, own=own)
 
 
 def _onsets(m: Motion, begins: Array) -> Array:

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from identification.estimate.arrow import Arrow
 from identification.recording import Array
 
 _Known = TypeVar("_Known")
@@ -47,7 +48,7 @@ def huber_cost(residual: Array, threshold: float) -> float:
 
 def minimise(
     residuals: Callable[[Array], Array],
-    jacobian: Callable[[Array, Array], Array],
+    jacobian: Callable[[Array, Array], Array | Arrow],
     start: Array,
     *,
     threshold: float,
@@ -71,15 +72,15 @@ def minimise(
 
     def linearise(x: Array, residual: Array) -> tuple[Array, Array]:
         slope = jacobian(x, residual)
-        weighted = slope * huber_weight(residual, threshold)[:, None]
-        return slope.T @ weighted, weighted.T @ residual
+        weight = huber_weight(residual, threshold)
+        return _normal(slope, weight), _back(slope, weight * residual)
 
     return _descend(evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps)
 
 
 def minimise_deviance(
     predictions: Callable[[Array], tuple[Array, Array]],
-    derivatives: Callable[[Array, Array, Array], tuple[Array, Array]],
+    derivatives: Callable[[Array, Array, Array], tuple[Array, Array] | tuple[Arrow, Arrow]],
     start: Array,
     *,
     threshold: float,
@@ -109,10 +110,20 @@ def minimise_deviance(
         mean, spread = derivatives(x, *here)
         ratio = here[0] / here[1]
         weight = huber_weight(ratio, threshold)
-        normal = mean.T @ (mean * weight[:, None]) + 2.0 * spread.T @ spread
-        return normal, mean.T @ (weight * ratio) + spread.T @ (1.0 - weight * ratio**2)
+        normal = _normal(mean, weight) + 2.0 * _normal(spread, np.ones_like(weight))
+        return normal, _back(mean, weight * ratio) + _back(spread, 1.0 - weight * ratio**2)
 
     return _descend(evaluate, linearise, start, lambda gain, _: gain <= tolerance, most_steps)
+
+
+def _normal(slope: Array | Arrow, weight: Array) -> Array:
+    """Return the normal matrix of weighted rows, shape (p, p)."""
+    return slope.product(weight) if isinstance(slope, Arrow) else np.asarray(slope.T @ (slope * weight[:, None]))
+
+
+def _back(slope: Array | Arrow, vector: Array) -> Array:
+    """Return the transpose of ``slope`` times a vector, shape (p,)."""
+    return slope.back(vector) if isinstance(slope, Arrow) else np.asarray(slope.T @ vector)
 
 
 def _descend(

@@ -2,8 +2,8 @@
 
 Unknown beside the parameters is when each stretch breaks away. Each such time is tied to the static limit by the torque
 measured then. Least squares leads into the right basin, with the inertia held: the torque noise is first assumed large
-and then lowered to its own value, as a filter that trusts the encoder more has a smoother cost. Instrumental variables
-then give the inertia, which least squares put far off, and least squares the rest beside it
+and then lowered, as a filter that trusts the encoder more has a smoother cost. At the noise's own level the likelihood
+is searched. Instrumental variables then give the inertia, which both put far off, and the likelihood the rest beside it
 (:mod:`identification.estimate.instrumental`).
 """
 
@@ -62,8 +62,8 @@ class Refined:
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Breakaways that entered.
-        strayed: Deviance at the loaded stage's end above that at its likeliest start; positive where the least squares,
-            whose weights are held, left the basin for a place that is less likely.
+        strayed: Deviance at the loaded stage's end above that at its likeliest start; positive where the least squares
+            at raised noise, whose weights are held, left the basin and the likelihood did not lead back.
         unsolved: Defect of the first stage's estimating equations: of any size where no start solved them.
         joint: The joint problem, at the estimate.
         starts: What each search began from came to.

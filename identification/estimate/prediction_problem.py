@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Arrow
 from identification.estimate.levenberg import huber
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
@@ -81,27 +83,24 @@ class Problem:
         self._out = [np.zeros(len(m.time)) for m in motions]
         self._spread = [np.zeros(len(m.time)) for m in motions]
         self._speeds = [np.zeros(len(m.time)) for m in motions]
-        self._stretch = np.concatenate([self._owners(m, j) for j, m in enumerate(motions)])
         self.breakaways = sum(len(m.table) for m in motions)
+        inside = [self._owners(m, j) for j, m in enumerate(motions)]
+        self.owners = np.concatenate([*inside, np.arange(self.breakaways)])
+        """Stretch of every residual, the breakaway residuals last, shape (r,)."""
 
-    def _owners(self, m: Motion, j: int) -> Array:
+    def _owners(self, m: Motion, j: int) -> NDArray[np.int64]:
         """Number, over all recordings, of the stretch that owns each inside sample."""
         offset = sum(len(other.table) for other in self.motions[:j])
-        owner = np.zeros(len(m.time))
+        owner = np.zeros(len(m.time), dtype=np.int64)
         for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
             owner[first:last] = offset + k
         return owner[m.inside]
 
     @property
-    def owners(self) -> Array:
-        """Stretch of every residual, the breakaway residuals last, shape (r,)."""
-        return np.concatenate([self._stretch, np.arange(self.breakaways)])
-
-    @property
     def siblings(self) -> Array:
         """How many stretches the recording of every residual has, shape (r,)."""
         counts = np.concatenate([np.full(len(m.table), float(len(m.table))) for m in self.motions])
-        return np.asarray(counts[self.owners.astype(np.int64)])
+        return np.asarray(counts[self.owners])
 
     def origin(self) -> Array:
         """Return the free vector of the start."""
@@ -156,15 +155,15 @@ class Problem:
         ]
         return np.concatenate([errors, *ends]), np.concatenate([deviations, np.full(self.breakaways, self.noise)])
 
-    def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[Array, Array]:
-        """Return d errors / d x over the deviations, and d log deviations / d x, by differences, shape (r, p)."""
+    def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[Arrow, Arrow]:
+        """Return d errors / d x over the deviations, and d log deviations / d x, by differences."""
 
         def change(there: Array) -> Array:
             e, d = self.predictions(there)
             return np.stack([(e - errors) / deviations, np.log(d / deviations)])
 
         parameters, times = self._differences(x, change)
-        return self._with_times(parameters[0], times[0]), self._with_times(parameters[1], times[1])
+        return self._arrow(parameters[0], times[0]), self._arrow(parameters[1], times[1])
 
     def residuals(self, x: Array) -> Array:
         """Return the errors of :meth:`predictions` over the deviations that they had when last weighed."""
@@ -179,9 +178,9 @@ class Problem:
         parameters, times = self._differences(x, lambda there: (self.residuals(there) - here)[None])
         return parameters[0], times[0]
 
-    def jacobian(self, x: Array, here: Array) -> Array:
+    def jacobian(self, x: Array, here: Array) -> Arrow:
         """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""
-        return self._with_times(*self.slopes(x, here))
+        return self._arrow(*self.slopes(x, here))
 
     def _differences(self, x: Array, change: Callable[[Array], Array]) -> tuple[Array, Array]:
         """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in the breakaway times.
@@ -199,13 +198,8 @@ class Problem:
         along = change(there) / _TIME_STEP
         return np.stack(slopes, axis=-1) if slopes else np.empty((*along.shape, 0)), along
 
-    def _with_times(self, parameters: Array, times: Array) -> Array:
-        """Return the Jacobian in the whole free vector, where every residual knows its own breakaway time alone."""
-        count = len(self.free)
-        out = np.zeros((len(times), count + self.breakaways))
-        out[:, :count] = parameters
-        out[np.arange(len(times)), count + self.owners.astype(np.int64)] = times
-        return out
+    def _arrow(self, parameters: Array, times: Array) -> Arrow:
+        return Arrow(parameters, times, self.owners, self.breakaways)
 
     def seek_breakaways(self, threshold: float) -> bool:
         """Move each breakaway to the likeliest of a grid of times around it; return whether any moved.
@@ -215,7 +209,7 @@ class Problem:
         another's time, so each is judged by its own Huber cost, at these parameters.
         """
         origin, count = self.origin(), len(self.free)
-        owners = self.owners.astype(np.int64)
+        owners = self.owners
         best = np.bincount(owners, huber(self.residuals(origin), threshold))
         shift = np.zeros(self.breakaways)
         least = best - _LEAST_GAIN

@@ -81,7 +81,7 @@ class _Criterion:
 
     def normal(self, x: Array, residual: Array) -> _Normal:
         slope, along = self.problem.slopes(x, residual)
-        owners, m = self.problem.owners.astype(np.int64), self.problem.breakaways
+        owners, m = self.problem.owners, self.problem.breakaways
         weight = huber_weight(residual, CLIP)
         weighted = slope * weight[:, None]
         cross: Array = np.column_stack([np.bincount(owners, column * along, m) for column in weighted.T])

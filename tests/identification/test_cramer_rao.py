@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
 from identification.estimate.prediction_error import Refined, refine_stages
@@ -95,10 +97,25 @@ def test_the_noise_is_found(estimates: list[Refined]) -> None:
     assert np.median([r.torque_noise for r in estimates]) == pytest.approx(NOISE_N_M, rel=0.1)
 
 
+def of_parameters(table: Array) -> Arrow:
+    """Return slopes in parameters alone, of rows of one stretch whose breakaway time none of them knows."""
+    return Arrow(table, np.zeros(len(table)), np.zeros(len(table), dtype=np.int64), 1)
+
+
 def test_bound_of_a_regression() -> None:
     rng = np.random.default_rng(4)
     table: Array = rng.normal(size=(500, 3)) * (1.0, 1e3, 1e-6)
-    assert bound(table, table, np.full(500, 4.0)) == pytest.approx(np.linalg.inv(table.T @ table), rel=1e-9)
+    found = bound(of_parameters(table), of_parameters(table), np.full(500, 4.0))[:3, :3]
+    assert found == pytest.approx(np.linalg.inv(table.T @ table), rel=1e-9)
+
+
+def test_an_unknown_that_touches_no_residual_is_all_but_unbounded() -> None:
+    table: Array = np.random.default_rng(6).normal(size=(200, 3))
+    table[:, 1] = 0.0
+    found = bound(of_parameters(table), of_parameters(table), np.full(200, 4.0))
+    known = table[:, [0, 2]]
+    assert found[1, 1] > 1e9 * max(found[0, 0], found[2, 2])
+    assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(np.linalg.inv(known.T @ known), rel=1e-9)
 
 
 def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
@@ -107,7 +124,8 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     own = signal + rng.normal(size=(4000, 1))
     others = signal + rng.normal(size=(4000, 1)) / math.sqrt(15.0)
     right = 1.0 / float(np.sum(signal**2))
-    assert float(bound(own, others, np.full(4000, 16.0))[0, 0]) == pytest.approx(right, rel=0.15)
+    found = bound(of_parameters(own), of_parameters(others), np.full(4000, 16.0))
+    assert float(found[0, 0]) == pytest.approx(right, rel=0.15)
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
 
 
@@ -119,14 +137,13 @@ def test_instruments_hold_nothing_of_their_own_stretch() -> None:
     problem.weigh()
     x = problem.origin()
     jacobian = problem.jacobian(x, problem.residuals(x))
-    z = instruments(problem, jacobian)
+    slopes, z = jacobian.parameters, instruments(problem, jacobian).parameters
     mine = problem.owners == 1
     inside = mine.copy()
     inside[-problem.breakaways :] = False
-    changed = jacobian.copy()
-    changed[inside, : len(SYSTEM)] *= -3.0
-    moved = instruments(problem, changed)
+    changed = replace(jacobian, parameters=np.where(inside[:, None], -3.0, 1.0) * slopes)
+    moved = instruments(problem, changed).parameters
     assert np.array_equal(moved[inside], z[inside])
     assert not np.array_equal(moved[problem.owners == 0], z[problem.owners == 0])
-    alike = np.sum(z[inside, 0] * jacobian[inside, 0])
-    assert alike > 0.8 * np.linalg.norm(z[inside, 0]) * np.linalg.norm(jacobian[inside, 0])
+    alike = np.sum(z[inside, 0] * slopes[inside, 0])
+    assert alike > 0.8 * np.linalg.norm(z[inside, 0]) * np.linalg.norm(slopes[inside, 0])

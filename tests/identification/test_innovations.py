@@ -129,7 +129,7 @@ def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J") + (("mu_c", "mu_s", "omega_sL", "mu_2") if case else ())
     problem = at_truth(replace(short, inside=inside), tuple(INDEX[n] for n in names))
     x = problem.origin()
-    found = problem.jacobian(x, problem.residuals(x))
+    found = problem.jacobian(x, problem.residuals(x)).dense()
     for k in range(len(x)):
         step = 2e-5 * max(abs(x[k]), 0.05) if k < len(names) else 1e-3
         up, down = x.copy(), x.copy()

@@ -93,7 +93,7 @@ def test_reduced_equations_are_those_of_the_whole_jacobian(practical_pair: tuple
     problem = unloaded_problem(practical_pair[0])
     found = reduce(problem)
     residual = problem.residuals(problem.origin())
-    jacobian = problem.jacobian(problem.origin(), residual)
+    jacobian = problem.jacobian(problem.origin(), residual).dense()
     inverse = np.linalg.inv(jacobian.T @ jacobian)[:5, :5]
     assert np.linalg.inv(found.normals.sum(axis=0)) == pytest.approx(inverse, rel=1e-6)
 
