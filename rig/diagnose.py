@@ -27,6 +27,8 @@ from rig.sources import load_source
 
 EFFORT = frozenset({"torque", "current", "voltage"})
 """Channels any of which tells the drive's torque."""
+REFINED_SAMPLES = 60_000
+"""Samples up to which refining takes about as long as the search, some ten seconds."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ def diagnose_source(
     seed: int,
     bandwidth_Hz: float | None = None,
     progress: Callable[[str, float], None] | None = None,
-    refine: bool = False,
+    refine: bool | None = False,
     gas: bool = False,
     onlooker: Callable[[Joint], None] | None = None,
 ) -> Outcome:
@@ -61,7 +63,8 @@ def diagnose_source(
         bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its own.
         progress: Called with what is being done and the share that is done.
         refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out, where the
-            recordings allow it; those of a gas generator always are.
+            recordings allow it; None where there are :data:`REFINED_SAMPLES` at most. Those of a gas generator always
+            are.
         gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
         onlooker: Shown the nominal model's fit before anything is sought; not of a gas generator.
 
@@ -80,6 +83,8 @@ def diagnose_source(
             found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
         else:
             found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker)
+        if refine is None:
+            found, refine = _refined_or_told(dataset, found)
         if refine:
             if progress is not None:
                 progress("refining", 0.95)
@@ -126,6 +131,15 @@ def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
         parameter_shift=shift,
         warnings=(*found.warnings, *notes),
     )
+
+
+def _refined_or_told(dataset: Dataset, found: Diagnosis) -> tuple[Diagnosis, bool]:
+    """Say whether refining takes no longer than the search; where it does, tell how to ask for it."""
+    samples = sum(len(r.time) for r in dataset.part("fit"))
+    if samples <= REFINED_SAMPLES:
+        return found, True
+    note = f"not refined: {samples} samples are fitted, and refining them takes minutes; --refine does it"
+    return dataclasses.replace(found, warnings=(*found.warnings, note)), False
 
 
 def _refined_if_possible(dataset: Dataset, found: Diagnosis) -> Diagnosis:

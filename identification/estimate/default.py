@@ -73,29 +73,19 @@ def identify(
     if bandwidth_Hz is None:
         bandwidth_Hz = min(default_bandwidth(r) for r in fitted)
     tell("unloaded", 0.0)
-    prepared = {id(r): prepare(r, bandwidth_Hz) for r in dataset.recordings}
-    unloaded = [prepared[id(r)] for r in fitted if r.stage == "unloaded"]
-    loaded = [prepared[id(r)] for r in fitted if r.stage == "loaded"]
+    every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
+    active = [p for p in every if p.recording.role == "fit"]
+    stage_of = {stage: [p for p in active if p.recording.stage == stage] for stage in ("unloaded", "loaded")}
     model = dataset.model
-    values, stages = solve_stages(unloaded, loaded, model, tell)
-    active = [prepared[id(r)] for r in fitted]
+    values, stages = solve_stages(stage_of["unloaded"], stage_of["loaded"], model, tell)
     names = free_names(values, model)
     tell("joint", 0.0)
     found = _refined(fitted, active, values, names, model, bandwidth_Hz)
     values, units, warnings = found.values, units_of(active), list(found.warnings)
     stages += found.stages
-    curves: tuple[Profile, ...] = ()
-    resampled: tuple[Resampled, ...] = ()
-    if found.taken is None and (profile or draws):
-        what = " and ".join(w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked)
-        warnings.append(f"no {what}: of the prediction errors alone, which were not taken")
-    if found.taken is not None and profile:
-        curves = profiles(found.taken, units, lambda share: tell("profiles", share))
-    if found.taken is not None and draws:
-        rng = rng or np.random.default_rng(0)
-        resampled = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
+    curves, resampled, notes = _asked(found, units, profile, draws, rng, tell)
+    warnings += notes
     tell("joint", 1.0)
-    every = list(prepared.values())
     fits = {p.recording.name: fit_of([p], values, model.alpha) for p in every}
     validate = [p for p in every if p.recording.role == "validate"]
     parameters = parameter_table(active, values, found.spread, model, found.floors)
@@ -122,6 +112,28 @@ def identify(
         evaluations=sum(s.evaluations for s in stages),
         seconds=perf_counter() - started,
     )
+
+
+def _asked(
+    found: _Found,
+    units: Mapping[str, str],
+    profile: bool,
+    draws: int,
+    rng: np.random.Generator | None,
+    tell: Progress,
+) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
+    """Return profiles and bootstrap as far as asked for, and why not where there are none."""
+    if found.taken is None:
+        what = " and ".join(w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked)
+        return (), (), [f"no {what}: of the prediction errors alone, which were not taken"] if what else []
+    curves: tuple[Profile, ...] = ()
+    resampled: tuple[Resampled, ...] = ()
+    if profile:
+        curves = profiles(found.taken, units, lambda share: tell("profiles", share))
+    if draws:
+        rng = rng or np.random.default_rng(0)
+        resampled = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
+    return curves, resampled, []
 
 
 @dataclass(frozen=True)

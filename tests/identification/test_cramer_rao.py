@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
-from identification.estimate.instruments import instruments
+from identification.estimate.instruments import _smoothed, instruments
 from identification.estimate.prediction_error import Refined, refine_stages
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
 from identification.estimate.stretches import motion
@@ -127,6 +128,13 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     found = bound(of_parameters(own), of_parameters(others), np.full(4000, 16.0))
     assert float(found[0, 0]) == pytest.approx(right, rel=0.15)
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
+
+
+@pytest.mark.parametrize("rows", [1, 40, 900])
+def test_smoothed_curves_are_those_of_a_filter(rows: int) -> None:
+    curve = np.cumsum(np.random.default_rng(rows).normal(size=(rows, 2)), axis=0)
+    filtered = [ndimage.gaussian_filter1d(curve, 2.0**k, axis=0, mode="nearest") for k in range(8)]
+    np.testing.assert_allclose(_smoothed(curve), np.stack([curve, *filtered]), atol=1e-12 * np.max(np.abs(curve)))
 
 
 def test_instruments_hold_nothing_of_their_own_stretch() -> None:

@@ -262,6 +262,31 @@ def test_static_friction_that_nothing_pins_is_not_exported(campaign: Path, tmp_p
     assert any(w.startswith("mu_s is not pinned") for w in record["warnings"])
 
 
+@pytest.mark.parametrize(("option", "refined"), [([], False), (["--refine"], True)])
+def test_many_samples_are_refined_only_where_asked(
+    campaign: Path,
+    tmp_path: Path,
+    found: Arrange,
+    monkeypatch: pytest.MonkeyPatch,
+    option: list[str],
+    refined: bool,
+) -> None:
+    asked: list[Dataset] = []
+
+    def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
+        asked.append(dataset)
+        raise RecordingError("no motion")
+
+    found(PLAIN)
+    monkeypatch.setattr(rig.diagnose, "refit", refit)
+    monkeypatch.setattr(rig.diagnose, "REFINED_SAMPLES", 10)
+    file = tmp_path / "found.json"
+    assert status(["diagnose", str(campaign), *option, "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
+    assert bool(asked) == refined
+    warnings = json.loads(file.read_text())["warnings"]
+    assert any("--refine does it" in w for w in warnings) != refined
+
+
 def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
     campaign: Path, tmp_path: Path, found: Arrange, monkeypatch: pytest.MonkeyPatch
 ) -> None:
