@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from identification.diagnosis.result import Curve, Effect, Map, ResidualTrace
 from identification.plots.style import BLACK, BLUE, GREY, SKY, VERMILION, figure, legend_above, thinned
@@ -111,6 +112,7 @@ def _map(axis: Axes, one: Map) -> None:
     axis.plot(x, after, color=BLUE, linewidth=1.3, linestyle="--", marker="s", markersize=2.5, label="after")
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(one.coordinate, unit))
+    axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate == "direction"))
     sided = " against the motion" if one.against_motion else ""
     axis.set_ylabel(f"mismatch{sided} ({residual_unit})")
     axis.set_title(f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left")
