@@ -36,8 +36,7 @@ def text(experiment: Experiment) -> str:
         "",
         f"{experiment.sequence.name}: {_words(now)}",
         f"{experiment.proposed.name}: {_words(then)}",
-        f"aimed at {experiment.proposal.weakest}, which is pinned worst now; where another parameter comes out wider, "
-        "run both and identify them together",
+        _advice(experiment),
         "",
         table(["stage", "kg", "s", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1, 2)),
         "",
@@ -46,6 +45,17 @@ def text(experiment: Experiment) -> str:
         f"{experiment.proposal.rehearsed} experiments rehearsed, in {experiment.seconds:.1f} s",
     ]
     return "\n".join(lines)
+
+
+def _advice(experiment: Experiment) -> str:
+    """Say what the proposal is for; or that nothing better bore a rehearsal, and it is the sequence as it was."""
+    aim = f"aimed at {experiment.proposal.weakest}, which is pinned worst now"
+    if experiment.proposal.pinned == experiment.proposal.present:
+        return (
+            f"{aim}: no experiment that promises more bore its rehearsal, so the sequence is proposed as it is; "
+            "another --seed tries others"
+        )
+    return f"{aim}; where another parameter comes out wider, run both and identify them together"
 
 
 def write(folder: Path, experiment: Experiment, bench: str, json_file: Path | None) -> Path:

@@ -2,12 +2,18 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 import yaml
 
 from identification.design import propose, search
+from identification.design.pinning import Pinned
+from identification.design.propose import Proposal
 from rig.cli import status
+from rig.experiment import Experiment
+from rig.experiment_output import _advice
 
 SEQUENCE = """\
 sequence: 1
@@ -74,3 +80,10 @@ def test_a_nominal_that_cannot_be_used(
     arguments = ["identify", "--plan", str(sequence), "--nominal", str(path), "--out", str(tmp_path / "o")]
     assert status(arguments) == 2
     assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("tighter", "words"), [(0.5, "run both"), (1.0, "the sequence is proposed as it is")])
+def test_a_proposal_that_is_the_sequence_itself_is_told(tighter: float, words: str) -> None:
+    now, then = Pinned({"omega_sL": 0.01}), Pinned({"omega_sL": 0.01 * tighter})
+    proposal = Proposal("omega_sL", now, (), then, then, judged=3, rehearsed=2)
+    assert words in _advice(cast(Experiment, SimpleNamespace(proposal=proposal)))
