@@ -227,9 +227,9 @@ def test_a_shaft_that_sticks_and_slips_says_nothing(monkeypatch: pytest.MonkeyPa
     slow = PlannedStage(command(3.0, 0.2, 10.0), 30.6)
     assert stage_information(slow, nominal()) is NOTHING
     monkeypatch.setattr(pinning, "STRAY_STRETCHES", 1000)
-    assert stage_information(slow, nominal()) is NOTHING  # as values other than those simulated are likelier by far
-    monkeypatch.setattr(pinning, "LIKELY", 1.0)
     assert stage_information(slow, nominal()) is not NOTHING
+    monkeypatch.setattr(pinning, "LIKELY", 0.0)
+    assert stage_information(slow, nominal()) is NOTHING  # as if other values than those simulated were likelier by far
 
 
 def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_two() -> None:
