@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identification.diagnosis.contest import broken
 from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.view import View, views
@@ -65,11 +66,33 @@ def or_raised(here: Sequence[View], unit: str, first: Joint, start: Nominal, fix
     """
     if _squares(first) < NEAR_FLOOR:
         return first
-    speed = np.concatenate([np.abs(v.low_pass(v.velocity))[v.moving] for v in here])
-    low, high = np.quantile(speed, FALLING)
-    raised = [start.raised(float(omega), fixed) for omega in np.geomspace(low, high, FALLS)]
+    raised = [start.raised(omega, fixed) for omega in _falls(here)]
     other = min((fit(here, unit, r, first.effects, first) for r in raised), key=_squares)
     return other if _squares(other) < WORTH_RAISING * _squares(first) else first
+
+
+def or_kept(here: Sequence[View], unit: str, first: Joint) -> Joint:
+    """Return a fit, or one begun anew from a supposed fall of friction whose constants keep what the first's do not.
+
+    A rise under load that falls to nothing on the way, where hardly any row is slow enough to tell, never comes back.
+
+    Args:
+        here: Recordings.
+        unit: Of the torque.
+        first: The fit; where its constants keep what it promises nothing else is tried.
+    """
+    if not broken(first):
+        return first
+    held = first.nominal.values.keys() - set(first.nominal.free)
+    again = fit(here, unit, first.nominal.raised(_falls(here)[FALLS // 2], held), first.effects, first)
+    return first if broken(again) else again
+
+
+def _falls(here: Sequence[View]) -> list[float]:
+    """Return speeds that friction is tried to fall by, rad/s."""
+    speed = np.concatenate([np.abs(v.low_pass(v.velocity))[v.moving] for v in here])
+    low, high = np.quantile(speed, FALLING)
+    return [float(omega) for omega in np.geomspace(low, high, FALLS)]
 
 
 def _squares(joint: Joint) -> float:

@@ -14,9 +14,10 @@ from identification.diagnosis.equations import Equation
 from identification.diagnosis.generic import LINEAR_UNITS
 from identification.diagnosis.joint import estimates
 from identification.diagnosis.locate import location, maps, placed
+from identification.diagnosis.one_way import one_way
 from identification.diagnosis.result import Effect, Estimate, Location, Map, Rival, Verdict
 from identification.diagnosis.search import LEVEL, Search
-from identification.diagnosis.wording import finding
+from identification.diagnosis.wording import finding, title
 from identification.recording import Bench
 
 REJECTED = 1.645
@@ -73,16 +74,20 @@ def judged(found: Search, rng: np.random.Generator) -> tuple[Verdict, Location |
     # A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: e.before * _rows(found, e.equation))
-    if not found.final.effects or (worst.explained < ADEQUATE and worst.after > NEAR_FLOOR):
+    short = worst.explained < ADEQUATE and worst.after > NEAR_FLOOR
+    if not found.final.effects or short or one_way(found.final):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open(r) for r in found.rounds)
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
 
 
 def too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
-    """Say what effects of the catalogue explain a part of a mismatch that has no name."""
+    """Say what effects of the catalogue explain a part of a mismatch that has no name, or one way of motion only."""
     if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
         return ()
+    lopsided = one_way(found.final)
+    if lopsided:
+        return tuple(f"{title(n)} would explain it, were it not another one way than the other" for n in lopsided)
     share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
     words = "; and ".join(e.statement for e in effects_of(found, verdict))
     return (f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be explained if {words}",)

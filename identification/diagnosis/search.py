@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 from scipy import stats
 
-from identification.diagnosis.begin import or_raised
+from identification.diagnosis.begin import or_kept, or_raised
 from identification.diagnosis.contest import Contender, Round, again, broken, implausible, numbers, preference, simplest
 from identification.diagnosis.crossing import told_apart
 from identification.diagnosis.further import groups
@@ -153,7 +153,8 @@ def _contest(
         tried = fit(views, unit, joint.nominal, (*joint.effects, added), baseline)
         # What is built from the fall of friction may have hidden it from the nominal fit.
         lost = added.term.follows and tried.nominal.flat
-        fitted.append(or_raised(views, unit, tried, joint.nominal, fixed) if lost else tried)
+        tried = or_raised(views, unit, tried, joint.nominal, fixed) if lost else tried
+        fitted.append(or_kept(views, unit, tried))
     beyond = [implausible(f) for f in fitted]
     ranked = sorted(range(len(fitted)), key=lambda k: fitted[k].cost + 2.0 * finalists[k].penalty)
     order = [k for k in ranked if not beyond[k]]

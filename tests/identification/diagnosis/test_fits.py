@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.diagnosis.begin import or_kept
 from identification.diagnosis.contest import broken
 from identification.diagnosis.equations import equations, noise, without_tones
 from identification.diagnosis.joint import Added, Joint, fit
@@ -112,7 +113,24 @@ def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
     values = {**joint.nominal.values, "Mc": joint.nominal.values["Ms"]}
     flat = replace(joint.nominal, values=values)
     rows = equations(joint.equations[0].views, flat, "N m", joint.equations)
-    assert broken(replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack)))
+    unkept = replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack))
+    assert broken(unkept)
+    assert broken(replace(unkept, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),)))
+    assert not broken(replace(unkept, effects=(Added(TERM["compliance"], (), (0.0,)),))), "encoders alone see it"
+
+
+def test_a_fall_that_ran_off_is_supposed_anew() -> None:
+    """Friction of the system ends at its limit, by a speed that no step of the fit leaves."""
+    joint = nominal_fit(honest())
+    here = joint.equations[0].views
+    values = {**joint.nominal.values, "omega_sf": 0.02, "omega_sL": 0.02}
+    values |= {"Ms": values["Mc"], "mu_s": values["mu_c"]}
+    lost = fit(here, "N m", replace(joint.nominal, values=values), (), joint)
+    assert broken(lost)
+    found = or_kept(here, "N m", lost)
+    assert not broken(found)
+    assert found.nominal.values["Ms"] == pytest.approx(joint.nominal.values["Ms"], rel=0.02)
+    assert or_kept(here, "N m", joint) is joint
 
 
 def test_a_tone_is_no_noise() -> None:
