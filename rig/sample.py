@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import NamedTuple
 
 
@@ -51,24 +50,3 @@ class Sample(NamedTuple):
     segment: int
     fresh: bool
     pressure: float = math.nan
-
-
-UNITS: Mapping[str, str] = {
-    "time": "s",
-    "host_time": "s",
-    "device_time": "s",
-    "encoder_time": "s",
-    "command": "rad",
-    "motor_angle": "rad",
-    "angle": "rad",
-    "velocity": "rad/s",
-    "current": "A",
-    "voltage": "V",
-    "supply_voltage": "V",
-    "temperature": "deg C",
-    "following_error": "rad",
-    "statusword": "1",
-    "segment": "1",
-    "fresh": "1",
-    "pressure": "Pa",
-}

@@ -6,7 +6,7 @@ Recordings set aside (role ``validate``) are touched once, at the end.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
 
 import numpy as np
@@ -93,11 +93,10 @@ def diagnose(
     verdict, where, drawn = judged(found, chance)
     effects = effects_of(found, verdict) if verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
     scored = found.final if effects else baseline
-    fits = _fits(found.baseline, scored, aside, unit, bandwidth)
+    fits = _fits(baseline, scored, aside, unit, bandwidth)
     main = next((f for f in fits if drawn and f.equation == drawn[0].equation), fits[0])
-    units = units_of([prepare(fitted[0], bandwidth)])
     unseen = taken_up(baseline, terms)
-    traces = _traces(found.baseline, scored)
+    traces = _traces(baseline, scored)
     alarm = verdict is not Verdict.NOTHING_MISSING
     places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()), *too_little(found, verdict))
     return Diagnosis(
@@ -107,14 +106,7 @@ def diagnose(
         fit=main,
         fits=fits,
         parameters=dict(scored.nominal.values),
-        parameter_shift={
-            name: Shift(
-                float(value) if pinned(baseline, name) else None,
-                float(scored.nominal.values[name]) if pinned(scored, name) else None,
-                units[name],
-            )
-            for name, value in baseline.nominal.values.items()
-        },
+        parameter_shift=_shifts(baseline, scored, units_of([prepare(fitted[0], bandwidth)])),
         p_value=found.p_value,
         location=where,
         curve=curve(drawn) if verdict is Verdict.OUTSIDE_CATALOGUE else None,
@@ -130,6 +122,15 @@ def diagnose(
 def _slides(bench: Bench) -> bool:
     """Whether a linear bench is described without the motor that turns behind it."""
     return bench.motion == "linear" and bench.gear_ratio == 1.0
+
+
+def _shifts(baseline: Joint, final: Joint, units: Mapping[str, str]) -> dict[str, Shift]:
+    """Return each nominal parameter before and after, as far as the recordings pin it."""
+
+    def value(joint: Joint, name: str) -> float | None:
+        return float(joint.nominal.values[name]) if pinned(joint, name) else None
+
+    return {name: Shift(value(baseline, name), value(final, name), units[name]) for name in baseline.nominal.values}
 
 
 def _fits(baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float) -> tuple[Fit, ...]:

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from identification.contact_force import contact_moment
@@ -204,13 +205,7 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
         unsteady |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
     late = widened(irregular(recording.time, grid), margin)
-    ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
     rest = _since(grid, ~still)
-    # What moves against the torque as a rest ends has not broken away: a count flickers, or the shaft springs back.
-    pushed = np.sign(drive + known)
-    long_enough = [
-        k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]
-    ]
     reversal = _since(grid, turned)
     motor = _motor(recording, grid, angle)
     return View(
@@ -241,8 +236,17 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         low_pass=low_pass,
         moving=without_rare(low_pass, widened(stopped | unsteady, margin), late),
         unsteady=without_rare(low_pass, widened(stopped, margin), late),
-        breakaways=np.array(long_enough, dtype=np.int64),
+        breakaways=_breakaways(still, rest, drive + known, sense),
     )
+
+
+def _breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
+    """Return the samples at which rests end in breakaways, shape (e,)."""
+    ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
+    # What moves against the torque as a rest ends has not broken away: a count flickers, or the shaft springs back.
+    pushed = np.sign(torque)
+    kept = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]]
+    return np.array(kept, dtype=np.int64)
 
 
 class _Quick(NamedTuple):

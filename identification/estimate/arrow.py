@@ -15,6 +15,29 @@ from identification.recording import Array
 
 
 @dataclass(frozen=True)
+class Eliminated:
+    """Normal equations of least squares without the breakaway times; p parameters, m stretches.
+
+    Attributes:
+        matrix: Schur complement of the breakaway times, shape (p, p).
+        scores: Each stretch's gradient of half the squares, shape (m, p).
+        cross: Of the whole normal matrix, each breakaway time's row in the parameters, shape (m, p).
+        pull: Its gradient in each breakaway time, shape (m,).
+        held: Its diagonal there; infinite where a stretch says nothing of its own, which then stays, shape (m,).
+    """
+
+    matrix: Array
+    scores: Array
+    cross: Array
+    pull: Array
+    held: Array
+
+    def times(self, step: Array) -> Array:
+        """Return the Newton step of the breakaway times beside a step of the parameters, shape (m,)."""
+        return -(self.pull + self.cross @ step) / self.held
+
+
+@dataclass(frozen=True)
 class Arrow:
     """Slopes in p parameters and in the breakaway times of m stretches; as a matrix of shape (r, p + m).
 
@@ -53,6 +76,20 @@ class Arrow:
         p = self.parameters.shape[1]
         own = self.own if directions.ndim == 1 else self.own[:, None]
         return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
+
+    def eliminated(self, residual: Array, weight: Array) -> Eliminated:
+        """Return the normal equations of weighted residuals of shape (r,) with the breakaway times eliminated.
+
+        They cost one pass over the rows. Those of several recordings add up to those of all of them.
+        """
+        p = self.parameters.shape[1]
+        whole = self.product(weight)
+        cross, own = whole[p:, :p], np.diag(whole)[p:]
+        pull = np.asarray(np.bincount(self.owners, self.own * weight * residual, self.stretches), dtype=np.float64)
+        held = np.where(own > 0.0, own, np.inf)
+        share = cross / held[:, None]
+        scores = self._by_stretch(weight * residual, self.parameters) - share * pull[:, None]
+        return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def scaled(self, weight: Array) -> Arrow:
         """Return this with every row multiplied by its weight."""

@@ -1,9 +1,4 @@
-"""What recordings say about the parameters once every breakaway time has been eliminated: the reduced normal equations.
-
-No stretch of motion sees another's breakaway time, so the normal matrix is an arrow: parameters, and beside them one
-row and column per stretch. Its Schur complement costs one pass over the residuals and holds p numbers squared, whatever
-the length of the recording; sums of it over pieces of a recording are that of the whole.
-"""
+"""One piece of a recording: its breakaway times settled, then eliminated from what it says about the parameters."""
 
 from __future__ import annotations
 
@@ -11,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.levenberg import huber
+from identification.estimate.levenberg import huber, huber_weight
 from identification.estimate.prediction_problem import Problem
 from identification.recording import Array
 
@@ -22,28 +17,21 @@ LONGEST_STEP_MS = 2.0
 
 @dataclass(frozen=True)
 class Reduced:
-    """Breakaway times eliminated, stretch by stretch; p parameters, m stretches.
+    """One piece with its breakaway times eliminated; p parameters, m stretches.
 
     Attributes:
-        normals: Each stretch's Fisher information of the residuals (unit variance), shape (m, p, p).
-        scores: Each one's gradient of half the squared residuals, shape (m, p).
+        normal: Fisher information of the residuals (unit variance), shape (p, p).
+        scores: Each stretch's gradient of half the squared residuals, shape (m, p).
         squares: Sum of squared residuals.
         neighbours: Sum of products of neighbouring residuals.
         count: Residuals.
-        peak: Greatest residual.
     """
 
-    normals: Array
+    normal: Array
     scores: Array
     squares: float
     neighbours: float
     count: int
-    peak: float
-
-    @property
-    def rms(self) -> float:
-        """Of the residuals."""
-        return float(np.sqrt(self.squares / self.count))
 
 
 def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) -> None:
@@ -62,7 +50,7 @@ def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) 
         there = x.copy()
         there[count:] += 1e-3
         along = (problem.residuals(there) - residual) / 1e-3
-        weight = np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300))
+        weight = huber_weight(residual, threshold)
         own = np.bincount(owners, weight * along * along, m)
         step = -np.bincount(owners, weight * along * residual, m) / np.where(own > 0.0, own, np.inf)
         trial = x.copy()
@@ -87,26 +75,12 @@ def reduce(problem: Problem, threshold: float = np.inf) -> Reduced:
     problem.weigh()
     x = problem.origin()
     residual = problem.residuals(x)
-    slope, along = problem.slopes(x, residual)
-    weight = np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300))
-    owners, m, p = problem.owners, problem.breakaways, slope.shape[1]
-    weighted = slope * weight[:, None]
-    cross = np.column_stack([np.bincount(owners, column * along, m) for column in weighted.T])
-    own = np.bincount(owners, weight * along * along, m)
-    pull = np.bincount(owners, weight * along * residual, m)
-    score = np.column_stack([np.bincount(owners, column * residual, m) for column in weighted.T])
-    held = np.where(own > 0.0, own, np.inf)
-    normals = np.empty((m, p, p))
-    for k in range(p):
-        for j in range(k, p):
-            share = np.bincount(owners, weighted[:, k] * slope[:, j], m)
-            normals[:, k, j] = normals[:, j, k] = share - cross[:, k] * cross[:, j] / held
-    inside = residual[: len(residual) - m]
+    found = problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))
+    inside = residual[: len(residual) - problem.breakaways]
     return Reduced(
-        normals=normals,
-        scores=score - cross * (pull / held)[:, None],
+        normal=found.matrix,
+        scores=found.scores,
         squares=float(inside @ inside),
         neighbours=float(inside[1:] @ inside[:-1]),
         count=len(inside),
-        peak=float(np.max(np.abs(inside))),
     )

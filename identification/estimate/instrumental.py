@@ -17,6 +17,7 @@ from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
+from identification.estimate.levenberg import huber_weight
 from identification.estimate.noise_level import CLIP, likeliest_noise
 from identification.estimate.prediction_problem import LOGARITHMIC, Problem
 from identification.recording import Array
@@ -64,11 +65,6 @@ def solve(problem: Problem) -> Array:
     return problem.residuals(problem.origin())
 
 
-def _weight(residual: Array) -> Array:
-    """Return Huber's weights (Ann. Math. Statist. 35 (1964) 73)."""
-    return np.asarray(np.minimum(1.0, CLIP / np.maximum(np.abs(residual), 1e-300)))
-
-
 def _round(problem: Problem) -> Array:
     """Solve for fixed instruments by chord steps; keep the result; return the parameters' standard deviations."""
     problem.weigh()
@@ -77,18 +73,18 @@ def _round(problem: Problem) -> Array:
     jacobian = problem.jacobian(x, residual)
     z = instruments(problem, jacobian)
     count = len(problem.free)
-    bread = np.linalg.inv(z.product(_weight(residual), jacobian))
+    bread = np.linalg.inv(z.product(huber_weight(residual, CLIP), jacobian))
     power = z.product()
     metric = np.linalg.pinv(power, hermitian=True)
     deviation = np.sqrt(np.diag(bread @ power @ bread.T))[:count]
-    score = z.back(residual * _weight(residual))
+    score = z.back(residual * huber_weight(residual, CLIP))
     for _ in range(_CHORDS):
         step = -bread @ score
         logs = [abs(s) for s, k in zip(step, problem.free, strict=False) if k in LOGARITHMIC]
         share = min(1.0, _LONGEST_LOG / max([*logs, 1e-9]), _LONGEST_SHIFT / float(np.max(np.abs(step[count:]))))
         for _ in range(_HALVINGS):
             there = problem.residuals(x + share * step)
-            then = z.back(there * _weight(there))
+            then = z.back(there * huber_weight(there, CLIP))
             if then @ metric @ then < score @ metric @ score:
                 break
             share *= 0.5
@@ -107,7 +103,7 @@ def defect(problem: Problem) -> float:
     x = problem.origin()
     residual = problem.residuals(x)
     z = instruments(problem, problem.jacobian(x, residual))
-    score = z.back(residual * _weight(residual))
+    score = z.back(residual * huber_weight(residual, CLIP))
     return float(score @ np.linalg.pinv(z.product(), hermitian=True) @ score)
 
 
@@ -159,14 +155,14 @@ def _inertia_step(problem: Problem) -> tuple[float, float]:
     residual = problem.residuals(x)
     jacobian = problem.jacobian(x, residual)
     influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, residual)
-    return -float(influence @ (residual * _weight(residual))), float(np.linalg.norm(influence))
+    return -float(influence @ (residual * huber_weight(residual, CLIP))), float(np.linalg.norm(influence))
 
 
 def influence_on_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Array:
     """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
     j = problem.free.index(kernel.INERTIA)
     alone = z.along(_mixture(z, j))
-    return np.asarray(alone / float(alone @ (jacobian.parameters[:, j] * _weight(residual))))
+    return np.asarray(alone / float(alone @ (jacobian.parameters[:, j] * huber_weight(residual, CLIP))))
 
 
 def _mixture(z: Arrow, j: int) -> Array:
@@ -224,7 +220,7 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
     :data:`_PRIOR` stretch that scatters as it should. It may be below one: the drive's loop takes a part of the
     current's noise out again, and what errs at the beginning of a stretch is made good by its end.
     """
-    weight = _weight(residual)
+    weight = huber_weight(residual, CLIP)
     normal = jacobian.product(weight)
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0
@@ -247,7 +243,7 @@ def _scatter_of_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: A
     Ann. Math. Statist. 19 (1948) 293).
     """
     j = problem.free.index(kernel.INERTIA)
-    weighted = residual * _weight(residual)
+    weighted = residual * huber_weight(residual, CLIP)
     mixed = _mixture(z, j)
     first = z.along(mixed) * weighted
     columns = np.zeros_like(jacobian.parameters)

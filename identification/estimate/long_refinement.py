@@ -69,7 +69,7 @@ def refine_pieces(
             found.append(reduce(problem, CLIP))
             evaluations += problem.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
-        normal = np.sum([r.normals.sum(axis=0) for r in found], axis=0)
+        normal = np.sum([r.normal for r in found], axis=0)
         gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
         step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
         x = problem.origin()
@@ -96,7 +96,7 @@ def refine_pieces(
 
 def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> tuple[Array, Array]:
     """Return the covariance of the named parameters, the larger of information's and sandwich's, and its bound."""
-    normal = np.sum([r.normals.sum(axis=0) for r in found], axis=0)
+    normal = np.sum([r.normal for r in found], axis=0)
     scores = np.concatenate([r.scores for r in found])
     scale = np.sqrt(np.diag(normal))
     scale[scale == 0.0] = 1.0

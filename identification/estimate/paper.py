@@ -30,7 +30,7 @@ from identification.estimate.result import (
 from identification.model.friction import system_friction
 from identification.model.ladder import NOMINAL
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
-from identification.recording import Array, Dataset, RecordingError
+from identification.recording import Array, Dataset, Model, RecordingError
 
 TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
 """Fitness at which the search stops early, N m (Sec. 4.2.1, 4.2.2)."""
@@ -78,15 +78,7 @@ def identify_paper(
         bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
     prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
     alpha = dataset.model.alpha
-    warnings: list[str] = []
-    if dataset.model.friction != NOMINAL:
-        raise RecordingError(
-            f"the paper's method knows the {NOMINAL} friction only; use the default method for {dataset.model.friction}"
-        )
-    if dataset.model.terms:
-        warnings.append(
-            f"the paper's method has no term for {', '.join(dataset.model.terms)}; use the default method to fit it"
-        )
+    warnings = _left_out(dataset.model)
     search = _Search(dataset, generations, rng, progress)
     known: dict[str, float] = {}
     parameters: dict[str, Parameter] = {}
@@ -113,11 +105,26 @@ def identify_paper(
         fit=fit_of(fitted, known, alpha, validate),
         stages=tuple(stages),
         fitted=dict(known),
-        warnings=tuple(warnings),
+        warnings=warnings,
         traces=tuple(trace_of(p, known, alpha) for p in prepared),
         fits_by_recording={p.recording.name: fit_of([p], known, alpha) for p in prepared},
         evaluations=sum(s.evaluations for s in stages),
     )
+
+
+def _left_out(model: Model) -> tuple[str, ...]:
+    """Say which declared terms the paper's method has not.
+
+    Raises:
+        RecordingError: Another friction is declared than the paper's.
+    """
+    if model.friction != NOMINAL:
+        raise RecordingError(
+            f"the paper's method knows the {NOMINAL} friction only; use the default method for {model.friction}"
+        )
+    if not model.terms:
+        return ()
+    return (f"the paper's method has no term for {', '.join(model.terms)}; use the default method to fit it",)
 
 
 @dataclass(frozen=True)

@@ -294,15 +294,11 @@ def refine_stages(
     joint = Problem(motions, vector, free, model, noise)
     joint.begins, joint.angle_noise = begins, first.angle_noise
     residual = beside_inertia(joint, refine)
-    found = covariances(joint)
     names = tuple(n for n, k in INDEX.items() if k in free)
-    order = [free.index(INDEX[n]) for n in names]
-    turn = rise_to_static(names)
-    achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
+    achieved, floor = _named_covariances(joint, names)
     inside = residual[: len(residual) - joint.breakaways]
-    values = {**start, **unpack(joint.start, [n for n in INDEX if n in start])}
     return Refined(
-        values=values,
+        values={**start, **unpack(joint.start, [n for n in INDEX if n in start])},
         covariance=achieved,
         floor=floor,
         names=names,
@@ -318,6 +314,14 @@ def refine_stages(
         joint=joint,
         starts=tuple(starts),
     )
+
+
+def _named_covariances(joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return the covariance achieved and the least possible in the order of ``names``, by static limits, (p, p)."""
+    found, order = covariances(joint), [joint.free.index(INDEX[n]) for n in names]
+    turn = rise_to_static(names)
+    achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
+    return achieved, floor
 
 
 def rise_to_static(names: Sequence[str]) -> Array:

@@ -170,17 +170,10 @@ class Problem:
         errors, _ = self.predictions(x)
         return np.asarray(errors / np.concatenate([self._deviation, np.full(self.breakaways, self.noise)]))
 
-    def slopes(self, x: Array, here: Array) -> tuple[Array, Array]:
-        """Return d residuals / d parameters, shape (r, p), and each one's slope in its own breakaway time, shape (r,).
-
-        By differences from ``here``, the residuals at ``x``.
-        """
-        parameters, times = self._differences(x, lambda there: (self.residuals(there) - here)[None])
-        return parameters[0], times[0]
-
     def jacobian(self, x: Array, here: Array) -> Arrow:
         """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""
-        return self._arrow(*self.slopes(x, here))
+        parameters, times = self._differences(x, lambda there: (self.residuals(there) - here)[None])
+        return self._arrow(parameters[0], times[0])
 
     def _differences(self, x: Array, change: Callable[[Array], Array]) -> tuple[Array, Array]:
         """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in the breakaway times.

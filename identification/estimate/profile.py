@@ -13,12 +13,12 @@ likelihood, since the estimate is not where one is greatest (:mod:`identificatio
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
 
 from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Eliminated
 from identification.estimate.instrumental import influence_on_inertia
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_cost, huber_weight
@@ -38,20 +38,6 @@ _GAIN = 0.003
 _ROUNDS = 6
 _HALVINGS = 4
 _DEGREE = 4
-
-
-@dataclass(frozen=True)
-class _Normal:
-    """Normal equations at one point, breakaway times eliminated; p parameters, m stretches.
-
-    ``cross``, ``pull`` and ``held`` (shape (m, p), (m,), (m,)) give the breakaway times' step back.
-    """
-
-    matrix: Array
-    gradient: Array
-    cross: Array
-    pull: Array
-    held: Array
 
 
 class _Criterion:
@@ -79,21 +65,14 @@ class _Criterion:
     def _shift(self, x: Array) -> float:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
-    def normal(self, x: Array, residual: Array) -> _Normal:
-        slope, along = self.problem.slopes(x, residual)
-        owners, m = self.problem.owners, self.problem.breakaways
-        weight = huber_weight(residual, CLIP)
-        weighted = slope * weight[:, None]
-        cross: Array = np.column_stack([np.bincount(owners, column * along, m) for column in weighted.T])
-        own = np.bincount(owners, weight * along * along, m)
-        pull = np.asarray(np.bincount(owners, weight * along * residual, m), dtype=np.float64)
-        held = np.where(own > 0.0, own, np.inf)
-        matrix = weighted.T @ slope - cross.T @ (cross / held[:, None])
-        gradient = weighted.T @ residual - cross.T @ (pull / held)
+    def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
+        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that of the cost alone."""
+        cost = self.problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, CLIP))
+        matrix, gradient = cost.matrix.copy(), cost.scores.sum(axis=0)
         if self.inertia is not None:
             matrix[self.inertia, self.inertia] += self.curve.deriv(2)(self._shift(x))
             gradient[self.inertia] += self.curve.deriv(1)(self._shift(x))
-        return _Normal(matrix, gradient, cross, pull, held)
+        return matrix, gradient, cost
 
     def descend(self, x: Array, along: Array) -> tuple[Array, Array, float]:
         """Minimise from ``x`` with ``along`` @ parameters held; return the point, its residuals and its value.
@@ -103,13 +82,13 @@ class _Criterion:
         residual = self.problem.residuals(x)
         value = self.value(x, residual)
         for _ in range(_ROUNDS):
-            here = self.normal(x, residual)
-            step = _held_step(here, along)
-            times = -(here.pull + here.cross @ step) / here.held
-            if 0.5 * float(here.pull @ (here.pull / here.held) - here.gradient @ step) < _GAIN:
+            matrix, gradient, cost = self.normal(x, residual)
+            step = _held_step(matrix, gradient, along)
+            if 0.5 * float(cost.pull @ (cost.pull / cost.held) - gradient @ step) < _GAIN:
                 break
+            whole = np.concatenate([step, cost.times(step)])
             for k in range(_HALVINGS):
-                there = x + 0.5**k * np.concatenate([step, times])
+                there = x + 0.5**k * whole
                 tried = self.problem.residuals(there)
                 least = self.value(there, tried)
                 if least < value:
@@ -139,7 +118,7 @@ def profiles(
     found: dict[str, tuple[Array, Array, float]] = {}
     if "J" in names:
         found["J"] = (*_inertia(criterion, directions["J"], deviations["J"] / refined.values["J"]), 1.0)
-    start = criterion.normal(criterion.x, criterion.residual).matrix
+    start, _, _ = criterion.normal(criterion.x, criterion.residual)
     for k, name in enumerate(names):
         if name not in found:
             sigma = deviations[name] / (refined.values[name] if name in logarithmic else 1.0)
@@ -219,7 +198,7 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
     problem, x = criterion.problem, criterion.x
     jacobian = problem.jacobian(x, criterion.residual)
     influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, criterion.residual)
-    shape = _tangent(criterion.normal(x, criterion.residual).matrix, along)
+    shape = _tangent(criterion.normal(x, criterion.residual)[0], along)
 
     def equation(residual: Array) -> float:
         return float(influence @ (residual * huber_weight(residual, CLIP)))
@@ -251,11 +230,11 @@ def _tangent(normal: Array, along: Array) -> Array:
     return np.asarray(follow / (along @ follow))
 
 
-def _held_step(here: _Normal, along: Array) -> Array:
+def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
     """Return the Newton step that leaves ``along`` @ parameters as it is."""
-    inverse = _inverse(here.matrix)
+    inverse = _inverse(matrix)
     back = inverse @ along
-    free = inverse @ here.gradient
+    free = inverse @ gradient
     held = float(along @ back)
     return np.asarray((back * ((along @ free) / held) if held > 0.0 else 0.0) - free)
 

@@ -18,7 +18,6 @@ BODY_SIZE = 15
 # Loop: output = clip(position_gain (command - angle) - velocity_gain speed, limit), times the signal `scale`, plus
 # `added`; torque = per_output output - damping speed.
 POSITION_GAIN, VELOCITY_GAIN, LIMIT, PER_OUTPUT, DAMPING = range(5)
-LOOP_SIZE = 5
 
 _ITERATIONS = 20
 _EXACT = 1e-12

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from identification.recording import Recording
+from identification.estimate.default import identify
+from identification.estimate.result import Identification
+from identification.recording import Dataset, Recording
 
 from .practical import logged, simulated
 
@@ -13,3 +15,9 @@ from .practical import logged, simulated
 def practical_pair() -> tuple[Recording, Recording]:
     """The two cases on the practical bench, as logged."""
     return logged(simulated(0, 0.0), 0.0), logged(simulated(10, 30.6), 30.6)
+
+
+@pytest.fixture(scope="session")
+def practical_result(practical_pair: tuple[Recording, Recording]) -> Identification:
+    """Both identified by the default method."""
+    return identify(Dataset(practical_pair))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from identification.estimate.arrow import Arrow
@@ -30,6 +30,27 @@ def test_products_are_those_of_the_dense_matrix(seed: int, rows: int, parameters
     assert one.along(direction) == pytest.approx(dense @ direction)
     assert one.along(direction[:, 0]) == pytest.approx(dense @ direction[:, 0])
     assert one.mixed(weight, other).dense() == pytest.approx(weight[:, None] * dense + (1.0 - weight)[:, None] * there)
+
+
+@given(st.integers(0, 1000), st.integers(5, 40), st.integers(1, 4), st.integers(1, 4))
+def test_a_newton_step_without_the_breakaway_times_is_that_of_the_whole(
+    seed: int, rows: int, parameters: int, stretches: int
+) -> None:
+    one = arrow(seed, rows, parameters, stretches)
+    rng = np.random.default_rng(seed + 1)
+    weight, residual = rng.uniform(0.1, 1.0, rows), rng.normal(size=rows)
+    found = one.eliminated(residual, weight)
+    silent = np.setdiff1d(np.arange(stretches), one.owners)
+    whole, gradient = one.product(weight), one.back(weight * residual)
+    whole[parameters + silent, parameters + silent] = 1.0
+    inverse = np.linalg.pinv(whole, hermitian=True)
+    assume(np.linalg.cond(whole) < 1e8)
+    assert np.linalg.inv(found.matrix) == pytest.approx(inverse[:parameters, :parameters])
+    step = -np.linalg.solve(found.matrix, found.scores.sum(axis=0))
+    assert np.concatenate([step, found.times(step)]) == pytest.approx(-inverse @ gradient)
+    for k in range(stretches):
+        alone = one.eliminated(residual, weight * (one.owners == k))
+        assert alone.scores[k] == pytest.approx(found.scores[k])
 
 
 def test_a_parameter_is_left_out() -> None:

@@ -2,12 +2,15 @@
 
 import json
 import os
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from identification.estimate.paper import identify_paper
 from rig.cli import status
+from rig.identify import METHODS
 
 RATE = 200.0
 CAMPAIGN = """\
@@ -39,6 +42,12 @@ def campaign(tmp_path: Path) -> Path:
     path = tmp_path / "bench.yaml"
     path.write_text(CAMPAIGN)
     return path
+
+
+@pytest.fixture
+def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paper's method in a few generations, for what does not hang on how good its values are."""
+    monkeypatch.setitem(METHODS, "paper", partial(identify_paper, generations=30))
 
 
 def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,6 +106,7 @@ def test_compare_refuses_what_not_every_search_has(
     assert "remove model.fixed and model.terms (J)" in capsys.readouterr().err
 
 
+@pytest.mark.usefixtures("short_search")
 def test_same_seed_same_record(campaign: Path, tmp_path: Path) -> None:
     records = []
     for name in ("one", "two"):
@@ -108,6 +118,7 @@ def test_same_seed_same_record(campaign: Path, tmp_path: Path) -> None:
     assert records[0]["seed"] == 4
 
 
+@pytest.mark.usefixtures("short_search")
 def test_the_default_folder_is_named_after_the_campaign(
     campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,6 +163,7 @@ def test_places_are_judged_before_the_work(campaign: Path, tmp_path: Path, capsy
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("short_search")
 def test_ctrl_c_while_writing_keeps_what_was_whole(
     campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -170,6 +182,7 @@ def test_ctrl_c_while_writing_keeps_what_was_whole(
     assert not list((tmp_path / "out").glob(".*"))
 
 
+@pytest.mark.usefixtures("short_search")
 def test_corrections_are_told(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for name in ("free.csv", "heavy.csv"):
         lines = (tmp_path / name).read_text().splitlines()

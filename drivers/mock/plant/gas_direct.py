@@ -20,7 +20,6 @@ class Burn(NamedTuple):
 
     pressure_Pa: Array
     throat_m2: Array
-    impacted_m2: Array
     contact_force_N: Array
     free_volume_m3: Array
     stored_kg: Array
@@ -51,7 +50,6 @@ def burn(
     return Burn(
         out[:, PRESSURE],
         out[:, THROAT],
-        impacted_area(machine, angle_rad),
         out[:, FORCE],
         out[:, VOLUME],
         out[:, MASS],
