@@ -129,7 +129,7 @@ def _has_weight(view: View) -> bool:
 def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
     if computed(view.recording):
         return rows(too_early(view, -shape[0]))
-    torque = nominal.torque(view) - view.known
+    torque = nominal.drive(view)
     return rows(delayed(torque, view.step, shape[0]) - torque)
 
 
