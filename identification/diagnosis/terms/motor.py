@@ -285,5 +285,6 @@ TERMS = (
         _with_current(((0.5 * ZEROED_S[1],),)),
         refine={0: 0.5 * ZEROED_S[1]},
         limits={0: ZEROED_S},
+        exact=True,
     ),
 )
