@@ -10,7 +10,7 @@ import pytest
 from identification.diagnosis.further import groups
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import alike, left_beyond_noise
-from identification.diagnosis.search import screened
+from identification.diagnosis.search import excess, screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
@@ -64,6 +64,15 @@ def test_the_effect_that_explains_its_own_equation_is_tried_first(gap: Joint) ->
 def test_where_nothing_is_missing_nothing_is_tried(gap: Joint) -> None:
     tried = groups(gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
     assert {c.name for group in tried for c in group} <= {"encoder_eccentricity", "encoder_slip"}
+
+
+def test_what_shows_at_breakaways_alone_is_judged_by_them_and_nothing_else_is(gap: Joint) -> None:
+    asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
+    dwell = replace(asymmetry, name="dwell_static_friction")
+    rests = replace(gap, equations=(*gap.equations, replace(gap.equations[0], name="breakaway")))
+    tried = [c.name for g in groups(rests, BY_NAME, [asymmetry, dwell], lambda name: name == "breakaway") for c in g]
+    assert tried == ["dwell_static_friction"]
+    assert excess(rests, "breakaway") == 1.0, "their size says nothing"
 
 
 @pytest.mark.parametrize("name", ["cogging", "transport_delay", "gear_mesh_ripple"])
