@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from identification.diagnosis.joint import Joint
-from identification.diagnosis.kept import FURTHER_SHARE, left_beyond_noise
+from identification.diagnosis.kept import FURTHER_SHARE, judging, left_beyond_noise
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import Term
 
@@ -37,8 +37,8 @@ def groups(
     if not joint.effects:
         yield _finalists(ranked)
         return
-    seen = {name for name in (e.name for e in joint.equations) if name != "breakaway" and missing(name)}
-    shown = [c for c in ranked if seen & terms[c.name].columns.keys()]
+    seen = {e.name for e in joint.equations if missing(e.name)}
+    shown = [c for c in ranked if any(name in seen for name in judging(joint, terms[c.name]))]
     telling = [c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])]
     first = _finalists(telling)
     yield first

@@ -133,14 +133,19 @@ def left_beyond_noise(joint: Joint, term: Term) -> float:
     return _beyond_noise(joint, _touched(joint, term))
 
 
-def _touched(joint: Joint, term: Term) -> list[slice]:
-    """Return the rows of the equations that an effect touches.
+def judging(joint: Joint, term: Term) -> list[str]:
+    """Return the equations by which an effect is judged, of those that it touches.
 
     A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model but one
     that shows nowhere else.
     """
     names = [e.name for e in joint.equations if e.name in term.columns]
-    return [joint.stack.part(name) for name in names if name != "breakaway" or len(names) == 1]
+    return [name for name in names if name != "breakaway" or len(names) == 1]
+
+
+def _touched(joint: Joint, term: Term) -> list[slice]:
+    """Return the rows of the equations by which an effect is judged."""
+    return [joint.stack.part(name) for name in judging(joint, term)]
 
 
 def _squares(joint: Joint, parts: Sequence[slice]) -> float:

@@ -94,11 +94,19 @@ class Nominal:
 
     def borne(self, view: View) -> Array:
         """Return the magnitude of the torque that turns with the joint and that the gear bears, N m."""
+        return np.abs(self.helping(view))
+
+    def helping(self, view: View) -> Array:
+        """Return the torque that turns with the joint, declared or hidden, where it helps the drive positive, N m."""
         if not any(self.hidden):
-            return np.abs(view.known)
+            return view.known
         sine, cosine, slope, constant = self.hidden
         unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
-        return np.asarray(np.abs(view.known - unknown))
+        return np.asarray(view.known - unknown)
+
+    def drive(self, view: View) -> Array:
+        """Return the whole torque that is asked of the drive, N m: what turns with the joint is part of it."""
+        return np.asarray(self.torque(view) - self.helping(view))
 
     def falling(self, view: View) -> Array:
         """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""

@@ -15,7 +15,7 @@ from identification.diagnosis.crossing import told_apart
 from identification.diagnosis.further import groups
 from identification.diagnosis.generic import families
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.kept import EXCESS, alike, pruned, revisited
+from identification.diagnosis.kept import EXCESS, alike, judging, pruned, revisited
 from identification.diagnosis.quiet import quieter
 from identification.diagnosis.result import Step
 from identification.diagnosis.stack import Candidate, Stack, surprise
@@ -183,11 +183,13 @@ def _missing(
     joint: Joint, terms: Mapping[str, Term], candidates: Sequence[Candidate], rng: np.random.Generator, name: str
 ) -> bool:
     """Whether anything is missing in one equation, by the test that the whole model is put to."""
-    judged = sum(e.name != "breakaway" for e in joint.equations)
+    judged = len(joint.equations)
     if 2.0 * judged * excess(joint, name) <= LEVEL:
         return True
     # A family without a name carries its equation's in front.
-    own = [c for c in candidates if (name in terms[c.name].columns if c.name in terms else c.name.startswith(name))]
+    own = [
+        c for c in candidates if (name in judging(joint, terms[c.name]) if c.name in terms else c.name.startswith(name))
+    ]
     return 2.0 * judged * chance(own, joint.stack.blocks, rng) <= LEVEL
 
 
@@ -283,7 +285,7 @@ def excess(joint: Joint, only: str = "") -> float:
         chances.append(_recurring(joint.residual[rows], joint.stack.block[rows]))
         if equation.name == "torque":
             chances += [_beyond(powers[equation.owner == v.index], EXCESS_OF_ONE) for v in equation.views]
-    return min(1.0, len(chances) * min(chances, default=1.0))
+    return min([1.0, *(len(chances) * chance for chance in chances)])
 
 
 def _beyond(powers: Array, limit: float) -> float:

@@ -129,7 +129,7 @@ def _has_weight(view: View) -> bool:
 def _skew(view: View, nominal: Nominal, shape: Shape) -> Array:
     if computed(view.recording):
         return rows(too_early(view, -shape[0]))
-    torque = nominal.torque(view) - view.known
+    torque = nominal.drive(view)
     return rows(delayed(torque, view.step, shape[0]) - torque)
 
 
@@ -141,8 +141,8 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 TERMS = (
-    Term("gravity_imbalance", in_motion(_gravity), _read_gravity),
-    Term("return_spring", in_motion(_spring), _read_spring, positive=(0,)),
+    Term("gravity_imbalance", in_motion(_gravity), _read_gravity, exact=True),
+    Term("return_spring", in_motion(_spring), _read_spring, positive=(0,), exact=True),
     Term(
         "end_stop",
         in_motion(_stop),
@@ -175,6 +175,7 @@ TERMS = (
         _labels,
         place=0,
         follows=True,
+        exact=True,
     ),
     Term(
         "load_swing",
@@ -190,6 +191,7 @@ TERMS = (
         one("inertia_kgm2"),
         lambda context: everywhere(context, lambda v: v.recording.weight_mass > 0.0, ((),)),
         positive=(0,),
+        exact=True,
     ),
     Term(
         "lever_pivot_friction",

@@ -54,7 +54,7 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return _by_origin(view, shape, sine_cosine(shape[0], view.motor) * -_drive(view, nominal))
+    return _by_origin(view, shape, sine_cosine(shape[0], view.motor) * -nominal.drive(view))
 
 
 def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
@@ -80,24 +80,19 @@ def _cycles(context: Context) -> Sequence[Shape]:
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
 
 
-def _drive(view: View, nominal: Nominal) -> Array:
-    """Return the whole torque that the nominal model asks of the drive, N m."""
-    return np.asarray(nominal.torque(view) - view.known)
-
-
 def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
     gain = torque_per_ampere(view)
-    share = np.clip(_drive(view, nominal) / (gain * shape[0]), -0.999, 0.999)
+    share = np.clip(nominal.drive(view) / (gain * shape[0]), -0.999, 0.999)
     return rows(gain * shape[0] * (np.arctanh(share) - share))
 
 
 def _knees(context: Context) -> list[Shape]:
-    greatest = max(float(np.max(np.abs(_drive(v, context.nominal)))) / torque_per_ampere(v) for v in context.views)
+    greatest = max(float(np.max(np.abs(context.nominal.drive(v)))) / torque_per_ampere(v) for v in context.views)
     return [(k * greatest,) for k in KNEES]
 
 
 def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
-    return rows(central_difference(_drive(view, nominal), view.step))
+    return rows(central_difference(nominal.drive(view), view.step))
 
 
 def _loss(view: View) -> Array:
@@ -136,7 +131,7 @@ def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return np.asarray(MAGNET_PER_K * _rises(view, shape) * _drive(view, nominal))
+    return np.asarray(MAGNET_PER_K * _rises(view, shape) * nominal.drive(view))
 
 
 def _warm_ups(context: Context) -> Sequence[Shape]:
@@ -290,5 +285,6 @@ TERMS = (
         _with_current(((0.5 * ZEROED_S[1],),)),
         refine={0: 0.5 * ZEROED_S[1]},
         limits={0: ZEROED_S},
+        exact=True,
     ),
 )

@@ -46,8 +46,8 @@ class Term:
         limits: Index of a shape's entry to its least and greatest physical value.
         place: Index of the shape's entry that is the recording in which alone the effect shows, if there is one.
         begin: From nominal values and a trial shape to those that a joint fit begins from.
-        exact: Whether the torque's regressor is the physics itself, known from clock, angle or sense of motion, so that
-            it leaves nothing of its own however large it is.
+        exact: Whether the regressor is the physics itself, known from clock, angle, motion or torque, so that it leaves
+            nothing of its own however large it is.
         size: Coefficient the regressor is scaled to have, where its shape alone says how large it is (else None).
     """
 

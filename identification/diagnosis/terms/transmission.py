@@ -43,8 +43,22 @@ def carried(view: View, rotor: float) -> Array:
 
     While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
     """
-    acceleration = central_difference(view.motor_speed, view.step) / view.recording.bench.gear_ratio
-    return np.asarray(transmitted(view) - rotor * acceleration)
+    return np.asarray(transmitted(view) - rotor * _rotor_acceleration(view))
+
+
+def _rotor_acceleration(view: View) -> Array:
+    """Return the rotor's acceleration at the joint, rad/s^2."""
+    return np.asarray(central_difference(view.motor_speed, view.step) / view.recording.bench.gear_ratio)
+
+
+def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
+    """Return what twists a springy shaft: the drive's torque, less what the rotor and the shaft's damping take of it.
+
+    Neither the rotor's inertia nor the damping is known; a soft shaft shows both, up to a hundred times the encoders'
+    noise where the joint sets off or turns.
+    """
+    torque = transmitted(view)
+    return rows(torque, -_rotor_acceleration(view), -central_difference(torque, view.step))
 
 
 def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -118,7 +132,7 @@ def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
 def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
     # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much less torque.
     sine, cosine = sine_cosine(shape[0], view.angle)
-    torque = shape[0] * (nominal.torque(view) - view.known)
+    torque = shape[0] * nominal.drive(view)
     return rows(-torque * cosine, torque * sine)
 
 
@@ -143,7 +157,7 @@ def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    torque = nominal.torque(view) - view.known
+    torque = nominal.drive(view)
     return rows(delayed(torque, view.step, -shape[0]) - torque)
 
 
@@ -174,7 +188,7 @@ def _slips(context: Context) -> list[Shape]:
 
 
 def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
-    torque = nominal.torque(view) - view.known
+    torque = nominal.drive(view)
     return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -1.0))
 
 
@@ -191,10 +205,11 @@ TERMS = (
     ),
     Term(
         "compliance",
-        {"transmission": lambda v, _n, _s: rows(transmitted(v))},
+        {"transmission": _twist},
         lambda c, _shape, _context: {"stiffness_Nm_rad": 1.0 / float(c[0])},
         lambda context: everywhere(context, _both_encoders, ((),)),
         positive=(0,),
+        exact=True,
     ),
     Term(
         "gear_mesh_ripple",

@@ -10,7 +10,7 @@ import pytest
 from identification.diagnosis.further import groups
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.kept import alike, left_beyond_noise
-from identification.diagnosis.search import screened
+from identification.diagnosis.search import excess, screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
@@ -64,6 +64,15 @@ def test_the_effect_that_explains_its_own_equation_is_tried_first(gap: Joint) ->
 def test_where_nothing_is_missing_nothing_is_tried(gap: Joint) -> None:
     tried = groups(gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
     assert {c.name for group in tried for c in group} <= {"encoder_eccentricity", "encoder_slip"}
+
+
+def test_what_shows_at_breakaways_alone_is_judged_by_them_and_nothing_else_is(gap: Joint) -> None:
+    asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
+    dwell = replace(asymmetry, name="dwell_static_friction")
+    rests = replace(gap, equations=(*gap.equations, replace(gap.equations[0], name="breakaway")))
+    tried = [c.name for g in groups(rests, BY_NAME, [asymmetry, dwell], lambda name: name == "breakaway") for c in g]
+    assert tried == ["dwell_static_friction"]
+    assert excess(rests, "breakaway") == 1.0, "their size says nothing"
 
 
 @pytest.mark.parametrize("name", ["cogging", "transport_delay", "gear_mesh_ripple"])
@@ -120,3 +129,21 @@ def test_a_gear_whose_ratio_swings_shows_in_the_torque_as_well() -> None:
     after = fit(here, "N m", plain.nominal, (added,), before)
     power = [np.mean(j.residual[j.stack.part("torque")] ** 2) for j in (before, after)]
     assert power[1] < 0.1 * power[0]
+
+
+def test_a_spring_that_was_named_is_part_of_what_saturates_the_motor() -> None:
+    hidden = {"return_spring": {"stiffness_Nm_rad": 20.0, "rest_rad": 0.2}, "torque_saturation": {"knee_A": 25.0}}
+    plain = nominal_fit(campaign(hidden, 14, 6.0)[:3])
+    added = Added(BY_NAME["return_spring"], (), (20.0, 4.0)), Added(BY_NAME["torque_saturation"], (25.0,), (1.0,))
+    after = fit(plain.equations[0].views, "N m", plain.nominal, added, plain)
+    assert after.effects[0].coefficients[0] == pytest.approx(20.0, rel=0.01), "without it some per cent"
+    assert np.mean(after.residual[after.stack.part("torque")] ** 2) < 2.0
+
+
+def test_what_the_rotor_and_the_damping_take_does_not_twist_a_shaft() -> None:
+    plain = nominal_fit(campaign({"compliance": {"stiffness_Nm_rad": 3000.0}}, 15, 6.0)[:3])
+    here = views([e.recording for e in plain.equations[0].views], 25.0, True)
+    before = fit(here, "N m", plain.nominal)
+    after = fit(here, "N m", plain.nominal, (Added(BY_NAME["compliance"], (), (1.0, 0.0, 0.0)),), before)
+    assert 1.0 / after.effects[0].coefficients[0] == pytest.approx(3000.0, rel=0.01)
+    assert np.mean(after.residual[after.stack.part("transmission")] ** 2) < 2.0
