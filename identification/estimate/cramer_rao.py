@@ -6,7 +6,8 @@ the prediction errors' mean: sensitivities over standard deviations, products su
 Identification, 2nd ed., 7.4), with the breakaway times eliminated.
 
 A stretch's own sensitivities hold the current's noise, whose square would pass for excitation. They are replaced by the
-mean over all stretches of the recording, as long after their breakaway, in which its share falls with their number.
+mean over the stretches of the recording that make the same motion, as long after their breakaway, in which its share
+falls with their number.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ def bound(jacobian: Arrow, others: Arrow, stretches: Array) -> Array:
     Args:
         jacobian: d residuals / d unknowns, residuals over their standard deviations, of r rows and p columns.
         others: The mean of the same over the other stretches.
-        stretches: How many stretches the recording of each residual has, shape (r,).
+        stretches: How many stretches each residual's mean is over, its own among them, shape (r,).
 
     Returns:
         Shape (p, p).

@@ -1,8 +1,8 @@
-"""Instruments: the sensitivities of a stretch of motion, taken from the other stretches of its recording.
+"""Instruments: the sensitivities of a stretch of motion, taken from the others of its recording that move like it.
 
 A stretch's own sensitivities hold the noise of its measured torque, and that noise is in its prediction errors too: the
-drive follows it within its loops' bandwidth, in a way that nobody knows. The mean over the other stretches, as long
-after their breakaway, is nearly the same curve and has none of it (Soderstrom and Stoica, Instrumental Variable
+drive follows it within its loops' bandwidth, in a way that nobody knows. The mean over the others that make the same
+motion, as long after their breakaway, is nearly the same curve and has none of it (Soderstrom and Stoica, Instrumental Variable
 Methods for System Identification, 1983, ch. 4).
 """
 
@@ -20,6 +20,7 @@ from identification.estimate.arrow import Arrow
 from identification.estimate.prediction_problem import Problem
 from identification.estimate.stretches import Motion
 from identification.recording import Array
+from identification.signals import BoolArray
 
 _WIDENING = 0.2
 _SHARP = 2.0
@@ -50,9 +51,9 @@ def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
             here = slice(starts[j], starts[j + 1])
             curves.append(np.column_stack([jacobian.parameters[here], jacobian.own[here]]) * sides[j])
         ties = jacobian.own[tie + stretch : tie + stretch + len(lengths)]
-        onsets = _onsets(m, begins)
+        onsets, alike = _onsets(m, begins), m.alike
         for j, side in enumerate(sides):
-            mean = _smooth(_mean_of_others(curves, onsets, j), onsets[j]) * side
+            mean = _smooth(_mean_of_others(curves, onsets, j, alike[j]), onsets[j]) * side
             parameters[starts[j] : starts[j + 1]] = mean[:, :count]
             own[starts[j] : starts[j + 1]] = mean[:, count]
             parameters[tie + stretch + j] = jacobian.parameters[tie + stretch + j]
@@ -68,12 +69,12 @@ def _onsets(m: Motion, begins: Array) -> Array:
     return np.asarray((begins - m.time[first]) / m.recording.period)
 
 
-def _mean_of_others(curves: list[Array], onsets: Array, j: int) -> Array:
-    """Return the mean of all curves but the ``j``-th, shifted to its breakaway, shape of that one."""
+def _mean_of_others(curves: list[Array], onsets: Array, j: int, alike: BoolArray) -> Array:
+    """Return the mean of the curves that are ``alike``, less the ``j``-th, shifted to its breakaway, shape of that."""
     length = len(curves[j])
     total, seen = np.zeros_like(curves[j]), np.zeros((length, 1))
     for i, curve in enumerate(curves):
-        if i == j:
+        if i == j or not alike[i]:
             continue
         at = np.arange(length) + onsets[i] - onsets[j]
         low = np.floor(at).astype(np.int64)

@@ -98,8 +98,8 @@ class Problem:
 
     @property
     def siblings(self) -> Array:
-        """How many stretches the recording of every residual has, shape (r,)."""
-        counts = np.concatenate([np.full(len(m.table), float(len(m.table))) for m in self.motions])
+        """How many stretches of its recording move like every residual's, itself among them, shape (r,)."""
+        counts = np.concatenate([np.sum(m.alike, axis=1).astype(np.float64) for m in self.motions])
         return np.asarray(counts[self.owners])
 
     def origin(self) -> Array:

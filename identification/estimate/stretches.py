@@ -21,7 +21,9 @@ TAIL = 20
 LEAST_COUNTS = 20.0
 """A stretch moves at least this many encoder steps."""
 FINE_STEPS = 8.0
-"""Integration steps per sample near rest, where friction falls steeply; 1 elsewhere."""
+"""Integration steps per sample near rest, where friction falls steeply."""
+STEPS = 4.0
+"""Those elsewhere: under a slow sine friction falls over all of its speeds, and the error of one step a period adds up."""
 ONSET_STEPS = 32.0
 """Those right after a breakaway: friction's fall multiplies the error of every step, and the inertia follows."""
 FINE_SAMPLES = 30
@@ -33,6 +35,10 @@ STALLED = 0.01
 """Share of the greatest speed below which a stretch all but stops."""
 UNSURE = 0.1
 """Deviation that its speed has afterwards, over the greatest speed."""
+ALIKE = 0.1
+"""Greatest difference of two strokes at any time, over the longer of them, up to which they are the same motion."""
+INSTANTS = 64
+"""Instants at which that is looked at."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,23 @@ class Motion:
     def breakaway_moment(self) -> Array:
         """F_P L1 where each stretch begins to move, N m, shape (m,)."""
         return self.moment[self.seen.astype(np.int64)]
+
+    @property
+    def alike(self) -> BoolArray:
+        """Which stretches make the same motion, either way, as each does, itself among them, shape (m, m).
+
+        All of the recording's, where no other does.
+        """
+        first, last = self.table[:, [kernel.FIRST, kernel.LAST]].astype(np.int64).T
+        since = np.linspace(0.0, float(np.max(last - first)), INSTANTS).astype(np.int64)
+        strokes = self.angle[np.minimum(first[:, None] + since, last[:, None] - 1)] - self.angle[first, None]
+        strokes *= self.table[:, kernel.SIDE, None]
+        reach = np.max(np.abs(strokes), axis=1)
+        alike = np.empty((len(first), len(first)), dtype=bool)
+        for j, stroke in enumerate(strokes):
+            alike[j] = np.max(np.abs(strokes - stroke), axis=1) <= ALIKE * np.maximum(reach, reach[j])
+        alike[np.sum(alike, axis=1) < 2] = True
+        return alike
 
     def static_crossing(self, static: Array | float) -> Array:
         """Return when each stretch's torque first reaches ``static``, at the latest when it has visibly moved, s.
@@ -141,7 +164,7 @@ def motion(recording: Recording) -> Motion | None:
     if len(table) < 2:
         return None
     table[:, kernel.RISE] = _rises(at, torque, table, seen)
-    steps = np.ones(len(at))
+    steps = np.full(len(at), STEPS)
     inside = np.zeros(len(at), dtype=bool)
     for first, last, _, _ in table.astype(np.int64):
         inside[first:last] = True
