@@ -2,8 +2,8 @@
 
 A stretch's own sensitivities hold the noise of its measured torque, and that noise is in its prediction errors too: the
 drive follows it within its loops' bandwidth, in a way that nobody knows. The mean over the others that make the same
-motion, as long after their breakaway, is nearly the same curve and has none of it (Soderstrom and Stoica, Instrumental Variable
-Methods for System Identification, 1983, ch. 4).
+motion, as long after their breakaway, is nearly the same curve and has none of it (Soderstrom and Stoica, Instrumental
+Variable Methods for System Identification, 1983, ch. 4).
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ LEAST_COUNTS = 20.0
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Those elsewhere: under a slow sine friction falls over all of its speeds, and the error of one step a period adds up."""
+"""Those elsewhere: under a slow sine friction falls over all of its speeds, and errors of one step a period add up."""
 ONSET_STEPS = 32.0
 """Those right after a breakaway: friction's fall multiplies the error of every step, and the inertia follows."""
 FINE_SAMPLES = 30
