@@ -158,7 +158,7 @@ def test_a_stroke_unlike_all_others_has_all_of_them(practical_pair: tuple[Record
 def test_strokes_of_two_amplitudes_are_not_alike(practical_pair: tuple[Recording, Recording]) -> None:
     found = motion(practical_pair[0])
     assert found is not None
-    first, last = found.table[1:-1, :2].astype(int).T
+    first = found.table[1:-1, 0].astype(int)
     angle = found.angle.copy()
     half = first[len(first) // 2]
     angle[half:] = angle[half] + 0.8 * (angle[half:] - angle[half])
