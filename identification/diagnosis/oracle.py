@@ -5,8 +5,11 @@ Its effects' shapes and sizes, and the nominal parameters, come from the recordi
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+import numpy as np
 
 from identification.diagnosis.diagnose import GIVING, held_out
 from identification.diagnosis.joint import Added, Joint, fit
@@ -29,12 +32,15 @@ class HeldOut:
         baseline_rms: Of the nominal model alone, in the equation's unit.
         oracle_rms: With the true effects.
         noise_rms: Noise of one row.
+        beside: Effect to what the others and a new fit of the constants leave of it, over the noise of a row, in the
+            equation that shows it most.
     """
 
     equation: str
     baseline_rms: float
     oracle_rms: float
     noise_rms: float
+    beside: Mapping[str, float]
 
 
 def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float) -> HeldOut | None:
@@ -70,7 +76,21 @@ def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: f
     # A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
     noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"}
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
-    return HeldOut(where, before[where], after[where], noise[where])
+    beside = {}
+    for effect in joint.effects:
+        rest = tuple(e for e in joint.effects if e is not effect)
+        without = fit(here, unit, joint.nominal, rest, baseline) if rest else baseline
+        beside[effect.term.name] = _left(without, joint, list(noise))
+    return HeldOut(where, before[where], after[where], noise[where], beside)
+
+
+def _left(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
+    """Return what is left without an effect beyond what is left with it, over the noise, where that is most."""
+    beyond = []
+    for name in equations:
+        rows = joint.stack.part(name)
+        beyond.append(float(np.mean(without.residual[rows] ** 2 - joint.residual[rows] ** 2)))
+    return math.sqrt(max(0.0, *beyond))
 
 
 def _strongest(joint: Joint, terms: Sequence[Term]) -> Candidate | None:

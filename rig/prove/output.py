@@ -27,6 +27,7 @@ _RATES = {
     "alias_group_all": "one effect, any strength: in the alias group",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
     "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both named",
+    "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "nothing hidden: alarms",
     "outside": "outside the catalogue: said so",

@@ -17,7 +17,7 @@ MOST_NAMED = 3
 WORTH = 0.05
 """Held-out gain of the oracle over the noise, below which there is nothing to gain."""
 FAINT = 1e-12
-VERSION = 3
+VERSION = 4
 """Of a row: a proof begun with other ones is not gone on with."""
 
 

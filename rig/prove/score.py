@@ -51,6 +51,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "alias_group_all": count(one, "alias"),
         "both_named": count([row for row in two if row["strength"] >= STRONG], "top1"),
         "both_named_left": count([row for row in two if (row["left"] or 0.0) >= STRONG], "top1"),
+        "both_named_beside": count([row for row in two if _beside(row) >= STRONG], "top1"),
         "both_named_all": count(two, "top1"),
         "false_alarms": count(nothing, "alarm"),
         "outside": {**count(placed, "right"), "named_confidently": sum(bool(row["confident"]) for row in outside)},
@@ -66,6 +67,11 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
         "baseline_seconds_each": statistics.median(row["baseline_seconds"] for row in rows) if rows else None,
     }
+
+
+def _beside(row: Row) -> float:
+    """Return what the fainter of two effects leaves beside the other, told by name, over the noise."""
+    return 0.0 if row["oracle"] is None else float(min(row["oracle"]["beside"].values()))
 
 
 def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:

@@ -21,6 +21,7 @@ from rig.prove.score import confusion, power, rate, score, worse
 SEED = 3
 
 
+BESIDE = {"backlash": 9.0}
 PLACE = {"coordinate": "travel since reversal", "recordings": ["a", "d"]}
 
 
@@ -136,9 +137,12 @@ def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
 @pytest.mark.parametrize(
     ("oracle", "fraction"),
     [
-        ({"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1}, 0.5),
-        ({"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.996, "noise_rms": 0.1}, None),
-        ({"equation": "torque", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1}, None),
+        ({"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1, "beside": BESIDE}, 0.5),
+        (
+            {"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.996, "noise_rms": 0.1, "beside": BESIDE},
+            None,
+        ),
+        ({"equation": "torque", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1, "beside": BESIDE}, None),
         (None, None),
     ],
     ids=["half of it", "nothing to gain", "no such equation", "no oracle"],
@@ -148,6 +152,19 @@ def test_the_gain_is_held_against_the_true_structures(oracle: dict[str, Any] | N
     row = row_of(truth("one", backlash=GAP), {}, said, oracle, "digest")
     assert row["oracle_fraction"] == (None if fraction is None else pytest.approx(fraction))
     assert score([row])["oracle_fraction"]["of"] == (fraction is not None)
+
+
+def test_a_pair_counts_as_one_that_shows_where_each_of_both_does() -> None:
+    def row(beside: dict[str, float] | None) -> dict[str, Any]:
+        gain = {"equation": "torque", "baseline_rms": 9.0, "oracle_rms": 1.0, "noise_rms": 1.0, "beside": beside}
+        said = judged(diagnosed(effect("cogging")))
+        hidden = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
+        return row_of(truth("two", **hidden), {"current": 5.0}, said, gain if beside else None, "digest")
+
+    rows = [row({"backlash": 2.9, "cogging": 9.0}), row({"backlash": 3.1, "cogging": 4.0}), row(None)]
+    found = score(rows)
+    assert found["both_named_beside"] == rate(0, 1)
+    assert found["both_named"]["of"] == found["both_named_all"]["of"] == 3
 
 
 def test_baselines_are_scored_by_the_same_rules() -> None:
@@ -235,7 +252,7 @@ def clairvoyant(source: Path, seed: int) -> Judgement:
     assert seed != SEED  # or the draws could be repeated
     kind, names = assignment(3, SEED)[int(source.parent.name.removeprefix("rig-")) - 1]
     verdict = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind, "named")
-    gain = {"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.2, "noise_rms": 0.1}
+    gain = {"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.2, "noise_rms": 0.1, "beside": BESIDE}
     said = diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
     return judged(said, gain)
 
