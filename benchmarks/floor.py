@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from floor_benches import FIELDS, random_bench, record
+from floor_benches import random_bench, record
 
 import rig.bench
 from identification.estimate.default import identify, solve_stages
@@ -29,7 +29,7 @@ from identification.prepare import prepare
 from identification.recording import Dataset
 from rig.run import load_run
 from rig.tables import table
-from rig.truth import truth_of
+from rig.truth import JOINT_FIELDS, truth_of
 
 NORMAL_90 = 1.6449
 WRONG_BASIN = 0.5
@@ -105,7 +105,7 @@ def summary(rows: list[Mapping[str, Any]]) -> str:
     """Return the tables in words."""
     lines = []
     inside_all: list[bool] = []
-    for name in FIELDS:
+    for name in JOINT_FIELDS:
         truth = np.array([r["truth"][name] for r in rows])
         cells = [r["default"][name] for r in rows]
         value = np.array([c["value"] if c["value"] is not None else np.nan for c in cells])

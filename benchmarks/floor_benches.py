@@ -13,6 +13,7 @@ import yaml
 
 from rig import cli
 from rig.run import RECORDING_FILE
+from rig.truth import JOINT_FIELDS
 
 SPREAD = 0.4
 """Each of the nine lies within this share of the practical bench's value."""
@@ -22,17 +23,6 @@ FULL_SCALE_A = 25.0
 """Of the current sensor: the drive's current limit."""
 NOISE_SHARE = (0.002, 0.01)
 """Rms noise of the logged current over full scale."""
-FIELDS: Mapping[str, str] = {
-    "J": "inertia_kg_m2",
-    "Mc": "Mc_N_m",
-    "Ms": "Ms_N_m",
-    "omega_sf": "omega_sf_rad_s",
-    "sigma_2": "sigma_2_N_m_s_rad",
-    "mu_c": "mu_c",
-    "mu_s": "mu_s",
-    "omega_sL": "omega_sL_rad_s",
-    "mu_2": "mu_2_s_rad",
-}
 _STREAM = 20261120
 
 
@@ -43,7 +33,7 @@ def random_bench(template: str, seed: int) -> dict[str, Any]:
     joint, sensing = bench["mock"]["joint"], bench["mock"]["sensing"]
     nominal = dict(joint)
     while True:
-        for name in FIELDS.values():
+        for name in JOINT_FIELDS.values():
             joint[name] = float(nominal[name] * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
         if joint["Ms_N_m"] > joint["Mc_N_m"] and joint["mu_s"] > joint["mu_c"]:
             break

@@ -6,7 +6,6 @@ Run: python benchmarks/literal_accuracy.py [random sets, default 20]
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,19 +15,8 @@ from drivers.mock.plant.direct import simulate
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
 from rig.bench import load_bench
+from rig.truth import JOINT_FIELDS
 
-NAMES: Mapping[str, str] = {
-    "J": "inertia_kg_m2",
-    "Mc": "Mc_N_m",
-    "Ms": "Ms_N_m",
-    "omega_sf": "omega_sf_rad_s",
-    "sigma_2": "sigma_2_N_m_s_rad",
-    "mu_c": "mu_c",
-    "mu_s": "mu_s",
-    "omega_sL": "omega_sL_rad_s",
-    "mu_2": "mu_2_s_rad",
-}
-"""Estimator's name to the simulated machine's."""
 CONTACT_FORCE_N = 3000.0
 RATE_HZ = 1000.0
 DURATION_S = 5.0
@@ -51,8 +39,8 @@ def paper_joint() -> Joint:
 def random_joint(rng: np.random.Generator) -> Joint:
     """Return a set with every one of the nine within 40 % of the paper's; static friction stays above Coulomb's."""
     paper = paper_joint()
-    factors = {name: float(rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)) for name in NAMES}
-    values = {field: getattr(paper, field) * factors[name] for name, field in NAMES.items()}
+    factors = {name: float(rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)) for name in JOINT_FIELDS}
+    values = {field: getattr(paper, field) * factors[name] for name, field in JOINT_FIELDS.items()}
     if values["Ms_N_m"] <= values["Mc_N_m"] or values["mu_s"] <= values["mu_c"]:
         return random_joint(rng)
     return replace(paper, **values)
@@ -79,7 +67,8 @@ def errors_percent(joint: Joint) -> dict[str, float]:
     """Return the error of every parameter, percent of the truth; infinite where it was not identified."""
     result = identify(dataset(joint), bandwidth_Hz=0.5 * RATE_HZ)
     found = result.values()
-    return {name: 100.0 * abs(found.get(name, np.inf) / getattr(joint, field) - 1.0) for name, field in NAMES.items()}
+    true = {name: getattr(joint, field) for name, field in JOINT_FIELDS.items()}
+    return {name: 100.0 * abs(found.get(name, np.inf) / value - 1.0) for name, value in true.items()}
 
 
 def main() -> None:
@@ -88,13 +77,13 @@ def main() -> None:
     rng = np.random.default_rng(2024)
     rows = [("paper", errors_percent(paper_joint()))]
     print("error, % of the truth")
-    print("set".ljust(8), *(name.rjust(10) for name in NAMES))
+    print("set".ljust(8), *(name.rjust(10) for name in JOINT_FIELDS))
     for k in range(count + 1):
         label, errors = rows[-1]
-        print(label.ljust(8), *(f"{errors[name]:10.2e}" for name in NAMES), flush=True)
+        print(label.ljust(8), *(f"{errors[name]:10.2e}" for name in JOINT_FIELDS), flush=True)
         if k < count:
             rows.append((f"{k + 1}", errors_percent(random_joint(rng))))
-    print("worst".ljust(8), *(f"{max(errors[name] for _, errors in rows):10.2e}" for name in NAMES))
+    print("worst".ljust(8), *(f"{max(errors[name] for _, errors in rows):10.2e}" for name in JOINT_FIELDS))
 
 
 if __name__ == "__main__":

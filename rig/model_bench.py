@@ -20,21 +20,10 @@ from rig.errors import InputError
 from rig.mcap_reader import read_run
 from rig.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
 from rig.serial_bus import MOCK
+from rig.truth import JOINT_FIELDS
 from rig.yaml_tree import parse
 
 BENCH_FILE = "bench.yaml"
-_JOINT = {
-    "J": "inertia_kg_m2",
-    "Mc": "Mc_N_m",
-    "Ms": "Ms_N_m",
-    "omega_sf": "omega_sf_rad_s",
-    "sigma_2": "sigma_2_N_m_s_rad",
-    "mu_c": "mu_c",
-    "mu_s": "mu_s",
-    "omega_sL": "omega_sL_rad_s",
-    "mu_2": "mu_2_s_rad",
-}
-"""Parameter of the model to that of the simulated joint."""
 _LOAD = ("mu_c", "mu_s", "mu_2")
 _MOTOR = {
     "resistance_ohm": "resistance",
@@ -95,8 +84,8 @@ def model_bench(base: Mapping[str, Any], model: CorrectedModel, constants: Const
     bench = json.loads(json.dumps(base))
     mock = bench.setdefault("mock", {})
     joint = mock.setdefault("joint", {})
-    joint.update({_JOINT[name]: value for name, value in values.items() if name in _JOINT})
-    joint.update({_JOINT[name]: 0.0 for name in _LOAD if name not in values})
+    joint.update({JOINT_FIELDS[name]: value for name, value in values.items() if name in JOINT_FIELDS})
+    joint.update({JOINT_FIELDS[name]: 0.0 for name in _LOAD if name not in values})
     joint["alpha"] = model.alpha
     motor = {key: getattr(constants, name) for key, name in _MOTOR.items()}
     mock["motor"] = {**mock.get("motor", {}), **motor}

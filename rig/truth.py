@@ -15,21 +15,23 @@ from rig.provenance import sha256_file
 from rig.run_file import read_record
 from rig.run_record import BENCH_ATTACHMENT, RUN_FILE
 
+JOINT_FIELDS = {
+    "J": "inertia_kg_m2",
+    "Mc": "Mc_N_m",
+    "Ms": "Ms_N_m",
+    "omega_sf": "omega_sf_rad_s",
+    "sigma_2": "sigma_2_N_m_s_rad",
+    "mu_c": "mu_c",
+    "mu_s": "mu_s",
+    "omega_sL": "omega_sL_rad_s",
+    "mu_2": "mu_2_s_rad",
+}
+"""Name of the estimators to that of the simulated joint."""
+
 
 def true_parameters(machine: Machine) -> dict[str, float]:
     """Return a simulated machine's nine parameters under the names of the estimators, SI units."""
-    joint = machine.joint
-    return {
-        "Mc": joint.Mc_N_m,
-        "Ms": joint.Ms_N_m,
-        "omega_sf": joint.omega_sf_rad_s,
-        "sigma_2": joint.sigma_2_N_m_s_rad,
-        "J": joint.inertia_kg_m2,
-        "mu_c": joint.mu_c,
-        "mu_s": joint.mu_s,
-        "omega_sL": joint.omega_sL_rad_s,
-        "mu_2": joint.mu_2_s_rad,
-    }
+    return {name: getattr(machine.joint, field) for name, field in JOINT_FIELDS.items()}
 
 
 def truth_of(source: Path) -> dict[str, float] | None:

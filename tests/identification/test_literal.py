@@ -11,19 +11,9 @@ from drivers.mock.plant.constants import Joint, Loops, Machine, Motor, Sensing
 from drivers.mock.plant.direct import simulate
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
+from rig.truth import JOINT_FIELDS
 
 PAPER = Joint(inertia_kg_m2=0.000204)
-FIELDS = {
-    "J": "inertia_kg_m2",
-    "Mc": "Mc_N_m",
-    "Ms": "Ms_N_m",
-    "omega_sf": "omega_sf_rad_s",
-    "sigma_2": "sigma_2_N_m_s_rad",
-    "mu_c": "mu_c",
-    "mu_s": "mu_s",
-    "omega_sL": "omega_sL_rad_s",
-    "mu_2": "mu_2_s_rad",
-}
 # Stiff enough to hold this tiny inertia on the falling branch, where friction loses up to 340 N m s/rad.
 LOOPS = Loops(
     rate_Hz=2e6,
@@ -40,7 +30,7 @@ def random_joint(seed: int) -> Joint:
     """Each of the nine within 40 % of the paper's, Ms above Mc and mu_s above mu_c."""
     rng = np.random.default_rng(seed)
     while True:
-        values = {field: getattr(PAPER, field) * rng.uniform(0.6, 1.4) for field in FIELDS.values()}
+        values = {field: getattr(PAPER, field) * rng.uniform(0.6, 1.4) for field in JOINT_FIELDS.values()}
         if values["Ms_N_m"] > values["Mc_N_m"] and values["mu_s"] > values["mu_c"]:
             return replace(PAPER, **values)
 
@@ -66,5 +56,5 @@ def recording(joint: Joint, force_N: float) -> Recording:
 def test_all_nine_within_a_hundredth_of_a_percent(joint: Joint) -> None:
     result = identify(Dataset((recording(joint, 0.0), recording(joint, 3000.0))), bandwidth_Hz=500.0)
     found = result.values()
-    for name, field in FIELDS.items():
+    for name, field in JOINT_FIELDS.items():
         assert found[name] == pytest.approx(getattr(joint, field), rel=1e-4), name
