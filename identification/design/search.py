@@ -43,9 +43,9 @@ _FOLLOWING_MARGIN = 0.5
 _SLOWEST_HZ, _FASTEST_HZ = 0.2, 4.0
 _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Of a random sine at its middle, rad/s."""
-_LEAST_ACCELERATION = 0.45
-"""At its ends, rad/s^2. The less it is the longer the shaft is near rest; below, identification has gone astray."""
-_LEAST_ANGLE = math.radians(0.6)
+_LEAST_ACCELERATION = 0.25
+"""At its ends, rad/s^2. The less it is the longer the shaft is near rest, and the more it sticks and slips."""
+_LEAST_ANGLE = math.radians(0.3)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _HEAVIEST = 0.25
 """Share of loaded sines that get the heaviest weight whatever the draw."""

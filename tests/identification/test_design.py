@@ -82,7 +82,7 @@ def test_noise_and_encoder_widen_what_is_pinned() -> None:
 
 
 def test_loaded_parameters_need_a_load() -> None:
-    free, heavy = (stage_information(figure10(w), nominal()) for w in (0.0, 30.6))
+    free, heavy = (stage_information(figure10(w, 10.0), nominal()) for w in (0.0, 30.6))
     alone = pinned([free], loaded=True)
     both = pinned([free, heavy], loaded=True)
     assert math.isinf(alone.half_widths["mu_c"])
@@ -116,6 +116,18 @@ def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
     ]
     exact, coarse = (float(np.std(np.diff(t))) for t in torques)
     assert coarse > 2.0 * exact + 0.01
+
+
+def test_a_target_in_whole_counts_comes_back_as_torque() -> None:
+    """At 10.5 counts a period it moves by ten and eleven in turn; the feedforward makes steps of torque of it."""
+    count = 2.0 * np.pi / 409600.0
+    loop = usual_loop(NOMINAL["J"], 75.0, count)
+    torques = [
+        respond(pace * count * np.arange(2000.0), PERIOD, NOMINAL, 0.0, 2.0, loop).torque[1000:]
+        for pace in (10.0, 10.5)
+    ]
+    even, uneven = (float(np.std(np.diff(t))) for t in torques)
+    assert uneven > 0.5 * loop.velocity_gain * count / PERIOD > 2.0 * even
 
 
 def test_unlike_stretches_promise_less_than_like_ones() -> None:
@@ -224,6 +236,7 @@ def test_moment_of_a_bench_without_lever() -> None:
 def test_a_shaft_that_sticks_and_slips_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under 30.6 kg the drive cannot hold 0.07 rad/s; the filter follows, but what it sees is chance."""
     monkeypatch.setattr(pinning, "_follows", lambda _errors: True)
+    monkeypatch.setattr(pinning, "LIKELY", 1.0)  # the likelihood's slope would refuse it too
     slow = PlannedStage(command(3.0, 0.2, 10.0), 30.6)
     assert stage_information(slow, nominal()) is NOTHING
     monkeypatch.setattr(pinning, "STRAY_STRETCHES", 1000)
