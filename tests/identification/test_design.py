@@ -26,7 +26,7 @@ from identification.design.pinning import (
 )
 from identification.design.propose import present_pins, propose
 from identification.design.rehearsal import expected, rehearse
-from identification.design.search import Search
+from identification.design.search import Candidate, Search
 from identification.design.shares import best_shares
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
@@ -212,6 +212,25 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
     assert found.stages == (Part(0, stages[0].present),)
     assert found.pinned == found.present
     assert found.weakest == found.present.weakest
+
+
+def test_a_design_has_a_sine_that_leaves_the_fall_of_friction() -> None:
+    """Were it left out, the equation error would find no inertia to start from."""
+    bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
+    found = Search(frames((0.0,)), nominal(), bounds, np.random.default_rng(0), "omega_sf", 1.0)
+    pace = 2.0 * math.pi * 0.8
+    speeds = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
+    told = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
+    pool = [
+        Candidate(Part(0, Excitation(((speed / pace, 0.8),), 0.0, 5.0)), rate, sturdy=True)
+        for speed, rate in zip(speeds, told, strict=True)
+    ]
+    found.pool = pool[:3]
+    assert found.designs() == []
+    found.pool = pool
+    designs = found.designs()
+    assert designs
+    assert all(pool[3].part.excitation.tones in [p.excitation.tones for p in d.parts] for d in designs)
 
 
 def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must() -> None:
