@@ -33,7 +33,8 @@ class Loop:
         filter_Hz: First-order filter on the measured speed.
         torque_limit: N m.
         count: Joint angle of one step of the encoder that the drive follows, rad; 0 for an exact one. At the speeds of
-            a Stribeck curve its steps come through the speed filter as torque.
+            a Stribeck curve its steps come through the speed filter as torque, and a target in whole counts through the
+            feedforward.
     """
 
     position_gain: float
@@ -95,6 +96,8 @@ def respond(
     gains = np.array([loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit, loop.count])
     angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
     lost = np.zeros_like(command) if disturbance is None else disturbance
+    if loop.count > 0.0:
+        command = np.rint(command / loop.count) * loop.count
     _follow(command, period, pack(parameters), moment, alpha, gains, steps, lost, angle, torque, peaks)
     return Response(angle, torque, float(peaks[0]), float(peaks[1]), float(peaks[2]))
 

@@ -21,6 +21,7 @@ from identification.design.pinning import (
     stage_response,
 )
 from identification.design.shares import best_shares
+from identification.estimate.regression import HIGHEST_SHARE
 from identification.recording import Array
 
 DESIGNS = 3
@@ -43,9 +44,9 @@ _FOLLOWING_MARGIN = 0.5
 _SLOWEST_HZ, _FASTEST_HZ = 0.2, 4.0
 _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Of a random sine at its middle, rad/s."""
-_LEAST_ACCELERATION = 0.45
-"""At its ends, rad/s^2. The less it is the longer the shaft is near rest; below, identification has gone astray."""
-_LEAST_ANGLE = math.radians(0.6)
+_LEAST_ACCELERATION = 0.25
+"""At its ends, rad/s^2. The less it is the longer the shaft is near rest, and the more it sticks and slips."""
+_LEAST_ANGLE = math.radians(0.3)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _HEAVIEST = 0.25
 """Share of loaded sines that get the heaviest weight whatever the draw."""
@@ -185,7 +186,17 @@ class Search:
         return None
 
     def _complete(self, pool: Sequence[Candidate]) -> bool:
-        return set(map(self._loaded, pool)) == {f.loaded for f in self.frames}
+        kinds = {f.loaded for f in self.frames}
+        return set(map(self._loaded, pool)) == kinds and (False not in kinds or any(map(self._starts, pool)))
+
+    def _starts(self, candidate: Candidate) -> bool:
+        """Return whether an unloaded stage leaves the fall of friction, as identification needs one for its start.
+
+        Within it the equation error takes the acceleration for friction, and finds no inertia to start from.
+        """
+        ((amplitude, frequency),) = candidate.part.excitation.tones
+        speed = 2.0 * math.pi * frequency * amplitude
+        return not self._loaded(candidate) and HIGHEST_SHARE * speed >= self.nominal.values["omega_sf"]
 
     def _shares(self, pool: Sequence[Candidate]) -> Array:
         return best_shares([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))
@@ -197,6 +208,8 @@ class Search:
         kinds = {f.loaded for f in self.frames}
         lacking = kinds - {self._loaded(c) for c in chosen}
         chosen += [next(c for c in ranked if self._loaded(c) == loaded) for loaded in lacking]
+        if not self._complete(chosen):
+            chosen.append(next(c for c in ranked if self._starts(c)))
         room = max(len(kinds), min(PARTS, int(sum(f.total for f in self.frames) / LEAST_S)))
         while len(chosen) > room:
             rests = [[c for c in chosen if c is not left] for left in chosen]

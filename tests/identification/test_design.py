@@ -26,7 +26,7 @@ from identification.design.pinning import (
 )
 from identification.design.propose import present_pins, propose
 from identification.design.rehearsal import expected, rehearse
-from identification.design.search import Search
+from identification.design.search import Candidate, Search
 from identification.design.shares import best_shares
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
@@ -82,7 +82,7 @@ def test_noise_and_encoder_widen_what_is_pinned() -> None:
 
 
 def test_loaded_parameters_need_a_load() -> None:
-    free, heavy = (stage_information(figure10(w), nominal()) for w in (0.0, 30.6))
+    free, heavy = (stage_information(figure10(w, 10.0), nominal()) for w in (0.0, 30.6))
     alone = pinned([free], loaded=True)
     both = pinned([free, heavy], loaded=True)
     assert math.isinf(alone.half_widths["mu_c"])
@@ -116,6 +116,18 @@ def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
     ]
     exact, coarse = (float(np.std(np.diff(t))) for t in torques)
     assert coarse > 2.0 * exact + 0.01
+
+
+def test_a_target_in_whole_counts_comes_back_as_torque() -> None:
+    """At 10.5 counts a period it moves by ten and eleven in turn; the feedforward makes steps of torque of it."""
+    count = 2.0 * np.pi / 409600.0
+    loop = usual_loop(NOMINAL["J"], 75.0, count)
+    torques = [
+        respond(pace * count * np.arange(2000.0), PERIOD, NOMINAL, 0.0, 2.0, loop).torque[1000:]
+        for pace in (10.0, 10.5)
+    ]
+    even, uneven = (float(np.std(np.diff(t))) for t in torques)
+    assert uneven > 0.5 * loop.velocity_gain * count / PERIOD > 2.0 * even
 
 
 def test_unlike_stretches_promise_less_than_like_ones() -> None:
@@ -202,6 +214,25 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
     assert found.weakest == found.present.weakest
 
 
+def test_a_design_has_a_sine_that_leaves_the_fall_of_friction() -> None:
+    """Were it left out, the equation error would find no inertia to start from."""
+    bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
+    found = Search(frames((0.0,)), nominal(), bounds, np.random.default_rng(0), "omega_sf", 1.0)
+    pace = 2.0 * math.pi * 0.8
+    speeds = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
+    told = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
+    pool = [
+        Candidate(Part(0, Excitation(((speed / pace, 0.8),), 0.0, 5.0)), rate, sturdy=True)
+        for speed, rate in zip(speeds, told, strict=True)
+    ]
+    found.pool = pool[:3]
+    assert found.designs() == []
+    found.pool = pool
+    designs = found.designs()
+    assert designs
+    assert all(pool[3].part.excitation.tones in [p.excitation.tones for p in d.parts] for d in designs)
+
+
 def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must() -> None:
     sine = Excitation(((0.1, 0.35),), 5.0, 0.0)
     lasting = sine.lasting(10.2)
@@ -224,6 +255,7 @@ def test_moment_of_a_bench_without_lever() -> None:
 def test_a_shaft_that_sticks_and_slips_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under 30.6 kg the drive cannot hold 0.07 rad/s; the filter follows, but what it sees is chance."""
     monkeypatch.setattr(pinning, "_follows", lambda _errors: True)
+    monkeypatch.setattr(pinning, "LIKELY", 1.0)  # the likelihood's slope would refuse it too
     slow = PlannedStage(command(3.0, 0.2, 10.0), 30.6)
     assert stage_information(slow, nominal()) is NOTHING
     monkeypatch.setattr(pinning, "STRAY_STRETCHES", 1000)
