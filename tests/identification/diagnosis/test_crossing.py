@@ -80,4 +80,4 @@ def test_a_narrow_loop_closes_with_its_torque_as_well() -> None:
     here = views([r for r in narrow if r.role == "fit"], 25.0, True)
     seen = crossed(here, nominal_fit(narrow).nominal, 2.0 * half, ROTOR_KG_M2)
     assert seen is not None
-    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.04)
+    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)
