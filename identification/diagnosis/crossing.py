@@ -13,14 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.contest import Contender, Round
+from identification.diagnosis.contest import Contender, Round, preference
 from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead
-from identification.diagnosis.view import View
+from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead, transmitted
+from identification.diagnosis.view import QUICK_SAMPLES, View
 from identification.recording import Array
-from identification.signals import central_difference
 
 PAIR = ("backlash", "coupling_hysteresis")
 INNER = 0.6
@@ -28,9 +28,9 @@ INNER = 0.6
 LEAST_SPEED_RAD_S = 0.02
 LEAST_SAMPLES = 5
 LEAST_CROSSINGS = 10
-CARRIED = 0.1
+CARRIED = 0.06
 """Torque that closes the loop, over that of the motion, from which it is no gap."""
-SLACK = 0.025
+SLACK = 0.02
 """Standard deviation of that share where there is a gap, as measured on simulated rigs."""
 
 
@@ -51,21 +51,23 @@ class Crossing:
     error: float
 
 
-def crossed(views: Sequence[View], gap: float) -> Crossing | None:
+def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -> Crossing | None:
     """Return what the torque does while a gap of this size is crossed; None where too few crossings last long enough.
 
     Args:
         views: On the valve's side.
+        nominal: Of which a gap under a weight needs friction and inertia.
         gap: rad; twice the deflection of a loop.
+        rotor: The rotor's inertia at the joint, as far as it is known, kg m^2.
     """
     parts, torques, moving = [], [], []
     for view in views:
         if view.lag is None:
             continue
-        columns, way = _columns(view, gap)
+        columns, way = _columns(view, nominal, gap, rotor)
         parts += [columns[a:b] for a, b in way]
-        torques += [view.raw_torque[a:b] for a, b in way]
-        moving.append(np.abs(view.torque[~view.still]))
+        torques += [(view.raw_torque - view.known)[a:b] for a, b in way]
+        moving.append(np.abs(transmitted(view)[~view.still]))
     if len(parts) < LEAST_CROSSINGS:
         return None
     columns, torque = np.concatenate(parts), np.concatenate(torques)
@@ -77,15 +79,27 @@ def crossed(views: Sequence[View], gap: float) -> Crossing | None:
     return Crossing(float(found[0]), float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK))
 
 
-def _columns(view: View, gap: float) -> tuple[Array, list[tuple[int, int]]]:
+def _columns(view: View, nominal: Nominal, gap: float, rotor: float) -> tuple[Array, list[tuple[int, int]]]:
     """Return (regressors of the drive's torque, shape (m, 2)) and from where to where each crossing lasts."""
     gear = view.recording.bench.gear_ratio
     speed = view.motor_speed / gear
-    way = lead(view, gap) / (0.5 * gap)
-    inside = (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
+    way = lead(view, nominal, gap, rotor) / (0.5 * gap)
+    # A joint that falls closes a loop by its weight, not by the motor's way.
+    held = np.abs(nominal.helping(view)) < np.abs(nominal.friction(view))
+    inside = held & (np.abs(way) < INNER) & (np.abs(speed) > LEAST_SPEED_RAD_S)
     turns = np.flatnonzero(np.diff(np.concatenate(([False], inside, [False])).astype(np.int8)))
-    columns = np.stack([central_difference(speed, view.step), np.sign(speed) + way], axis=1)
+    columns = np.stack([_quick_acceleration(view), np.sign(speed) + way], axis=1)
     return columns, [(int(a), int(b)) for a, b in turns.reshape(-1, 2) if b - a >= LEAST_SAMPLES]
+
+
+def _quick_acceleration(view: View) -> Array:
+    """Return the motor's acceleration at the joint within a few samples, hardly filtered, rad/s^2.
+
+    A crossing of ten samples is over before a filter shows it; what the filter takes from the rotor passes for torque.
+    """
+    motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
+    padded = np.pad(motor, span, mode="edge")
+    return np.asarray((padded[2 * span :] - 2.0 * motor + padded[: -2 * span]) / (span * view.step) ** 2)
 
 
 def told_apart(
@@ -108,13 +122,16 @@ def told_apart(
         joint = fit(views, unit, joint.nominal, [e for e in joint.effects if e is own or e not in named], baseline)
         rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
         own = next(e for e in joint.effects if e.term.name == own.term.name)
-    gap = own.shape[0] if own.term.name == "backlash" else 2.0 * own.coefficients[0]
-    seen = crossed(views, gap)
+    gap, rotor = (own.shape[0], own.shape[3]) if own.term.name == "backlash" else (2.0 * own.shape[2], own.shape[1])
+    seen = crossed(views, joint.nominal, gap, rotor)
     other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
     prefers_loop = 0.0 if seen is None else (seen.share - CARRIED) / seen.error
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
+    if _falls(views, joint.nominal):
+        # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's sum.
+        prefers_other = (prefers_other - preference(joint, beside)) / (1.0 if seen is None else math.sqrt(2.0))
     best, loser, name = (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
     rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
     if seen is None:
@@ -129,6 +146,11 @@ def told_apart(
     return best, out
 
 
+def _falls(views: Sequence[View], nominal: Nominal) -> bool:
+    """Whether a weight turns with the joint that in motion is more than its friction holds."""
+    return any(np.any((np.abs(nominal.helping(v)) > np.abs(nominal.friction(v))) & ~v.still) for v in views)
+
+
 def _other(
     own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None, rotor: float, twist: float
 ) -> Added:
@@ -138,9 +160,11 @@ def _other(
     from a shaft that twists by ``twist``, rad/(N m), for each count.
     """
     if own.term.name != "backlash":
-        return Added(by_name["backlash"], (gap, 0.5 * TWIST_COUNTS[1], twist), (1.0,))
+        return Added(by_name["backlash"], (gap, 0.5 * TWIST_COUNTS[1], twist, rotor), (1.0,))
     term = by_name["coupling_hysteresis"]
     if seen is None or seen.torque <= 0.0:
-        return Added(term, (1.0, rotor), (0.5 * gap,))
-    shape = (seen.torque, seen.inertia if seen.inertia > 0.0 else rotor)
-    return Added(replace(term, refine={1: term.refine[1]}), shape, (0.5 * gap,))
+        return Added(term, (1.0, rotor, 0.5 * gap, 0.5 * TWIST_COUNTS[1], twist), (1.0,))
+    shape = (seen.torque, seen.inertia if seen.inertia > 0.0 else rotor, 0.5 * gap, 0.5 * TWIST_COUNTS[1], twist)
+    # Of the torque a crossing says more than the angles do; what else a shape says is sought.
+    sought = {k: reach for k, reach in term.refine.items() if k > 0}
+    return Added(replace(term, refine=sought), shape, (1.0,))

@@ -78,10 +78,10 @@ def equations(
             tangents absorb what the nominal values change in them.
     """
     if before:
-        torque = _torque(views, nominal, unit)
         known = {e.name: e for e in before}
+        torque = _torque(views, nominal, unit, known["torque"].sigma) if "torque" in known else None
         kept = tuple(e for e in before if e.name != "torque")
-        return kept if torque is None else (replace(torque, sigma=known["torque"].sigma), *kept)
+        return kept if torque is None else (torque, *kept)
     found = (_torque(views, nominal, unit), _breakaway(views, nominal, unit), _transmission(views), _voltage(views))
     return tuple(e for e in found if e is not None)
 
@@ -155,6 +155,7 @@ def _build(
     measured: Callable[[View], Array],
     tangent: Callable[[View], Array],
     names: Sequence[str],
+    sigma: float | None = None,
 ) -> Equation | None:
     residual = _stack(name, views, kept, measured)[:, 0]
     if len(residual) < 2 * len(names) + 8:
@@ -165,15 +166,16 @@ def _build(
         (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k] for v, k in zip(views, kept, strict=True)
     ]
     columns = _stack(name, views, kept, tangent)
+    when = np.concatenate(times)
+    if sigma is not None:
+        return Equation(name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma)
     basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     rest = residual - basis @ (basis.T @ residual)
     if name == "breakaway":
         sigma = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     else:
-        sigma = noise(without_tones(rest, owner, np.concatenate(times)), owner, views[0].low_pass)
-    found = Equation(
-        name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, np.concatenate(times), sigma
-    )
+        sigma = noise(without_tones(rest, owner, when), owner, views[0].low_pass)
+    found = Equation(name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma)
     return replace(found, sigma=max(sigma, least_noise(found)))
 
 
@@ -186,7 +188,7 @@ def least_noise(equation: Equation) -> float:
     return max(least, *(quantum(v.recording.channels["angle"]) / math.sqrt(12.0) for v in equation.views))
 
 
-def _torque(views: Sequence[View], nominal: Nominal, unit: str) -> Equation | None:
+def _torque(views: Sequence[View], nominal: Nominal, unit: str, sigma: float | None = None) -> Equation | None:
     # Where the transmission gives, the rotor's share of the inertia moves otherwise than the valve; how large it is
     # no recording is told.
     gives = any(np.any(v.twist) for v in views)
@@ -202,6 +204,7 @@ def _torque(views: Sequence[View], nominal: Nominal, unit: str) -> Equation | No
         lambda v: np.asarray(v.torque - nominal.torque(v)),
         tangent,
         (*nominal.free, *(("rotor",) if gives else ())),
+        sigma,
     )
 
 

@@ -27,7 +27,7 @@ FEW = 4
 ROUNDING = 1e-9
 """Norm below which a part of an orthonormal column is a rounding error."""
 NOMINAL_IN = ("torque", "breakaway")
-"""Equations whose regressors may depend on the nominal values."""
+"""Equations in which regressors that follow the nominal values do so."""
 NO_WEIGHTS = np.zeros((0, 0, 0))
 LEAST_ACTIVE = 3.0
 """Blocks in which a regressor must be active (inverse participation)."""
@@ -163,7 +163,8 @@ class Stack:
             if equation.name in term.columns
         }
         for name, columns in found.items():
-            store = self.own if term.follows and name in NOMINAL_IN else self.cache
+            varies = (term.follows and name in NOMINAL_IN) or name in term.varies
+            store = self.own if varies else self.cache
             store.setdefault(key, {})[name] = columns
         return found
 

@@ -124,6 +124,11 @@ class View:
         return float(self.time[1] - self.time[0])
 
     @cached_property
+    def rotor_acceleration(self) -> Array:
+        """The motor's acceleration at the joint, rad/s^2."""
+        return np.asarray(central_difference(self.motor_speed, self.step) / self.recording.bench.gear_ratio)
+
+    @cached_property
     def loaded(self) -> bool:
         """Whether a weight presses."""
         return bool(np.any(self.moment != 0.0))

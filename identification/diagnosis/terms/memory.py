@@ -63,6 +63,49 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
 
 
 @compiled
+def first_swing(series: Array, width: float) -> int:
+    """Return the first sample by which a series has swung that far; from there on no play of it knows where it began.
+
+    The number of samples where it never does.
+    """
+    low = high = series[0]
+    for k in range(len(series)):
+        low, high = min(low, series[k]), max(high, series[k])
+        if high - low >= width:
+            return k
+    return len(series)
+
+
+@compiled
+def falling_play(angle: Array, speed: Array, step: float, gap: float, pull: Array, hold: Array, start: float) -> Array:
+    """Return the lead of :func:`play` where a weight may carry the driven side through the open gap, shape (m,).
+
+    Args:
+        angle: Of the driving side, rad.
+        speed: Its speed, rad/s: the driven side's while a flank carries it.
+        step: Of time, s.
+        gap: rad.
+        pull: Of the weight on the driven side, over its inertia, rad/s^2.
+        hold: Of its friction, over its inertia, rad/s^2.
+        start: Lead at the first sample, rad.
+    """
+    out = np.empty_like(angle)
+    half = 0.5 * gap
+    lead = min(max(start, -half), half)
+    out[0] = lead
+    moves = 0.0
+    for k in range(1, len(angle)):
+        free = moves + step * pull[k]
+        moves = np.sign(free) * max(abs(free) - step * hold[k], 0.0)
+        lead += angle[k] - angle[k - 1] - step * moves
+        if abs(lead) >= half:
+            lead = half if lead > 0.0 else -half
+            moves = speed[k]
+        out[k] = lead
+    return out
+
+
+@compiled
 def heated(loss: Array, run_time: Array, start: float, time_constant: float) -> Array:
     """Return the temperature rise per thermal resistance, W, of a first-order body, shape (m,)."""
     out = np.empty_like(loss)

@@ -43,6 +43,7 @@ class Term:
             are scales, sought within a factor.
         positive: Indices of coefficients that must be positive to be physical.
         follows: Whether the regressors depend on the nominal values, so that they change as those are fitted.
+        varies: Equations whose regressors change with the nominal values though no coefficient moves with these.
         limits: Index of a shape's entry to its least and greatest physical value.
         place: Index of the shape's entry that is the recording in which alone the effect shows, if there is one.
         begin: From nominal values and a trial shape to those that a joint fit begins from.
@@ -60,6 +61,7 @@ class Term:
     size: float | None = None
     exact: bool = False
     follows: bool = False
+    varies: tuple[str, ...] = ()
     limits: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     place: int | None = None
     begin: Callable[[Nominal, Shape], tuple[Nominal, Shape]] = lambda nominal, shape: (nominal, shape)

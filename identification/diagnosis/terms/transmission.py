@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.terms.memory import delayed, play
+from identification.diagnosis.terms.memory import delayed, falling_play, first_swing, play
 from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, polar, rows, shaped
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
-from identification.signals import BoolArray, central_difference, quantum
+from identification.signals import central_difference, quantum
 
 TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
@@ -22,6 +22,9 @@ TWIST_COUNTS = (0.0, 2.0)
 """Counts of the joint's encoder by which a shaft may twist under the greatest torque and still count as stiff."""
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
+LEAST_JOINT_SHARE = 0.1
+"""Of the inertia, that is the joint's at least."""
+LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
 """Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit seeks it."""
 SLIPS_PER_RECORDING = 12
@@ -43,12 +46,7 @@ def carried(view: View, rotor: float) -> Array:
 
     While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
     """
-    return np.asarray(transmitted(view) - rotor * _rotor_acceleration(view))
-
-
-def _rotor_acceleration(view: View) -> Array:
-    """Return the rotor's acceleration at the joint, rad/s^2."""
-    return np.asarray(central_difference(view.motor_speed, view.step) / view.recording.bench.gear_ratio)
+    return np.asarray(transmitted(view) - rotor * view.rotor_acceleration)
 
 
 def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -58,12 +56,12 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
     noise where the joint sets off or turns.
     """
     torque = transmitted(view)
-    return rows(torque, -_rotor_acceleration(view), -central_difference(torque, view.step))
+    return rows(torque, -view.rotor_acceleration, -central_difference(torque, view.step))
 
 
-def _play(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    gap, counts, per_torque = shape
-    return rows(lead(view, gap) + counts * per_torque * transmitted(view))
+def _play(view: View, nominal: Nominal, shape: Shape) -> Array:
+    gap, counts, per_torque, rotor = shape
+    return rows(lead(view, nominal, gap, rotor) + counts * per_torque * carried(view, rotor))
 
 
 def count_of_twist(views: Sequence[View]) -> float:
@@ -77,34 +75,57 @@ def count_of_twist(views: Sequence[View]) -> float:
 
 
 def _gaps(context: Context) -> Sequence[Shape]:
-    per_torque = count_of_twist(context.views)
-    return everywhere(context, _both_encoders, [(gap, 0.5 * TWIST_COUNTS[1], per_torque) for gap in GAPS_RAD])
+    per_torque, rotor = count_of_twist(context.views), ROTOR_SHARE * context.nominal.get("J")
+    return everywhere(context, _both_encoders, [(gap, 0.5 * TWIST_COUNTS[1], per_torque, rotor) for gap in GAPS_RAD])
 
 
-def lead(view: View, gap: float) -> Array:
-    """Return how far the motor leads through a gap that its own encoders show where it begins in, rad, shape (m,)."""
+def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
+    """Return how far the motor leads through a gap that its own encoders show where it begins in, rad, shape (m,).
+
+    The joint stands while the gap is open; under a weight that is more than its friction holds it falls.
+
+    Args:
+        view: The recording.
+        nominal: Of which friction and inertia count where a weight turns with the joint.
+        gap: rad.
+        rotor: The rotor's inertia at the joint, kg m^2.
+    """
     motor = view.motor / view.recording.bench.gear_ratio
-    middle = play(motor, gap)
-    known = _forgotten(motor, gap)
-    if view.lag is None or not known.any():
+    through = _through(view, nominal, motor, gap, rotor)
+    middle = through(len(motor), 0.0)
+    crossed = first_swing(motor, gap)
+    if view.lag is None or crossed == len(motor):
         return middle
-    zero = float(np.mean((view.lag - middle)[known]))
-    return play(motor, gap, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
+    zero = float(np.mean((view.lag - middle)[crossed:]))
+    # From there on both are the same: a flank has carried.
+    begun = through(crossed + 1, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
+    return np.concatenate([begun, middle[crossed + 1 :]])
+
+
+def _through(view: View, nominal: Nominal, motor: Array, gap: float, rotor: float) -> Callable[[int, float], Array]:
+    """Return the lead over so many samples as a function of the one at the first of them, rad."""
+    weight = nominal.helping(view)
+    if not np.any(weight) or nominal.get("J") <= 0.0:
+        return lambda count, start: play(motor[:count], gap, start)
+    inertia = max(nominal.get("J") - rotor, LEAST_JOINT_SHARE * nominal.get("J"))
+    pull, hold = weight / inertia, np.abs(nominal.friction(view)) / inertia
+    speed = view.motor_speed / view.recording.bench.gear_ratio
+    return lambda count, start: falling_play(motor[:count], speed, view.step, gap, pull, hold, start)
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    torque, width = carried(view, shape[1]), shape[0]
+    width, rotor, deflection, counts, per_torque = shape
+    torque = carried(view, rotor)
+    twist = counts * per_torque * torque
     state = _sheared(torque, width)
-    known = _forgotten(torque, 2.0 * width)
-    if view.lag is None or not known.any():
-        return rows(state)
-    mean = float(np.mean(state[known]))
-    spread = state[known] - mean
-    slope = float(spread @ view.lag[known]) / max(float(spread @ spread), 1e-300)
-    if slope <= 0.0:
-        return rows(state)
-    first = mean + (float(np.mean(view.lag[:FIRST_SAMPLES])) - float(np.mean(view.lag[known]))) / slope
-    return rows(_sheared(torque, width, float(torque[0]) - width * min(max(first, -1.0), 1.0)))
+    closed = first_swing(torque, 2.0 * width)
+    if view.lag is not None and closed < len(torque):
+        yields = view.lag - twist
+        zero = float(np.mean((yields - deflection * state)[closed:]))
+        first = (float(np.mean(yields[:FIRST_SAMPLES])) - zero) / deflection
+        begun = _sheared(torque[: closed + 1], width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
+        state = np.concatenate([begun, state[closed + 1 :]])
+    return rows(deflection * state + twist)
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
@@ -112,17 +133,14 @@ def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
     return np.asarray(np.clip((torque - play(torque, 2.0 * width, start)) / width, -1.0, 1.0))
 
 
-def _forgotten(series: Array, gap: float) -> BoolArray:
-    """Mark samples by which a play has been crossed, so that where it began no longer matters."""
-    return np.asarray(np.maximum.accumulate(series) - np.minimum.accumulate(series) >= gap)
-
-
 def _loops(context: Context) -> list[Shape]:
     known = [v for v in context.views if v.lag is not None]
     if not known:
         return []
     greatest = max(float(np.max(np.abs(transmitted(v)))) for v in known)
-    return [(share * greatest, ROTOR_SHARE * context.nominal.get("J")) for share in LOOP_SHARES]
+    rotor, per_torque = ROTOR_SHARE * context.nominal.get("J"), count_of_twist(known)
+    sizes = [(share * greatest, deflection) for share in LOOP_SHARES for deflection in LOOPS_RAD]
+    return [(width, rotor, deflection, 0.5 * TWIST_COUNTS[1], per_torque) for width, deflection in sizes]
 
 
 def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -198,10 +216,11 @@ TERMS = (
         {"transmission": _play},
         shaped("gap_rad"),
         _gaps,
-        refine={0: 0.0, 1: 0.5 * TWIST_COUNTS[1]},
+        refine={0: 0.0, 1: 0.5 * TWIST_COUNTS[1], 3: 0.0},
         limits={1: TWIST_COUNTS},
         positive=(0,),
         size=1.0,
+        varies=("transmission",),
     ),
     Term(
         "compliance",
@@ -221,10 +240,12 @@ TERMS = (
     Term(
         "coupling_hysteresis",
         {"transmission": _loop},
-        lambda c, shape, _context: {"deflection_rad": float(c[0]), "torque_Nm": shape[0]},
+        lambda _c, shape, _context: {"deflection_rad": shape[2], "torque_Nm": shape[0]},
         _loops,
-        refine={0: 0.0, 1: 0.0},
+        refine={2: 0.0, 0: 0.0, 1: 0.0, 3: 0.5 * TWIST_COUNTS[1]},
+        limits={3: TWIST_COUNTS},
         positive=(0,),
+        size=1.0,
     ),
     Term(
         "transmission_efficiency",

@@ -10,6 +10,7 @@ from identification.diagnosis.contest import Round
 from identification.diagnosis.crossing import CARRIED, crossed, told_apart
 from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.view import View, views
@@ -18,6 +19,7 @@ from identification.recording import Dataset, Model, Recording
 from .benches import campaign, nominal_fit
 
 HALF_RAD, CLOSES_N_M = 0.003, 3.0
+ROTOR_KG_M2 = 0.1
 TERM = {t.name: t for t in TERMS}
 
 
@@ -30,20 +32,25 @@ def recordings(name: str) -> tuple[Recording, ...]:
     return campaign({name: effects[name]}, 11, 8.0)
 
 
+@lru_cache
+def nominal(name: str) -> Nominal:
+    return nominal_fit(recordings(name)).nominal
+
+
 def valve_side(name: str) -> tuple[View, ...]:
     return views([r for r in recordings(name) if r.role == "fit"], 25.0, True)
 
 
 def test_a_gap_is_crossed_without_torque() -> None:
-    seen = crossed(valve_side("backlash"), 2.0 * HALF_RAD)
+    seen = crossed(valve_side("backlash"), nominal("backlash"), 2.0 * HALF_RAD, ROTOR_KG_M2)
     assert seen is not None
     assert seen.share < 0.5 * CARRIED
 
 
 def test_a_loop_closes_with_its_torque() -> None:
-    seen = crossed(valve_side("coupling_hysteresis"), 2.0 * HALF_RAD)
+    seen = crossed(valve_side("coupling_hysteresis"), nominal("coupling_hysteresis"), 2.0 * HALF_RAD, ROTOR_KG_M2)
     assert seen is not None
-    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.05)
+    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)
 
 
 @pytest.mark.parametrize("name", ["backlash", "coupling_hysteresis"])
@@ -57,10 +64,20 @@ def test_each_is_named_and_the_other_rejected(name: str) -> None:
 def test_what_is_crossed_too_fast_to_see_stays_open() -> None:
     gap = 1e-4
     here = valve_side("backlash")
-    assert crossed(here, gap) is None
+    assert crossed(here, nominal("backlash"), gap, ROTOR_KG_M2) is None
     start = nominal_fit(recordings("backlash"))
     baseline = fit(here, "N m", start.nominal)
-    own = Added(TERM["backlash"], (gap, 0.0, 0.0), (1.0,))
+    own = Added(TERM["backlash"], (gap, 0.0, 0.0, ROTOR_KG_M2), (1.0,))
     named = Joint(baseline.nominal, (own,), baseline.equations, baseline.residual, baseline.stack)
     _, rounds = told_apart(here, "N m", baseline, named, [Round("backlash", ())], TERMS, [])
     assert [(r.name, r.preference) for r in rounds[0].rivals] == [("coupling_hysteresis", 0.0)]
+
+
+def test_a_narrow_loop_closes_with_its_torque_as_well() -> None:
+    """Crossed within ten samples, of which a filter shows half the rotor's acceleration."""
+    half = 5e-4
+    narrow = campaign({"coupling_hysteresis": {"deflection_rad": half, "torque_Nm": CLOSES_N_M}}, 11, 8.0)
+    here = views([r for r in narrow if r.role == "fit"], 25.0, True)
+    seen = crossed(here, nominal_fit(narrow).nominal, 2.0 * half, ROTOR_KG_M2)
+    assert seen is not None
+    assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)

@@ -31,7 +31,7 @@ def gap() -> Joint:
     hidden = {"backlash": {"gap_rad": 0.003}, "asymmetric_coulomb": {"torque_Nm": 0.1}}
     joint = nominal_fit(campaign(hidden, 12, 6.0)[:3])
     fixed = replace(BY_NAME["backlash"], refine={})
-    return fit(joint.equations[0].views, "N m", joint.nominal, (Added(fixed, (0.002, 0.0, 0.0), (1.0,)),), joint)
+    return fit(joint.equations[0].views, "N m", joint.nominal, (Added(fixed, (0.002, 0.0, 0.0, 0.1), (1.0,)),), joint)
 
 
 def ranked(joint: Joint) -> list[Candidate]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.diagnosis.terms.memory import dahl, heated, lagged, play
+from identification.diagnosis.terms.memory import dahl, falling_play, first_swing, heated, lagged, play
 
 TIME = np.arange(2000) * 1e-3
 
@@ -27,6 +27,29 @@ def test_play_follows_only_beyond_its_gap() -> None:
     assert driven[100] == pytest.approx(0.9)
     assert driven[110] == pytest.approx(0.9), "the driven side stands within the gap"
     assert driven[-1] == pytest.approx(0.1)
+
+
+def test_a_driven_side_that_its_friction_holds_stands_in_the_gap_under_a_weight_as_well() -> None:
+    angle = 0.5 * np.sin(2.0 * np.pi * TIME)
+    pull, hold = np.full(2000, 5.0), np.full(2000, 60.0)
+    lead = falling_play(angle, np.gradient(angle, 1e-3), 1e-3, 0.1, pull, hold, 0.0)
+    assert lead == pytest.approx(play(angle, 0.1), abs=0.01), "it coasts on for less than a tenth of the gap"
+
+
+def test_a_driven_side_falls_through_the_gap_as_its_weight_says() -> None:
+    still, pull, hold = np.zeros(2000), np.full(2000, 9.0), np.full(2000, 5.0)
+    lead = falling_play(still, still, 1e-3, 0.2, pull, hold, 0.1)
+    falls = 0.1 - 0.5 * (9.0 - 5.0) * TIME**2
+    assert lead == pytest.approx(np.maximum(falls, -0.1), abs=1e-3)
+    assert lead[-1] == -0.1
+
+
+def test_a_play_that_has_been_crossed_no_longer_knows_where_it_began() -> None:
+    angle = 0.5 * np.sin(2.0 * np.pi * TIME)
+    crossed = first_swing(angle, 0.3)
+    assert play(angle, 0.3, 0.15)[crossed:] == pytest.approx(play(angle, 0.3, -0.15)[crossed:], abs=1e-12)
+    assert play(angle, 0.3, 0.15)[crossed - 1] != pytest.approx(play(angle, 0.3, -0.15)[crossed - 1], abs=1e-6)
+    assert first_swing(angle, 1.1) == len(angle)
 
 
 def test_dahl_friction_starts_at_its_stiffness_and_ends_at_its_level() -> None:

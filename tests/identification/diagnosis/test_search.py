@@ -78,7 +78,7 @@ def test_a_gap_is_followed_from_wherever_a_recording_begins_in_it() -> None:
     joint = nominal_fit(recordings[:3])
     rows = joint.stack.part("transmission")
     term = next(t for t in TERMS if t.name == "backlash")
-    after = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.003, 0.0, 0.0), (1.0,)),), joint)
+    after = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.003, 0.0, 0.0, 0.1), (1.0,)),), joint)
     assert after.effects[0].shape[0] == pytest.approx(gap, rel=0.03)
     assert np.mean(joint.residual[rows] ** 2) > 1e4
     assert np.mean(after.residual[rows] ** 2) < 10.0

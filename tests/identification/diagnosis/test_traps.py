@@ -214,7 +214,7 @@ def test_least_squares_in_a_closed_loop_is_biased() -> None:
 
 def widest_gap(equation: Equation, nominal: Nominal) -> Candidate | None:
     stack = stacked([equation], nominal)
-    shapes = [(float(g), 0.0, 0.0) for g in np.geomspace(5e-4, 1e-2, 41)]
+    shapes = [(float(g), 0.0, 0.0, 0.1) for g in np.geomspace(5e-4, 1e-2, 41)]
     trials = [stack.term(TERM["backlash"], shape) for shape in shapes]
     return max((t for t in trials if t is not None), key=lambda t: t.gain, default=None)
 
