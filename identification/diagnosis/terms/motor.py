@@ -35,6 +35,8 @@ COPPER_PER_K = 0.00393
 MAGNET_PER_K = 0.001
 """Loss of the torque constant with temperature (ferrite to neodymium: 0.001 to 0.002)."""
 CYCLES_PER_TURN: tuple[Shape, ...] = tuple((float(n),) for n in range(1, 49))
+LEAST_GAIN = 0.5
+"""Least torque of a motor that ripples over what its current stands for; none ripples more."""
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Knee of a saturating torque constant over the greatest current."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
@@ -53,8 +55,20 @@ def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return _by_origin(view, shape, -sine_cosine(shape[0], view.motor))
 
 
+# The torque that the current stands for is what is asked of the drive over one plus the ripple. Without the ripple so
+# far in the divisor its square is left: of one of 12 % a hundredth, which was more than a load's inertia beside it.
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return _by_origin(view, shape, sine_cosine(shape[0], view.motor) * -nominal.drive(view))
+    wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
+    return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
+
+
+def _gain(view: View, nominal: Nominal) -> Array:
+    """Return the motor's torque over what its current stands for, as the ripple named so far has it."""
+    if not nominal.ripple:
+        return np.ones(len(view.time))
+    shape, coefficients = nominal.ripple
+    wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
+    return np.asarray(np.maximum(1.0 + np.array(coefficients) @ wave, LEAST_GAIN))
 
 
 def _by_origin(view: View, shape: Shape, wave: Array) -> Array:

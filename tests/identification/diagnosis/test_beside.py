@@ -65,3 +65,10 @@ def test_beside_what_is_the_physics_itself_less_makes_a_name() -> None:
     assert math.isinf(needed_share(little))
     assert math.isfinite(needed_share(little, exact=True))
     assert math.isinf(needed_share(0.5 * EXACT_ERROR, exact=True))
+
+
+def test_a_strong_ripple_leaves_nothing_of_its_own() -> None:
+    ripple = {"fraction": 0.14, "per_motor_turn": 2.0, "phase_rad": 1.0}
+    named = after(nominal_fit(campaign({"torque_ripple": ripple}, 34, 8.0)), "torque_ripple")
+    assert math.hypot(*named.effects[0].coefficients) == pytest.approx(0.14, rel=0.005)
+    assert power(named, "torque") < 1.2
