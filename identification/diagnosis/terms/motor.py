@@ -13,6 +13,7 @@ import numpy as np
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.memory import heated
 from identification.diagnosis.terms.term import (
+    EXACT,
     NO_SHAPE,
     Context,
     Reader,
@@ -236,7 +237,7 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, exact=True),
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, shape_error=EXACT),
     Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, follows=True),
     Term(
         "torque_saturation",
@@ -249,7 +250,13 @@ TERMS = (
         follows=True,
     ),
     Term(
-        "current_loop_lag", {"torque": _loop_lag}, one("time_s"), _with_current(NO_SHAPE), positive=(0,), follows=True
+        "current_loop_lag",
+        {"torque": _loop_lag},
+        one("time_s"),
+        _with_current(NO_SHAPE),
+        positive=(0,),
+        follows=True,
+        shape_error=EXACT,
     ),
     Term(
         "inverter_dead_time",
@@ -286,7 +293,7 @@ TERMS = (
         {"torque": _current_offset, "breakaway": _current_offset, "voltage": _current_offset_voltage},
         one("current_A"),
         _with_current(NO_SHAPE),
-        exact=True,
+        shape_error=EXACT,
     ),
     Term(
         "current_drift",
@@ -299,6 +306,6 @@ TERMS = (
         _with_current(((0.5 * ZEROED_S[1],),)),
         refine={0: 0.5 * ZEROED_S[1]},
         limits={0: ZEROED_S},
-        exact=True,
+        shape_error=EXACT,
     ),
 )
