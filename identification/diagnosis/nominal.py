@@ -40,7 +40,7 @@ class Nominal:
             sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
         zero_A: What the logged current reads without any, as effects named so far say, A.
         ripple: Of the motor's torque over its current, as effects named so far say: cycles a motor turn (and how many
-            recordings, where each has an origin of its own), and the coefficients; none where it is empty.
+            recordings, where each has an origin of its own), and coefficients; none where it is empty.
         bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
             with a rise or a speed is then said by it.
         bristles: Stiffness that friction springs by before it slips, as an effect named so far says, N m/rad; or 0.

@@ -64,11 +64,15 @@ def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def _gain(view: View, nominal: Nominal) -> Array:
-    """Return the motor's torque over what its current stands for, as the ripple named so far has it."""
-    if not nominal.ripple:
+    """Return the motor's torque over what its current stands for, as the ripple named so far has it.
+
+    1 where each recording has an origin of its own: of one set aside the phase is unknown, and constants that leave the
+    mean of the divided torque to it would be off there.
+    """
+    if not nominal.ripple or len(nominal.ripple[0]) > 1:
         return np.ones(len(view.time))
     shape, coefficients = nominal.ripple
-    wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
+    wave = sine_cosine(shape[0], view.motor)
     return np.asarray(np.maximum(1.0 + np.array(coefficients) @ wave, LEAST_GAIN))
 
 
