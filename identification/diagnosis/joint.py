@@ -112,8 +112,7 @@ def fit(
         follow = share if any(e.term.follows for e in best.effects) else 1.0
         nominal = best.nominal.moved(follow * step.straight, step.bend, share)
         effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
-        hidden = replace(nominal, hidden=hidden_load(best.effects), zero_A=current_zero(best.effects))
-        nominal, effects = _begun(hidden, effects)
+        nominal, effects = _begun(_told(nominal, best.effects), effects)
     assert best is not None
     best = _kept(views, unit, best)
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
@@ -143,7 +142,7 @@ def _kept(views: Sequence[View], unit: str, best: Joint) -> Joint:
 
 def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:
     """Return nominal values and effects as a fit begins with them."""
-    placed, nominal = [], replace(nominal, bent=None)
+    placed, nominal = [], replace(nominal, bent=None, bristles=0.0)
     for effect in effects:
         nominal, shape = effect.term.begin(nominal, effect.shape)
         placed.append(replace(effect, shape=shape))
@@ -161,6 +160,12 @@ def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
             shape = trial if effect.term.physical(trial) else shape
         placed.append(replace(effect, shape=shape))
     return tuple(placed)
+
+
+def _told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
+    """Return nominal values with what the effects so far say that others, or they themselves, are built from."""
+    ripple = next(((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ())
+    return replace(nominal, hidden=hidden_load(effects), zero_A=current_zero(effects), ripple=ripple)
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:

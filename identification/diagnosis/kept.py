@@ -10,24 +10,23 @@ from scipy import stats
 from identification.diagnosis.contest import Contender, Round, again, broken, implausible, numbers, preference, simplest
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
-from identification.diagnosis.terms.term import Term
+from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 from identification.diagnosis.view import View
 
 EXCESS = 1.5
 """Mean square of the mismatch over that of the noise, up to which the noise may have been taken too small."""
 FURTHER_SHARE = 0.4
 """Share of what is left beyond the noise that one more effect must explain; less is the first one's own shape."""
-LEAST_FURTHER = 0.01
-"""Gain of one more effect over what is explained already where it shows; less is the shape of what came before..."""
+UNCERTAIN = 10.0
+"""Gain of one more effect over what is explained already where it shows, over the error of the others' regressors,
+below which it is the shape of what came before..."""
 NEARLY_ALL = 0.8
-"""... unless it explains this share of what is left beyond the noise."""
+"""... unless it explains this share of what is left beyond the noise; below that error itself nothing is told."""
+LEAST_FURTHER = UNCERTAIN * ROUGH
 SURE = float(stats.norm.isf(0.01))
 """Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise. There it
-must be worth :data:`LEAST_FURTHER` as well: below that and below the noise is where regressors of the others err."""
-SHAPE_ERROR = 1e-3
-"""Gain of one more effect over what is explained already, below which no regressor is true enough to show it..."""
-EXACT_ERROR = 1e-5
-"""... and below which not even those that are the physics itself are, as a constant is a constant."""
+must be worth :data:`UNCERTAIN` times the error of the others as well, unless they are exact: below that and below the
+noise is where regressors err."""
 
 
 def pruned(
@@ -65,25 +64,25 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
     beside = [e.term for e in without.effects if alike(e.term, term)]
-    true = all(t.exact for t in beside)
-    needed = needed_share(others, true)
+    error = max((t.shape_error for t in beside), default=EXACT)
+    needed = needed_share(others, error)
     left = _beyond_noise(without, parts)
-    least = EXACT_ERROR if true else LEAST_FURTHER
+    least = UNCERTAIN * error if error > EXACT else error
     if left <= 1.0 and (others < least or preference(joint, without) < SURE):
         needed = math.inf
     return gain / left, needed
 
 
-def needed_share(others: float, exact: bool = False) -> float:
+def needed_share(others: float, error: float = ROUGH) -> float:
     """Return the share of what is left that one more effect must explain; infinite where nothing would do.
 
     Args:
         others: Its gain over what the others explain in its equations.
-        exact: Whether the others' regressors are all the physics itself.
+        error: Of the others' regressors, over the same.
     """
-    if others < (EXACT_ERROR if exact else SHAPE_ERROR):
+    if others < error:
         return math.inf
-    return NEARLY_ALL if others < LEAST_FURTHER else FURTHER_SHARE
+    return NEARLY_ALL if others < UNCERTAIN * error else FURTHER_SHARE
 
 
 def revisited(

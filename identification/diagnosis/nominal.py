@@ -39,8 +39,11 @@ class Nominal:
         hidden: Torque that turns with the joint and was not declared, as effects named so far say: coefficients of
             sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
         zero_A: What the logged current reads without any, as effects named so far say, A.
+        ripple: Of the motor's torque over its current, as effects named so far say: cycles a motor turn (and how many
+            recordings, where each has an origin of its own), and coefficients; none where it is empty.
         bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
             with a rise or a speed is then said by it.
+        bristles: Stiffness that friction springs by before it slips, as an effect named so far says, N m/rad; or 0.
         most: Greatest static levels that the recordings allow; none where it is empty.
         _torques: What :meth:`torque` returned before, with its view: hundreds of trial shapes are built from it.
     """
@@ -50,7 +53,9 @@ class Nominal:
     alpha: float
     hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     zero_A: float = 0.0
+    ripple: tuple[tuple[float, ...], ...] = ()
     bent: float | None = None
+    bristles: float = 0.0
     most: Mapping[str, float] = field(default_factory=dict)
     _torques: dict[int, tuple[View, Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 

@@ -8,6 +8,8 @@ from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.lateness import computed, too_early
 from identification.diagnosis.terms.memory import delayed
 from identification.diagnosis.terms.term import (
+    CLOSE,
+    EXACT,
     NO_SHAPE,
     Context,
     Shape,
@@ -141,8 +143,8 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 TERMS = (
-    Term("gravity_imbalance", in_motion(_gravity), _read_gravity, exact=True),
-    Term("return_spring", in_motion(_spring), _read_spring, positive=(0,), exact=True),
+    Term("gravity_imbalance", in_motion(_gravity), _read_gravity, shape_error=EXACT),
+    Term("return_spring", in_motion(_spring), _read_spring, positive=(0,), shape_error=EXACT),
     Term(
         "end_stop",
         in_motion(_stop),
@@ -160,6 +162,7 @@ TERMS = (
         positive=(0,),
         size=1.0,
         follows=True,
+        shape_error=CLOSE,
     ),
     Term(
         "load_position_dependence",
@@ -167,6 +170,7 @@ TERMS = (
         one("slope_per_rad"),
         lambda context: everywhere(context, _is_loaded, ((),)),
         follows=True,
+        shape_error=CLOSE,
     ),
     Term(
         "wrong_weight",
@@ -175,7 +179,7 @@ TERMS = (
         _labels,
         place=0,
         follows=True,
-        exact=True,
+        shape_error=EXACT,
     ),
     Term(
         "load_swing",
@@ -184,6 +188,7 @@ TERMS = (
         lambda c: everywhere(c, _is_loaded, SWINGS),
         refine={0: 0.0, 1: 0.0},
         follows=True,
+        shape_error=CLOSE,
     ),
     Term(
         "load_inertia",
@@ -191,7 +196,7 @@ TERMS = (
         one("inertia_kgm2"),
         lambda context: everywhere(context, lambda v: v.recording.weight_mass > 0.0, ((),)),
         positive=(0,),
-        exact=True,
+        shape_error=EXACT,
     ),
     Term(
         "lever_pivot_friction",
@@ -199,6 +204,7 @@ TERMS = (
         one("torque_Nm"),
         lambda context: ((),) if len(_forces(context)) > 1 else (),
         positive=(0,),
+        shape_error=CLOSE,
     ),
     Term(
         "load_dependent_friction",

@@ -8,7 +8,7 @@ import numpy as np
 
 from identification.diagnosis.nominal import SPEEDS, Nominal
 from identification.diagnosis.terms.memory import dahl, lagged
-from identification.diagnosis.terms.term import Context, Shape, Term, in_motion, one, rows, shaped
+from identification.diagnosis.terms.term import CLOSE, EXACT, Context, Shape, Term, in_motion, one, rows, shaped
 from identification.diagnosis.view import View
 from identification.recording import Array
 
@@ -68,12 +68,22 @@ def _level(view: View, nominal: Nominal) -> Array:
 
 def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
     level = _level(view, nominal)
-    return rows(view.sense * (lagged(level, view.step, shape[0]) - level))
+    late = lagged(level, view.step, shape[0])
+    if nominal.bristles:  # what is late then is how far the bristles yield
+        start = _borne_at_start(view, nominal)
+        late, level = (dahl(view.angle, each, nominal.bristles, start) for each in (late, level))
+        return rows(late - level)
+    return rows(view.sense * (late - level))
 
 
 def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
     level = _level(view, nominal)
     return rows(dahl(view.angle, level, shape[0], _borne_at_start(view, nominal)) - view.sense * level)
+
+
+def _sprung(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
+    """Tell what else is built from friction that it springs."""
+    return replace(nominal, bristles=shape[0]), shape
 
 
 def _borne_at_start(view: View, nominal: Nominal) -> float:
@@ -113,11 +123,17 @@ def _thermal(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 TERMS = (
-    Term("asymmetric_coulomb", in_motion(lambda v, _n, _s: rows(np.ones(len(v.time)))), one("torque_Nm"), exact=True),
+    Term(
+        "asymmetric_coulomb",
+        in_motion(lambda v, _n, _s: rows(np.ones(len(v.time)))),
+        one("torque_Nm"),
+        shape_error=EXACT,
+    ),
     Term(
         "asymmetric_viscous",
         in_motion(lambda v, _n, _s: rows(np.abs(v.velocity))),
         one("coefficient_Nms_rad"),
+        shape_error=CLOSE,
     ),
     Term(
         "quadratic_drag",
@@ -146,6 +162,7 @@ TERMS = (
         positive=(0,),
         size=1.0,
         follows=True,
+        shape_error=EXACT,
     ),
     Term(
         "dwell_static_friction",
@@ -164,6 +181,8 @@ TERMS = (
         positive=(0,),
         size=1.0,
         follows=True,
+        begin=_sprung,
+        shape_error=CLOSE,
     ),
     Term(
         "position_dependent_friction",
@@ -171,6 +190,7 @@ TERMS = (
         lambda c, shape, _context: {"torque_Nm": float(c[0]), "center_rad": shape[0], "width_rad": shape[1]},
         _patches,
         refine={0: 0.1, 1: 0.0},
+        shape_error=CLOSE,
     ),
     Term(
         "viscous_thermal_drift",
@@ -181,11 +201,12 @@ TERMS = (
         },
         lambda context: WARM_UPS_S if context.nominal.get("sigma_2") > 0.0 else (),
         refine={0: 0.0},
+        shape_error=EXACT,
     ),
     Term(
         "coulomb_drift",
         in_motion(lambda v, _n, _s: rows(v.sense * v.run_time)),
         one("rate_Nm_s"),
-        exact=True,
+        shape_error=EXACT,
     ),
 )

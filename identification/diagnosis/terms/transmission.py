@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.memory import delayed, falling_play, first_swing, play
-from identification.diagnosis.terms.term import Context, Shape, Term, everywhere, in_motion, polar, rows, shaped
+from identification.diagnosis.terms.term import EXACT, Context, Shape, Term, everywhere, in_motion, polar, rows, shaped
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
@@ -228,7 +228,7 @@ TERMS = (
         lambda c, _shape, _context: {"stiffness_Nm_rad": 1.0 / float(c[0])},
         lambda context: everywhere(context, _both_encoders, ((),)),
         positive=(0,),
-        exact=True,
+        shape_error=EXACT,
     ),
     Term(
         "gear_mesh_ripple",

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 
 from identification.diagnosis.joint import Joint, fit
-from identification.diagnosis.kept import EXACT_ERROR, SHAPE_ERROR, needed_share
+from identification.diagnosis.kept import FURTHER_SHARE, UNCERTAIN, needed_share
 from identification.diagnosis.quiet import quieter
+from identification.diagnosis.terms.memory import dahl, lagged
+from identification.diagnosis.terms.term import CLOSE, EXACT, ROUGH
 from identification.diagnosis.terms.transmission import on_the_joint
 
 from .benches import campaign, honest, nominal_fit
@@ -61,7 +64,30 @@ def test_a_dead_time_steps_where_the_current_is_none_and_not_where_it_reads_none
 
 
 def test_beside_what_is_the_physics_itself_less_makes_a_name() -> None:
-    little = 0.5 * SHAPE_ERROR
+    little = 0.5 * ROUGH
     assert math.isinf(needed_share(little))
-    assert math.isfinite(needed_share(little, exact=True))
-    assert math.isinf(needed_share(0.5 * EXACT_ERROR, exact=True))
+    for error in (EXACT, CLOSE):
+        assert math.isfinite(needed_share(little, error))
+        assert math.isinf(needed_share(0.5 * error, error))
+        assert FURTHER_SHARE == needed_share(2.0 * UNCERTAIN * error, error) < needed_share(2.0 * error, error)
+
+
+def test_a_strong_ripple_leaves_nothing_of_its_own() -> None:
+    ripple = {"fraction": 0.14, "per_motor_turn": 2.0, "phase_rad": 1.0}
+    named = after(nominal_fit(campaign({"torque_ripple": ripple}, 34, 8.0)), "torque_ripple")
+    assert math.hypot(*named.effects[0].coefficients) == pytest.approx(0.14, rel=0.005)
+    assert power(named, "torque") < 1.2
+
+
+def test_friction_that_is_late_and_springs_is_bristles_over_a_late_level() -> None:
+    joint = nominal_fit(honest())
+    view = next(v for v in joint.equations[0].views if not v.loaded)
+    nominal, shape = TERM["presliding"].begin(joint.nominal, (2500.0,))
+    springs, lags = (TERM[name].columns["torque"] for name in ("presliding", "friction_memory"))
+    level = nominal.level(view) - nominal.get("sigma_2") * np.abs(view.velocity)
+    found = view.sense * level + springs(view, nominal, shape)[0] + lags(view, nominal, (0.02,))[0]
+    expected = dahl(view.angle, lagged(level, view.step, 0.02), 2500.0)
+    begun = len(level) // 2  # by then what it began with is forgotten
+    assert found[begun:] == pytest.approx(expected[begun:], abs=1e-6)
+    alone = lags(view, joint.nominal, (0.02,))[0]
+    assert np.max(np.abs(alone - lags(view, nominal, (0.02,))[0])) > 0.1 * np.max(np.abs(alone))
