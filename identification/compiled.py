@@ -23,3 +23,8 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
     """Compile a kernel of long sums, whose terms may be added in any order: several at a time, and fused."""
     return cast(Callable[P, R], njit(cache=True, error_model="numpy", fastmath={"reassoc", "contract"})(function))
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a small kernel into each that calls it: a call costs as much as a few operations."""
+    return cast(Callable[P, R], njit(inline="always", error_model="numpy")(function))

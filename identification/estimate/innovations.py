@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 
-from identification.compiled import compiled
+from identification.compiled import compiled, inlined
 from identification.recording import Array
 
 # Parameter vector of one evaluation.
@@ -24,46 +24,57 @@ MC, DM, OMEGA_SF, SIGMA_2, INERTIA, MU_C, DMU, OMEGA_SL, MU_2, OFFSET, PARAMETER
 FIRST, LAST, SIDE, RISE = range(4)
 
 _LEAST_SPEED = 1e-7
+_FALLEN = 37.0
+"""Exponent beyond which the falling part of friction is nothing beside the rest: exp(-37) is less than rounding."""
 _SLIP = 0.7
 """Mean square by which a speed held at zero or above comes to exceed one that is not, under a drift that rises through
 zero; in the unit that both have (simulated in the tests)."""
 
 
-@compiled
-def _shift(speed: float, variance: float, omega_s: float, part: float, power: float, alpha: float) -> float:
-    """Return half the curvature of the falling ``part`` of friction times the speed's variance, N m.
+State = tuple[float, float, float, float, float]
+"""Angle, speed, and the covariance of the two: of the angle, of both, of the speed."""
 
-    ``power`` is alpha (speed/omega_s)^alpha. Beyond a deviation of omega_s the expansion says nothing, and is held.
+
+@inlined
+def _falling(height: float, speed: float, omega_s: float, alpha: float, variance: float) -> tuple[float, float]:
+    """Return the expected falling part of friction, ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope.
+
+    Its mean over a speed of that ``variance``, to second order. Beyond a deviation of omega_s the expansion says
+    nothing, and is held.
     """
-    return 0.5 * min(variance, omega_s * omega_s) / (speed * speed) * part * power * (power - alpha + 1.0)
+    within = omega_s * omega_s
+    rate = 1.0 / within
+    x = speed * speed * rate
+    if alpha != 2.0:
+        x = (speed / omega_s) ** alpha
+        rate = x / (speed * speed)
+    if x >= _FALLEN:
+        return 0.0, 0.0
+    part = height * math.exp(-x)
+    curved = part * alpha * rate
+    return part + 0.5 * min(variance, within) * curved * (alpha * x - alpha + 1.0), -curved * speed
 
 
-@compiled
+@inlined
 def _friction(speed: float, moment: float, alpha: float, variance: float, p: Array) -> tuple[float, float]:
     """Return the expected friction magnitude (N m) and its slope at ``speed`` > 0: eq. 9 plus eq. 13.
 
     To second order in a speed of that ``variance``: near rest friction is curved enough for the speed's own uncertainty
     to shift its mean, and with it the static limits.
     """
-    ratio = speed / p[OMEGA_SF]
-    x = ratio * ratio if alpha == 2.0 else ratio**alpha
-    part = p[DM] * math.exp(-x)
+    part, slope = _falling(p[DM], speed, p[OMEGA_SF], alpha, variance)
     value = p[MC] + p[SIGMA_2] * speed + part
-    slope = p[SIGMA_2] - part * alpha * x / speed
-    value += _shift(speed, variance, p[OMEGA_SF], part, alpha * x, alpha)
+    slope += p[SIGMA_2]
     if moment > 0.0:
-        ratio = speed / p[OMEGA_SL]
-        x = ratio * ratio if alpha == 2.0 else ratio**alpha
-        part = moment * p[DMU] * math.exp(-x)
+        part, fall = _falling(moment * p[DMU], speed, p[OMEGA_SL], alpha, variance)
         value += moment * (p[MU_C] + p[MU_2] * speed) + part
-        slope += moment * p[MU_2] - part * alpha * x / speed
-        value += _shift(speed, variance, p[OMEGA_SL], part, alpha * x, alpha)
+        slope += moment * p[MU_2] + fall
     return value, slope
 
 
-@compiled
+@inlined
 def _predict(
-    state: list[float],
+    state: State,
     start: float,
     stop: float,
     middle: float,
@@ -76,36 +87,33 @@ def _predict(
     noise_rate: float,
     steps: float,
     p: Array,
-) -> None:
-    """Propagate (angle, speed, covariance) from ``start`` to ``stop`` in place.
+) -> State:
+    """Return the state propagated from ``start`` to ``stop``.
 
     Speed by the linearly implicit trapezoidal rule in ``steps`` steps.
     """
+    angle, omega, p11, p12, p22 = state
     h = (stop - start) / steps
-    now = start
+    now, inverse = start, 1.0 / inertia
     for _ in range(int(steps)):
-        speed = max(side * state[1], _LEAST_SPEED)
-        force, grade = _friction(speed, moment, alpha, state[4], p)
+        speed = max(side * omega, _LEAST_SPEED)
+        force, grade = _friction(speed, moment, alpha, p22, p)
         u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET])
-        rate = (u - force) / inertia
-        gain = -grade / inertia
-        nearer = 1.0 - 0.5 * h * gain
-        if nearer < 0.5:
-            nearer = 0.5
-        change = h * rate / nearer
-        after = speed + change
+        half = -0.5 * h * inverse * grade
+        share = 1.0 / max(1.0 - half, 0.5)
+        after = speed + h * (u - force) * inverse * share
         missing = max(_LEAST_SPEED - after, 0.0)
         after += missing
-        growth = min((1.0 + 0.5 * h * gain) / nearer, 3.0)
-        state[0] += side * h * 0.5 * (speed + after)
-        state[1] = side * after
+        growth = min((1.0 + half) * share, 3.0)
+        angle += side * h * 0.5 * (speed + after)
+        omega = side * after
         b = 0.5 * h * (1.0 + growth)
-        p11, p12, p22 = state[2], state[3], state[4]
         q = noise_rate * h
-        state[2] = p11 + 2.0 * b * p12 + b * b * p22 + q * h * h / 3.0
-        state[3] = growth * (p12 + b * p22) + 0.5 * q * h
-        state[4] = growth * growth * p22 + q + missing * missing
+        p11 += 2.0 * b * p12 + b * b * p22 + q * h * h / 3.0
+        p12 = growth * (p12 + b * p22) + 0.5 * q * h
+        p22 = growth * growth * p22 + q + missing * missing
         now += h
+    return angle, omega, p11, p12, p22
 
 
 @compiled
@@ -162,7 +170,6 @@ def innovations(
         spread: Their standard deviations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
     """
-    state = [0.0, 0.0, 0.0, 0.0, 0.0]
     inertia = p[INERTIA] + extra_inertia
     for j in range(len(stretches)):
         first = int(stretches[j, FIRST])
@@ -170,26 +177,21 @@ def innovations(
         side = float(stretches[j, SIDE])
         if stretches[j, RISE] > 0:
             begin = begins[j]
-            state[0] = angle[first - 1]
-            state[1] = side * _LEAST_SPEED
-            state[2] = noise[1]
-            state[3] = 0.0
-            state[4] = _slip_variance(noise[0], time[first] - time[first - 1], stretches[j, RISE], inertia)
+            omega = side * _LEAST_SPEED
+            p22 = _slip_variance(noise[0], time[first] - time[first - 1], stretches[j, RISE], inertia)
         else:
             begin = time[first - 1]
-            state[0] = angle[first - 1]
-            state[1] = speeds[first - 1]
-            state[2] = noise[1]
-            state[3] = 0.0
-            state[4] = state[1] * state[1]
+            omega = speeds[first - 1]
+            p22 = omega * omega
+        here, p11, p12 = angle[first - 1], noise[1], 0.0
         for k in range(first, last):
             start = max(begin, time[k - 1])
             if start < time[k]:
                 period = time[k] - time[k - 1]
                 rate = noise[0] * noise[0] * period / (inertia * inertia)
                 middle = 0.5 * (time[k] + time[k - 1])
-                _predict(
-                    state,
+                here, omega, p11, p12, p22 = _predict(
+                    (here, omega, p11, p12, p22),
                     start,
                     time[k],
                     middle,
@@ -203,17 +205,17 @@ def innovations(
                     steps[k],
                     p,
                 )
-            variance = state[2] + noise[1]
-            error = angle[k] - state[0]
+            variance = p11 + noise[1]
+            error = angle[k] - here
             out[k] = error
             spread[k] = math.sqrt(variance)
-            g1 = state[2] / variance
-            g2 = state[3] / variance
-            state[0] += g1 * error
-            state[1] += g2 * error
-            missing = max(_LEAST_SPEED - side * state[1], 0.0)
-            state[1] += side * missing
-            state[4] += missing * missing - g2 * state[3] + unsure[k]
-            state[3] *= 1.0 - g1
-            state[2] *= 1.0 - g1
-            speeds[k] = state[1]
+            g1 = p11 / variance
+            g2 = p12 / variance
+            here += g1 * error
+            omega += g2 * error
+            missing = max(_LEAST_SPEED - side * omega, 0.0)
+            omega += side * missing
+            p22 += missing * missing - g2 * p12 + unsure[k]
+            p12 *= 1.0 - g1
+            p11 *= 1.0 - g1
+            speeds[k] = omega
