@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from identification.compiled import compiled
 from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import _smoothed, instruments
@@ -27,40 +28,45 @@ PERIOD_S, FINE = 1e-3, 10
 SEEDS = 5
 
 
-def friction(omega: float) -> float:
-    """Eq. 9, N m."""
-    fall = (VALUES["Ms"] - VALUES["Mc"]) * math.exp(-((omega / VALUES["omega_sf"]) ** 2))
-    return VALUES["Mc"] + fall + VALUES["sigma_2"] * abs(omega)
+@compiled
+def run(rng_noise: Array, angle: Array, measured: Array, values: Array) -> None:
+    """Fill in the angle and the mean torque of every period; ``values`` are Mc, Ms, omega_sf, sigma_2 and J.
 
-
-def from_the_model(seed: int, duration: float = 10.0) -> Recording:
-    """A loop of speed and angle sets the torque; the sensor's noise is what the measured mean has beyond the true.
-
-    Midpoint steps of a tenth of a period; friction balances the drive at rest up to the static limit.
+    A loop of speed and angle sets the torque; the sensor's noise is what the measured mean has beyond the true.
+    Midpoint steps of a tenth of a period; friction (eq. 9) balances the drive at rest up to the static limit.
     """
-    rng = np.random.default_rng(seed)
-    n = round(duration / PERIOD_S)
-    angle, measured = np.zeros(n + 1), np.zeros(n + 1)
+    coulomb, static, omega_s, viscous, inertia = values
     theta = omega = wind = 0.0
     h = PERIOD_S / FINE
-    noise = NOISE_N_M * math.sqrt(FINE) * rng.standard_normal((n + 1, FINE))
-    for k in range(1, n + 1):
+    for k in range(1, len(angle)):
         for j in range(FINE):
             speed = 0.4 * math.sin(2.0 * math.pi * 0.4 * (k - 1 + j / FINE) * PERIOD_S)
             wind += h * (speed - omega)
             held = 40.0 * (speed - omega) + 600.0 * wind
             measured[k] += held / FINE
-            torque = held - noise[k, j]
-            if omega == 0.0 and abs(torque) <= VALUES["Ms"]:
+            torque = held - rng_noise[k, j]
+            if omega == 0.0 and abs(torque) <= static:
                 continue
             side = math.copysign(1.0, omega if omega != 0.0 else torque)
-            middle = omega + 0.5 * h * (torque - side * friction(omega)) / VALUES["J"]
-            new = omega + h * (torque - side * friction(middle)) / VALUES["J"]
+            new = middle = omega
+            for _ in range(2):
+                fall = (static - coulomb) * math.exp(-((middle / omega_s) ** 2))
+                friction = coulomb + fall + viscous * abs(middle)
+                new = omega + h * (torque - side * friction) / inertia
+                middle = 0.5 * (omega + new)
             if side * new < 0.0:
                 new = 0.0
             theta += 0.5 * h * (omega + new)
             omega = new
         angle[k] = theta
+
+
+def from_the_model(seed: int, duration: float = 10.0) -> Recording:
+    rng = np.random.default_rng(seed)
+    n = round(duration / PERIOD_S)
+    angle, measured = np.zeros(n + 1), np.zeros(n + 1)
+    noise = NOISE_N_M * math.sqrt(FINE) * rng.standard_normal((n + 1, FINE))
+    run(noise, angle, measured, np.array([VALUES[name] for name in SYSTEM]))
     counts = np.floor(angle / COUNT_RAD + rng.uniform()) * COUNT_RAD
     return Recording(
         name=f"model{seed}",
