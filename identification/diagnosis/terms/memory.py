@@ -57,7 +57,11 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
     lead = min(max(start, -half), half)
     out[0] = lead
     for k in range(1, len(angle)):
-        lead = min(max(lead + angle[k] - angle[k - 1], -half), half)
+        lead += angle[k] - angle[k - 1]
+        if lead > half:  # a branch is foretold; a least and a greatest value would each wait for the one before
+            lead = half
+        elif lead < -half:
+            lead = -half
         out[k] = lead
     return out
 
