@@ -84,27 +84,26 @@ class Nominal:
         """Return a value; 0 where the bench has no such parameter."""
         return float(self.values.get(name, 0.0))
 
-    def level(self, view: View, speed: Array | None = None) -> Array:
-        """Return the system friction's magnitude at a speed (the view's own unless given), eq. 9, N m.
+    def level(self, view: View) -> Array:
+        """Return the system friction's magnitude, eq. 9, N m.
 
         Where load-dependent friction is declared, with what the gear adds under a weight that turns with the joint.
         """
-        magnitude = np.abs(view.velocity if speed is None else speed)
-        total = self._level(magnitude, _RISES[0], "sigma_2")
-        return total + self.borne(view) * self.gear(magnitude) if self._geared else total
+        total = self._level(view, _RISES[0], "sigma_2")
+        return total + self.borne(view) * self.gear(view) if self._geared else total
 
     @property
     def _geared(self) -> bool:
         """Whether load-dependent friction is declared."""
         return any(self.get(name) for name in _RISES[2][:2])
 
-    def gear(self, speed: Array) -> Array:
-        """Return the coefficient of declared load-dependent friction at a speed, 0 where none is declared."""
-        return self._level(np.abs(speed), _RISES[2], "")
+    def gear(self, view: View) -> Array:
+        """Return the coefficient of declared load-dependent friction, 0 where none is declared."""
+        return self._level(view, _RISES[2], "")
 
-    def coefficient(self, view: View, speed: Array | None = None) -> Array:
+    def coefficient(self, view: View) -> Array:
         """Return the magnitude of m_L, eq. 12."""
-        return self._level(np.abs(view.velocity if speed is None else speed), _RISES[1], "mu_2")
+        return self._level(view, _RISES[1], "mu_2")
 
     def borne(self, view: View) -> Array:
         """Return the magnitude of the torque that turns with the joint and that the gear bears, N m."""
@@ -114,9 +113,7 @@ class Nominal:
         """Return the torque that turns with the joint, declared or hidden, where it helps the drive positive, N m."""
         if not any(self.hidden):
             return view.known
-        sine, cosine, slope, constant = self.hidden
-        unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
-        return np.asarray(view.known - unknown)
+        return _helping(view, self.hidden)
 
     def drive(self, view: View) -> Array:
         """Return the whole torque that is asked of the drive, N m: what turns with the joint is part of it."""
@@ -188,11 +185,11 @@ class Nominal:
                 values[speed] = omega_s
         return replace(self, values=values, free=tuple(n for n in values if n not in fixed))
 
-    def _level(self, speed: Array, names: tuple[str, str, str], viscous: str) -> Array:
+    def _level(self, view: View, names: tuple[str, str, str], viscous: str) -> Array:
         coulomb, static, omega = (self.get(n) for n in names)
-        total = coulomb + self.get(viscous) * speed
+        total = coulomb + self.get(viscous) * np.abs(view.velocity)
         if omega > 0.0:
-            total = total + (static - coulomb) * np.exp(-((speed / omega) ** self.alpha))
+            total = total + (static - coulomb) * _fall(view, omega, self.alpha)[1]
         return np.asarray(total)
 
     def _direction(self, view: View, name: str) -> Array:
@@ -219,9 +216,22 @@ class Nominal:
         if omega <= 0.0:
             return np.zeros(len(view.time))
         alpha = self.bent or self.alpha
-        power = (np.abs(view.velocity) / omega) ** alpha
-        fall = np.exp(-power)
+        power, fall = _fall(view, omega, alpha)
         return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
+
+
+@lru_cache(maxsize=KEPT)
+def _helping(view: View, hidden: tuple[float, float, float, float]) -> Array:
+    sine, cosine, slope, constant = hidden
+    unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
+    return _frozen(view.known - unknown)
+
+
+@lru_cache(maxsize=KEPT)
+def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
+    """Return (|omega/omega_s|^alpha, exp of less that): a level and its slopes share them."""
+    power = _frozen((np.abs(view.velocity) / omega) ** alpha)
+    return power, _frozen(np.exp(-power))
 
 
 @lru_cache(maxsize=KEPT)
