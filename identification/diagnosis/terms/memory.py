@@ -122,7 +122,13 @@ def heated(loss: Array, run_time: Array, start: float, time_constant: float) -> 
     return out
 
 
+@compiled
 def delayed(series: Array, step: float, time_s: float) -> Array:
-    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held."""
-    places = np.arange(len(series))
-    return np.asarray(np.interp(places - time_s / step, places, series))
+    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held, shape (m,)."""
+    out = np.empty(len(series))
+    last = len(series) - 1
+    for k in range(len(series)):
+        place = min(max(k - time_s / step, 0.0), float(last))
+        before = min(int(place), last - 1)
+        out[k] = (series[before + 1] - series[before]) * (place - before) + series[before]
+    return out
