@@ -92,6 +92,12 @@ class Decimator:
         series = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, values.shape[-1])
         return _decimated(series, self.taps, self.factor).reshape(*values.shape[:-1], -1)
 
+    def chosen(self, values: Array, places: NDArray[np.int64]) -> Array:
+        """Return the outputs of these numbers alone, for series of shape (k, m), shape (n, k)."""
+        if self.half == 0:
+            return np.asarray(values[:, :: self.factor][:, places].T)
+        return _chosen(np.ascontiguousarray(values, dtype=np.float64), self.taps, self.factor, places)
+
     def untouched(self, bad: BoolArray) -> BoolArray:
         """Return, at the decimated rate, which outputs depend on no sample marked ``bad``."""
         spread = np.convolve(bad.astype(np.float64), np.ones(len(self.taps)), mode="valid")
@@ -110,6 +116,23 @@ def _decimated(series: Array, taps: Array, factor: int) -> Array:
             for k in range(reach):
                 total += taps[k] * under[k]
             out[i, j] = total
+    return out
+
+
+@compiled_sums
+def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) -> Array:
+    """Return outputs of :func:`_decimated` by their numbers, (k, m) to (n, k); of a series of zeros without a sum."""
+    reach = len(taps)
+    out = np.zeros((len(places), series.shape[0]))
+    for i in range(series.shape[0]):
+        if not np.any(series[i]):
+            continue
+        for j in range(len(places)):
+            under = series[i, places[j] * factor : places[j] * factor + reach]
+            total = 0.0
+            for k in range(reach):
+                total += taps[k] * under[k]
+            out[j, i] = total
     return out
 
 

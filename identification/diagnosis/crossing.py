@@ -18,7 +18,7 @@ from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead, transmitted
+from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead
 from identification.diagnosis.view import QUICK_SAMPLES, View
 from identification.recording import Array
 
@@ -67,7 +67,7 @@ def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -
         columns, way = _columns(view, nominal, gap, rotor)
         parts += [columns[a:b] for a, b in way]
         torques += [(view.raw_torque - view.known)[a:b] for a, b in way]
-        moving.append(np.abs(transmitted(view)[~view.still]))
+        moving.append(np.abs(view.transmitted[~view.still]))
     if len(parts) < LEAST_CROSSINGS:
         return None
     columns, torque = np.concatenate(parts), np.concatenate(torques)

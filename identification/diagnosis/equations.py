@@ -143,7 +143,7 @@ def _stack(name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view
         if name == "breakaway":
             parts.append((series[:, view.breakaways] * _sharpness(view))[:, keep].T)
         else:
-            parts.append(view.low_pass(series)[:, keep].T)
+            parts.append(view.low_pass.chosen(series, np.flatnonzero(keep)))
     return np.concatenate(parts)
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.equations import Equation, equations
-from identification.diagnosis.linear import STEP, displaced, sized, solve, wide
+from identification.diagnosis.linear import STEP, Solved, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.promise import promise
@@ -114,13 +114,13 @@ def fit(
         effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
         nominal, effects = _begun(_told(nominal, best.effects), effects)
     assert best is not None
-    best = _kept(views, unit, best)
+    best = _kept(views, unit, best, step)
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=granting(left, _directions(left, best.effects)))
 
 
-def _kept(views: Sequence[View], unit: str, best: Joint) -> Joint:
+def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Joint:
     """Return a fit whose constants keep what it is worth: the step that it ended with taken, where that brings more.
 
     Static friction under a load that hardly any row is slow enough to tell moves by half of itself in such a step.
@@ -129,8 +129,7 @@ def _kept(views: Sequence[View], unit: str, best: Joint) -> Joint:
         promised, kept = promise(best.stack, best.effects, best.residual)
         if kept <= (1.0 + UNSETTLED) * promised:
             break
-        straight = solve(best.stack, best.effects).straight
-        nominal = best.nominal.moved(straight, np.zeros(len(straight)))
+        nominal = best.nominal.moved(solved.straight, np.zeros(len(solved.straight)))
         stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
         solved = solve(stack, best.effects)
         there = promise(stack, solved.effects, solved.residual)[1]

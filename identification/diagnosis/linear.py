@@ -88,23 +88,23 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
     stack = stack.without(held) if held else stack
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
     free, known = wide(stack, effects)
-    found, residual = _least(stack, target - known, free)
     unbent = stack.without(SPEEDS)
     straight, rest = _least(unbent, target - known, free)
-    shifts = _shifts(stack, effects)
-    every = np.concatenate([free, shifts], axis=1)
-    moved, _ = _least(stack, target - known, every)
-    bend = _step(stack, target - known - every @ moved, held)
     without = {*SPEEDS, *held}
     following = [e for e in _with(stack, effects, straight) if e.term.follows and "torque" in e.term.columns]
     if following:
         step = _followed(stack, target - known - free @ straight, following, without)
     else:
         step = _step(stack, target - known - free @ straight, without)
-    placed = _with(stack, effects, found)
     beyond = stack.nominal.at_most(step)
     if beyond - set(held):
         return solve(stack, effects, beyond | set(held))
+    found, residual = _least(stack, target - known, free)
+    shifts = _shifts(stack, effects)
+    every = np.concatenate([free, shifts], axis=1)
+    moved = _least(stack, target - known, every)[0] if shifts.shape[1] else found
+    bend = _step(stack, target - known - every @ moved, held)
+    placed = _with(stack, effects, found)
     return Solved(step, bend, moved[free.shape[1] :], placed, residual, float(rest @ rest))
 
 

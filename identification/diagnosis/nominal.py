@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -19,6 +20,8 @@ RISE = 0.5
 LARGEST_STEP = 0.4
 """Greatest change of log omega_s in one iteration."""
 _AT_LIMIT = 1e-9
+KEPT = 128
+"""Series of one kind that are kept, of a recording at nominal values."""
 LEAST_RISE = 1e-6
 """Of static over Coulomb friction, over the latter."""
 LEAST_FALL = 1e-3
@@ -28,9 +31,11 @@ _RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_
 _STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Nominal:
     """Values of the nominal parameters.
+
+    Each is its own key: hundreds of trial shapes are built from what it says of a recording, which is kept meanwhile.
 
     Attributes:
         values: Name to value, at the joint.
@@ -45,7 +50,6 @@ class Nominal:
             with a rise or a speed is then said by it.
         bristles: Stiffness that friction springs by before it slips, as an effect named so far says, N m/rad; or 0.
         most: Greatest static levels that the recordings allow; none where it is empty.
-        _torques: What :meth:`torque` returned before, with its view: hundreds of trial shapes are built from it.
     """
 
     values: Mapping[str, float]
@@ -57,7 +61,6 @@ class Nominal:
     bent: float | None = None
     bristles: float = 0.0
     most: Mapping[str, float] = field(default_factory=dict)
-    _torques: dict[int, tuple[View, Array]] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def limited(self, views: Sequence[View]) -> Nominal:
         """Return these values with static friction limited by the torque that was there to overcome it.
@@ -81,21 +84,26 @@ class Nominal:
         """Return a value; 0 where the bench has no such parameter."""
         return float(self.values.get(name, 0.0))
 
-    def level(self, view: View, speed: Array | None = None) -> Array:
-        """Return the system friction's magnitude at a speed (the view's own unless given), eq. 9, N m.
+    def level(self, view: View) -> Array:
+        """Return the system friction's magnitude, eq. 9, N m.
 
         Where load-dependent friction is declared, with what the gear adds under a weight that turns with the joint.
         """
-        magnitude = np.abs(view.velocity if speed is None else speed)
-        return self._level(magnitude, _RISES[0], "sigma_2") + self.borne(view) * self.gear(magnitude)
+        total = self._level(view, _RISES[0], "sigma_2")
+        return total + self.borne(view) * self.gear(view) if self._geared else total
 
-    def gear(self, speed: Array) -> Array:
-        """Return the coefficient of declared load-dependent friction at a speed, 0 where none is declared."""
-        return self._level(np.abs(speed), _RISES[2], "")
+    @property
+    def _geared(self) -> bool:
+        """Whether load-dependent friction is declared."""
+        return any(self.get(name) for name in _RISES[2][:2])
 
-    def coefficient(self, view: View, speed: Array | None = None) -> Array:
+    def gear(self, view: View) -> Array:
+        """Return the coefficient of declared load-dependent friction, 0 where none is declared."""
+        return self._level(view, _RISES[2], "")
+
+    def coefficient(self, view: View) -> Array:
         """Return the magnitude of m_L, eq. 12."""
-        return self._level(np.abs(view.velocity if speed is None else speed), _RISES[1], "mu_2")
+        return self._level(view, _RISES[1], "mu_2")
 
     def borne(self, view: View) -> Array:
         """Return the magnitude of the torque that turns with the joint and that the gear bears, N m."""
@@ -105,13 +113,11 @@ class Nominal:
         """Return the torque that turns with the joint, declared or hidden, where it helps the drive positive, N m."""
         if not any(self.hidden):
             return view.known
-        sine, cosine, slope, constant = self.hidden
-        unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
-        return np.asarray(view.known - unknown)
+        return _helping(view, self.hidden)
 
     def drive(self, view: View) -> Array:
         """Return the whole torque that is asked of the drive, N m: what turns with the joint is part of it."""
-        return np.asarray(self.torque(view) - self.helping(view))
+        return _drive(self, view)
 
     def falling(self, view: View) -> Array:
         """Return exp(-|omega/omega_s|^alpha), the weight of static friction at the view's speed."""
@@ -122,19 +128,11 @@ class Nominal:
 
     def friction(self, view: View) -> Array:
         """Return friction with its sign, eq. 9 + 13, N m."""
-        total = self.level(view)
-        if view.loaded:
-            total = total + view.moment * self.coefficient(view)
-        return np.asarray(view.sense * total)
+        return _friction(self, view)
 
     def torque(self, view: View) -> Array:
         """Return what eq. 15 says the torque should be, N m."""
-        known = self._torques.get(id(view))
-        if known is None or known[0] is not view:
-            torque = np.asarray(self.friction(view) + self.get("J") * view.acceleration + self.get("offset"))
-            torque.flags.writeable = False
-            known = self._torques[id(view)] = view, torque
-        return known[1]
+        return _torque(self, view)
 
     def tangent(self, view: View) -> Array:
         """Return the torque's derivatives by the free directions, shape (len(free), m)."""
@@ -187,11 +185,11 @@ class Nominal:
                 values[speed] = omega_s
         return replace(self, values=values, free=tuple(n for n in values if n not in fixed))
 
-    def _level(self, speed: Array, names: tuple[str, str, str], viscous: str) -> Array:
+    def _level(self, view: View, names: tuple[str, str, str], viscous: str) -> Array:
         coulomb, static, omega = (self.get(n) for n in names)
-        total = coulomb + self.get(viscous) * speed
+        total = coulomb + self.get(viscous) * np.abs(view.velocity)
         if omega > 0.0:
-            total = total + (static - coulomb) * np.exp(-((speed / omega) ** self.alpha))
+            total = total + (static - coulomb) * _fall(view, omega, self.alpha)[1]
         return np.asarray(total)
 
     def _direction(self, view: View, name: str) -> Array:
@@ -218,6 +216,43 @@ class Nominal:
         if omega <= 0.0:
             return np.zeros(len(view.time))
         alpha = self.bent or self.alpha
-        power = (np.abs(view.velocity) / omega) ** alpha
-        fall = np.exp(-power)
+        power, fall = _fall(view, omega, alpha)
         return np.asarray(fall if name == names[1] else (static - coulomb) * fall * alpha * power)
+
+
+@lru_cache(maxsize=KEPT)
+def _helping(view: View, hidden: tuple[float, float, float, float]) -> Array:
+    sine, cosine, slope, constant = hidden
+    unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
+    return _frozen(view.known - unknown)
+
+
+@lru_cache(maxsize=KEPT)
+def _fall(view: View, omega: float, alpha: float) -> tuple[Array, Array]:
+    """Return (|omega/omega_s|^alpha, exp of less that): a level and its slopes share them."""
+    power = _frozen((np.abs(view.velocity) / omega) ** alpha)
+    return power, _frozen(np.exp(-power))
+
+
+@lru_cache(maxsize=KEPT)
+def _friction(nominal: Nominal, view: View) -> Array:
+    total = nominal.level(view)
+    if view.loaded:
+        total = total + view.moment * nominal.coefficient(view)
+    return _frozen(view.sense * total)
+
+
+@lru_cache(maxsize=KEPT)
+def _torque(nominal: Nominal, view: View) -> Array:
+    return _frozen(nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset"))
+
+
+@lru_cache(maxsize=KEPT)
+def _drive(nominal: Nominal, view: View) -> Array:
+    return _frozen(nominal.torque(view) - nominal.helping(view))
+
+
+def _frozen(series: Array) -> Array:
+    """Return a series that many share, which nobody may change."""
+    series.flags.writeable = False
+    return series

@@ -224,10 +224,13 @@ def chance(candidates: Sequence[Candidate], blocks: int, rng: np.random.Generato
     seen = max((c.surprise for c in candidates if c.share > least), default=-np.inf)
     if seen == -np.inf:
         return 1.0
-    drawn = np.full(DRAWS, -np.inf)
+    # A surprise grows with the statistic: of candidates with as many numbers that of the greatest will do.
+    greatest: dict[int, Array] = {}
     for candidate in candidates:
-        drawn = np.maximum(drawn, surprise(flipped(candidate, flips), candidate.blocks.shape[1]))
-    return float((1 + np.sum(drawn >= seen)) / (1 + DRAWS))
+        degrees, drawn = candidate.blocks.shape[1], flipped(candidate, flips)
+        greatest[degrees] = np.maximum(greatest.get(degrees, drawn), drawn)
+    beyond = np.any([surprise(drawn, degrees) >= seen for degrees, drawn in greatest.items()], axis=0)
+    return float((1 + np.sum(beyond)) / (1 + DRAWS))
 
 
 def flipped(candidate: Candidate, flips: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cache, cached_property, partial
 
 import numpy as np
 from scipy import sparse, special
@@ -155,10 +155,12 @@ class Stack:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
         kept = {**self.cache.get(key, {}), **self.own.get(key, {})}
+        # What adds to the drive's torque does so in motion and at breakaway alike.
+        made = cache(lambda make, view: make(view, self.nominal, shape))
         found = {
             equation.name: kept[equation.name]
             if equation.name in kept
-            else equation.rows(bound(term.columns[equation.name], self.nominal, shape))
+            else equation.rows(partial(made, term.columns[equation.name]))
             for equation in self.equations
             if equation.name in term.columns
         }

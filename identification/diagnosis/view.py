@@ -53,9 +53,11 @@ LEAST_REST_S = 0.02
 """Rests shorter than this are not told from a slow passage through zero."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class View:
     """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless said.
+
+    Each is its own key: what is computed from one is kept for as long as it is asked for.
 
     Attributes:
         recording: Where they came from.
@@ -127,6 +129,16 @@ class View:
     def rotor_acceleration(self) -> Array:
         """The motor's acceleration at the joint, rad/s^2."""
         return np.asarray(central_difference(self.motor_speed, self.step) / self.recording.bench.gear_ratio)
+
+    @cached_property
+    def transmitted(self) -> Array:
+        """The torque that the transmission carries, declared loads behind it included, N m."""
+        return np.asarray(self.torque - self.known)
+
+    @cached_property
+    def drive_angle(self) -> Array:
+        """The motor's angle at the joint, rad."""
+        return np.asarray(self.motor / self.recording.bench.gear_ratio)
 
     @cached_property
     def loaded(self) -> bool:

@@ -121,6 +121,15 @@ def test_decimator_keeps_every_sample_at_its_own_time(bandwidth: float) -> None:
     assert low_pass(TIME) == pytest.approx(TIME[lead], abs=1e-12)  # symmetric: a line passes unchanged
 
 
+@pytest.mark.parametrize("bandwidth", [25.0, 450.0])
+def test_chosen_outputs_are_those_of_the_whole_series(bandwidth: float) -> None:
+    low_pass = decimator(RATE, bandwidth)
+    late = np.where(TIME < 2.0, 0.0, np.sin(3.0 * TIME))
+    series = np.stack([np.cos(7.0 * TIME), np.zeros(len(TIME)), late])
+    places = np.array([0, 3, 4, 60])
+    assert low_pass.chosen(series, places) == pytest.approx(low_pass(series)[:, places].T, abs=1e-15)
+
+
 @pytest.mark.parametrize("bandwidth", [5.0, 20.0, 40.0, 100.0])
 def test_decimator_is_down_by_half_at_its_bandwidth(bandwidth: float) -> None:
     low_pass = decimator(RATE, bandwidth)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.nominal import KEPT, Nominal
 from identification.diagnosis.terms.lateness import computed, too_early
 from identification.diagnosis.terms.memory import delayed
 from identification.diagnosis.terms.term import (
@@ -36,6 +38,7 @@ SKEWS_S: tuple[Shape, ...] = tuple((side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3,
 SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
 
 
+@lru_cache(maxsize=KEPT)
 def _load(view: View, nominal: Nominal) -> Array:
     """Return the working load's friction, eq. 13, with its sign, N m."""
     return np.asarray(view.sense * view.moment * nominal.coefficient(view))
@@ -63,7 +66,7 @@ def _of_the_label(view: View, nominal: Nominal) -> Array:
     """Return the torque asked of the drive that is proportional to the mass on the label, N m."""
     if view.loaded:
         return _load(view, nominal)
-    return np.asarray(-view.known + view.sense * np.abs(view.known) * nominal.gear(view.velocity))
+    return np.asarray(-view.known + view.sense * np.abs(view.known) * nominal.gear(view))
 
 
 def _labels(context: Context) -> list[Shape]:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
-from identification.diagnosis.nominal import SPEEDS, Nominal
+from identification.diagnosis.nominal import KEPT, SPEEDS, Nominal
 from identification.diagnosis.terms.memory import dahl, lagged
 from identification.diagnosis.terms.term import CLOSE, EXACT, Context, Shape, Term, in_motion, one, rows, shaped
 from identification.diagnosis.view import View
@@ -40,8 +41,12 @@ def _fall(view: View, nominal: Nominal, name: str, shape: Shape) -> Array:
     if omega_s <= 0.0:
         return np.zeros(len(view.velocity))
     alpha, wider = shape
-    ratio = np.abs(view.velocity) / omega_s
-    return np.asarray(np.exp(-((ratio / wider) ** alpha)) - np.exp(-(ratio**nominal.alpha)))
+    return np.asarray(_falls(view, omega_s, alpha, wider) - _falls(view, omega_s, nominal.alpha, 1.0))
+
+
+@lru_cache(maxsize=KEPT)
+def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
+    return np.asarray(np.exp(-((np.abs(view.velocity) / omega_s / wider) ** alpha)))
 
 
 def _exponents(context: Context) -> list[Shape]:
@@ -57,6 +62,7 @@ def _bent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
     return replace(nominal, values=values, bent=alpha), (alpha, 1.0)
 
 
+@lru_cache(maxsize=KEPT)
 def _level(view: View, nominal: Nominal) -> Array:
     """Return the part of friction that depends on speed otherwise than in proportion, without its sign, N m."""
     total = nominal.level(view) - nominal.get("sigma_2") * np.abs(view.velocity)
@@ -86,6 +92,7 @@ def _sprung(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
     return replace(nominal, bristles=shape[0]), shape
 
 
+@lru_cache(maxsize=KEPT)
 def _borne_at_start(view: View, nominal: Nominal) -> float:
     """Return the friction with which a recording begins, N m: what the drive's torque then leaves to it.
 

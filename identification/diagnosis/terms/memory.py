@@ -57,7 +57,11 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
     lead = min(max(start, -half), half)
     out[0] = lead
     for k in range(1, len(angle)):
-        lead = min(max(lead + angle[k] - angle[k - 1], -half), half)
+        lead += angle[k] - angle[k - 1]
+        if lead > half:  # a branch is foretold; a least and a greatest value would each wait for the one before
+            lead = half
+        elif lead < -half:
+            lead = -half
         out[k] = lead
     return out
 
@@ -118,7 +122,13 @@ def heated(loss: Array, run_time: Array, start: float, time_constant: float) -> 
     return out
 
 
+@compiled
 def delayed(series: Array, step: float, time_s: float) -> Array:
-    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held."""
-    places = np.arange(len(series))
-    return np.asarray(np.interp(places - time_s / step, places, series))
+    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held, shape (m,)."""
+    out = np.empty(len(series))
+    last = len(series) - 1
+    for k in range(len(series)):
+        place = min(max(k - time_s / step, 0.0), float(last))
+        before = min(int(place), last - 1)
+        out[k] = (series[before + 1] - series[before]) * (place - before) + series[before]
+    return out

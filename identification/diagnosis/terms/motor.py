@@ -7,6 +7,7 @@ stands on the other side of the equation and would explain everything.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 
 import numpy as np
 
@@ -47,7 +48,8 @@ the winding rests without current within the step."""
 ROUNDED_A = (0.15, 10.0)
 """Current over which a brush drop is reached; where it is less, it looks like a dead time."""
 DEAD_CURRENTS, BRUSH_CURRENTS = (0.05,), (0.2, 0.5, 1.0, 2.0)
-
+KEPT = 64
+"""Rises that are kept, of a recording and a time constant: a fit moves the nominal values far more often."""
 ZEROED_S = (0.0, 2.0)
 """How long before a recording its current's zero may have been taken: the power comes on and the loops settle."""
 
@@ -129,14 +131,19 @@ def _loss(view: View) -> Array:
     return np.where(np.isnan(taken), cold, taken)
 
 
-def _rises(view: View, shape: Shape) -> Array:
-    """Return the winding's rise per K/W, and what each recording may have begun with, K, shape (1 + recordings, m)."""
-    time_constant, recordings = shape[0], round(shape[1])
+@lru_cache(maxsize=KEPT)
+def _rises(view: View, time_constant: float) -> Array:
+    """Return the winding's rise per K/W, and what it may have begun with, K, shape (2, m)."""
     since = view.run_time - view.run_time[0]
-    out = np.zeros((1 + recordings, len(since)))
-    out[0] = heated(_loss(view), view.run_time, 0.0, time_constant)
-    if view.index < recordings:  # how warm one that took no part began, nobody has asked
-        out[1 + view.index] = np.exp(-since / time_constant)
+    return rows(heated(_loss(view), view.run_time, 0.0, time_constant), np.exp(-since / time_constant))
+
+
+def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
+    """Return regressors of :func:`_rises` with one for each recording's beginning, shape (1 + recordings, m)."""
+    out = np.zeros((1 + round(shape[1]), rises.shape[1]))
+    out[0] = rises[0]
+    if view.index < round(shape[1]):  # how warm one that took no part began, nobody has asked
+        out[1 + view.index] = rises[1]
     return out
 
 
@@ -146,11 +153,11 @@ def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     warmer = COPPER_PER_K * resistance * view.current
     # The magnet makes torque and back-EMF with one flux, which both fall with.
     weaker = MAGNET_PER_K * (view.recording.bench.back_emf_constant or 0.0) * view.motor_speed
-    return np.asarray((warmer - weaker) * _rises(view, shape))
+    return _by_recording(view, shape, (warmer - weaker) * _rises(view, shape[0]))
 
 
 def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return np.asarray(MAGNET_PER_K * _rises(view, shape) * nominal.drive(view))
+    return _by_recording(view, shape, MAGNET_PER_K * _rises(view, shape[0]) * nominal.drive(view))
 
 
 def _warm_ups(context: Context) -> Sequence[Shape]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -28,6 +29,8 @@ LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
 """Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit seeks it."""
 SLIPS_PER_RECORDING = 12
+KEPT = 128
+"""Series that are kept, of a recording and what they were built from: a search moves one entry of a shape at a time."""
 FIRST_SAMPLES = 20
 """Over which the encoders are asked where in its gap, or loop, a recording begins."""
 
@@ -36,17 +39,12 @@ def _both_encoders(view: View) -> bool:
     return view.lag is not None
 
 
-def transmitted(view: View) -> Array:
-    """Return the torque that the transmission carries, declared loads behind it included, N m."""
-    return np.asarray(view.torque - view.known)
-
-
 def carried(view: View, rotor: float) -> Array:
     """Return the torque that comes through the coupling behind a rotor of this inertia at the joint (kg m^2), N m.
 
     While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
     """
-    return np.asarray(transmitted(view) - rotor * view.rotor_acceleration)
+    return np.asarray(view.transmitted - rotor * view.rotor_acceleration)
 
 
 def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -55,7 +53,7 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
     Neither the rotor's inertia nor the damping is known; a soft shaft shows both, up to a hundred times the encoders'
     noise where the joint sets off or turns.
     """
-    torque = transmitted(view)
+    torque = view.transmitted
     return rows(torque, -view.rotor_acceleration, -central_difference(torque, view.step))
 
 
@@ -70,7 +68,7 @@ def count_of_twist(views: Sequence[View]) -> float:
     The stiffest shaft twists to the flank that carries, and what it twists by adds itself to a narrow gap.
     """
     known = [v for v in views if v.lag is not None]
-    greatest = max((float(np.max(np.abs(transmitted(v)))) for v in known), default=0.0)
+    greatest = max((float(np.max(np.abs(v.transmitted))) for v in known), default=0.0)
     return max(quantum(v.recording.channels["angle"]) for v in known) / greatest if greatest > 0.0 else 0.0
 
 
@@ -90,7 +88,15 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
         gap: rad.
         rotor: The rotor's inertia at the joint, kg m^2.
     """
-    motor = view.motor / view.recording.bench.gear_ratio
+    if not np.any(nominal.helping(view)) or nominal.get("J") <= 0.0:
+        return _lead(view, None, gap, 0.0)
+    return _lead(view, nominal, gap, rotor)
+
+
+@lru_cache(maxsize=KEPT)
+def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Array:
+    """Return :func:`lead`, without a nominal model where no weight turns with the joint."""
+    motor = view.drive_angle
     through = _through(view, nominal, motor, gap, rotor)
     middle = through(len(motor), 0.0)
     crossed = first_swing(motor, gap)
@@ -102,11 +108,13 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
     return np.concatenate([begun, middle[crossed + 1 :]])
 
 
-def _through(view: View, nominal: Nominal, motor: Array, gap: float, rotor: float) -> Callable[[int, float], Array]:
+def _through(
+    view: View, nominal: Nominal | None, motor: Array, gap: float, rotor: float
+) -> Callable[[int, float], Array]:
     """Return the lead over so many samples as a function of the one at the first of them, rad."""
-    weight = nominal.helping(view)
-    if not np.any(weight) or nominal.get("J") <= 0.0:
+    if nominal is None:
         return lambda count, start: play(motor[:count], gap, start)
+    weight = nominal.helping(view)
     inertia = max(nominal.get("J") - rotor, LEAST_JOINT_SHARE * nominal.get("J"))
     pull, hold = weight / inertia, np.abs(nominal.friction(view)) / inertia
     speed = view.motor_speed / view.recording.bench.gear_ratio
@@ -115,10 +123,8 @@ def _through(view: View, nominal: Nominal, motor: Array, gap: float, rotor: floa
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
     width, rotor, deflection, counts, per_torque = shape
-    torque = carried(view, rotor)
+    torque, state, closed = _closing(view, width, rotor)
     twist = counts * per_torque * torque
-    state = _sheared(torque, width)
-    closed = first_swing(torque, 2.0 * width)
     if view.lag is not None and closed < len(torque):
         yields = view.lag - twist
         zero = float(np.mean((yields - deflection * state)[closed:]))
@@ -126,6 +132,13 @@ def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
         begun = _sheared(torque[: closed + 1], width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
         state = np.concatenate([begun, state[closed + 1 :]])
     return rows(deflection * state + twist)
+
+
+@lru_cache(maxsize=KEPT)
+def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int]:
+    """Return torque carried, N m, the loop's deflection from its middle, and from where on any beginning ends in it."""
+    torque = carried(view, rotor)
+    return torque, _sheared(torque, width), first_swing(torque, 2.0 * width)
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
@@ -137,7 +150,7 @@ def _loops(context: Context) -> list[Shape]:
     known = [v for v in context.views if v.lag is not None]
     if not known:
         return []
-    greatest = max(float(np.max(np.abs(transmitted(v)))) for v in known)
+    greatest = max(float(np.max(np.abs(v.transmitted))) for v in known)
     rotor, per_torque = ROTOR_SHARE * context.nominal.get("J"), count_of_twist(known)
     sizes = [(share * greatest, deflection) for share in LOOP_SHARES for deflection in LOOPS_RAD]
     return [(width, rotor, deflection, 0.5 * TWIST_COUNTS[1], per_torque) for width, deflection in sizes]
@@ -170,7 +183,7 @@ def _read_eccentric(c: Array, _shape: Shape, _context: Context) -> dict[str, flo
 
 def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
     # Not the speed times the delay: where the speed changes within the delay that leaves far more than encoders' noise.
-    logged = view.motor / view.recording.bench.gear_ratio - (0.0 if view.lag is None else view.lag)
+    logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
     return rows(delayed(logged, view.step, -shape[0]) - logged)
 
 

@@ -15,7 +15,6 @@ from identification.diagnosis.stack import Candidate
 from identification.diagnosis.taken_up import taken_up
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
-from identification.diagnosis.terms.transmission import transmitted
 from identification.diagnosis.view import views
 from identification.recording import Pendulum
 
@@ -108,7 +107,7 @@ def test_the_transmission_carries_the_declared_weight_too() -> None:
     hung = replace(honest()[0], pendulum=Pendulum(mass=5.0, length=0.2, zero=0.0))
     bare, loaded = (views([r], 25.0)[0] for r in (honest()[0], hung))
     assert np.ptp(loaded.torque - bare.torque) > 1.0
-    assert transmitted(loaded) == pytest.approx(transmitted(bare), abs=1e-9)
+    assert loaded.transmitted == pytest.approx(bare.transmitted, abs=1e-9)
 
 
 def test_a_loss_under_friction_alone_is_one_with_the_constants_and_under_a_weight_is_not() -> None:

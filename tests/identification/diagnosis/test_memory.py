@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.diagnosis.terms.memory import dahl, falling_play, first_swing, heated, lagged, play
+from identification.diagnosis.terms.memory import dahl, delayed, falling_play, first_swing, heated, lagged, play
 
 TIME = np.arange(2000) * 1e-3
 
@@ -96,3 +96,10 @@ def test_a_play_forgets_where_it_began_once_it_was_crossed() -> None:
     assert ahead[crossed] == pytest.approx(middle[crossed])
     assert np.max(np.abs(ahead - middle)) == pytest.approx(0.1)
     assert play(angle, 0.2, 5.0)[0] == pytest.approx(0.1), "no further than a flank"
+
+
+@pytest.mark.parametrize("time_s", [0.0, 0.003, 0.00137, -0.0217, 9.0, -9.0])
+def test_a_delay_goes_straight_from_sample_to_sample_and_holds_the_ends(time_s: float) -> None:
+    series, places = np.sin(0.1 * np.arange(200)), np.arange(200)
+    expected = np.interp(places - time_s / 0.001, places, series)
+    assert delayed(series, 0.001, time_s) == pytest.approx(expected, abs=1e-14)

@@ -16,8 +16,8 @@ from identification.diagnosis.diagnose import diagnose, held_out
 from identification.diagnosis.joint import Added, fit, pinned
 from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
-from identification.diagnosis.search import chance, flipped
-from identification.diagnosis.stack import Candidate, wald
+from identification.diagnosis.search import DRAWS, chance, flipped
+from identification.diagnosis.stack import Candidate, surprise, wald
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.diagnosis.view import views
@@ -58,6 +58,22 @@ def test_flips_give_what_flipped_blocks_would(degrees: int, alike: float) -> Non
     expected = [wald(f @ sums, f[:, None] * sums - weights @ (f @ sums)) for f in flips]
     candidate = Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 1.0, sums, weights, 1.0)
     assert flipped(candidate, flips) == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_flips_of_all_candidates_count_however_many_numbers_they_have() -> None:
+    rng = np.random.default_rng(11)
+    candidates = []
+    for degrees, size in ((1, 0.3), (2, 0.4), (1, 0.2), (2, 0.1)):
+        columns, residual = rng.standard_normal((BLOCKS, ROWS, degrees)), rng.standard_normal((BLOCKS, ROWS))
+        sums = np.einsum("bij,bi->bj", columns, residual + size * columns[:, :, 0])
+        weights = np.einsum("bij,bik->bjk", columns, columns) / (BLOCKS * ROWS)
+        found = wald(sums.sum(axis=0), sums - weights @ sums.sum(axis=0))
+        candidates.append(Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 0.02 * found, sums, weights, 1.0))
+    flips = np.random.default_rng(12).choice((-1.0, 1.0), size=(DRAWS, BLOCKS))
+    drawn = np.max([surprise(flipped(c, flips), c.blocks.shape[1]) for c in candidates], axis=0)
+    beyond = int(np.sum(drawn >= max(c.surprise for c in candidates)))
+    assert 0 < beyond < DRAWS
+    assert chance(candidates, BLOCKS, np.random.default_rng(12)) == (1 + beyond) / (1 + DRAWS)
 
 
 def test_false_alarms_come_as_often_as_said() -> None:
