@@ -16,7 +16,8 @@ from scipy import sparse, special
 from identification.diagnosis.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.terms.term import Columns, Shape, Term
+from identification.diagnosis.terms.lateness import behind
+from identification.diagnosis.terms.term import Shape, Term
 from identification.diagnosis.view import View
 from identification.recording import Array
 
@@ -154,16 +155,17 @@ class Stack:
     def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
-        kept = {**self.cache.get(key, {}), **self.own.get(key, {})}
+        late = term.at_angle and self.nominal.late_s != 0.0
+        kept = self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
         found = {
             equation.name: kept[equation.name]
             if equation.name in kept
-            else equation.rows(bound(term.columns[equation.name], self.nominal, shape))
+            else equation.rows(bound(term, equation.name, self.nominal, shape))
             for equation in self.equations
             if equation.name in term.columns
         }
         for name, columns in found.items():
-            varies = (term.follows and name in NOMINAL_IN) or name in term.varies
+            varies = late or (term.follows and name in NOMINAL_IN) or name in term.varies
             store = self.own if varies else self.cache
             store.setdefault(key, {})[name] = columns
         return found
@@ -280,8 +282,11 @@ def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
     return found
 
 
-def bound(make: Columns, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
-    """Return regressors as a function of the view alone."""
+def bound(term: Term, equation: str, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
+    """Return regressors of one equation as a function of the view alone."""
+    make = term.columns[equation]
+    if term.at_angle and equation == "torque" and nominal.late_s:
+        return lambda view: make(behind(view, nominal.late_s), nominal, shape)
     return lambda view: make(view, nominal, shape)
 
 

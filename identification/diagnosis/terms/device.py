@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
@@ -152,6 +154,7 @@ TERMS = (
         _stops,
         refine={1: 0.08},
         positive=(0,),
+        at_angle=True,
     ),
     Term(
         "load_exponent",
@@ -222,6 +225,7 @@ TERMS = (
         refine={0: 2e-3},
         positive=(0,),
         size=1.0,
+        begin=lambda nominal, shape: (replace(nominal, late_s=shape[0]), shape),
         follows=True,
     ),
 )

@@ -235,6 +235,7 @@ TERMS = (
         {"transmission": _mesh, "torque": _mesh_torque},
         _read_mesh,
         lambda context: everywhere(context, _both_encoders, TEETH),
+        at_angle=True,
         follows=True,
     ),
     Term(
