@@ -263,12 +263,14 @@ TERMS = (
         refine={0: 0.0},
         positive=(0,),
         size=1.0,
+        shape_error=EXACT,
     ),
     Term(
         "encoder_eccentricity",
         {"transmission": _eccentric},
         _read_eccentric,
         lambda context: everywhere(context, _both_encoders, ((),)),
+        shape_error=EXACT,
     ),
     Term(
         "encoder_slip",
@@ -277,5 +279,6 @@ TERMS = (
         _slips,
         place=0,
         refine={1: 3.0},
+        shape_error=EXACT,
     ),
 )
