@@ -127,7 +127,8 @@ def told_apart(
     other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
-    prefers_loop = 0.0 if seen is None else (seen.share - CARRIED) / seen.error
+    loop = (own if own.term.name != "backlash" else beside.effects[-1]).shape[0]
+    prefers_loop = _empty(views, loop) if seen is None else (seen.share - CARRIED) / seen.error
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
     if _falls(views, joint.nominal):
         # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's sum.
@@ -144,6 +145,16 @@ def told_apart(
         for taken in rounds
     ]
     return best, out
+
+
+def _empty(views: Sequence[View], torque: float) -> float:
+    """Return how far a loop is preferred to a gap, in standard errors, by the torque (N m) that the angles give it.
+
+    Never above zero: a loop that closes without torque is a gap with one number more; of one that closes with some the
+    angles have judged already.
+    """
+    usual = float(np.median(np.concatenate([np.abs(transmitted(v)[~v.still]) for v in views if v.lag is not None])))
+    return min(0.0, (torque / usual - CARRIED) / SLACK)
 
 
 def _falls(views: Sequence[View], nominal: Nominal) -> bool:

@@ -141,7 +141,7 @@ def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Join
 
 def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:
     """Return nominal values and effects as a fit begins with them."""
-    placed, nominal = [], replace(nominal, bent=None, bristles=0.0)
+    placed, nominal = [], replace(nominal, bent=None, bristles=0.0, late_s=0.0)
     for effect in effects:
         nominal, shape = effect.term.begin(nominal, effect.shape)
         placed.append(replace(effect, shape=shape))

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 from scipy import stats
 
+from identification.diagnosis.begin import or_kept
 from identification.diagnosis.contest import Contender, Round, again, broken, implausible, numbers, preference, simplest
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
@@ -42,7 +43,7 @@ def pruned(
         trials = []
         for effect in joint.effects:
             rest = tuple(e for e in joint.effects if e is not effect)
-            without = fit(views, unit, joint.nominal, rest, baseline)
+            without = or_kept(views, unit, fit(views, unit, joint.nominal, rest, baseline))
             share, needed = _worth(baseline, without, joint, effect.term)
             trials.append((share / needed, share, needed, effect.term.name, without))
         worth, share, needed, name, without = min(trials, key=lambda trial: (trial[0], trial[-1].cost))

@@ -137,7 +137,7 @@ def _followed(stack: Stack, whitened: Array, following: Sequence[Added], without
         unit[k] = length
         there = nominal.moved(unit, np.zeros(len(nominal.free)))
         for e in following:
-            rows = equation.rows(bound(e.term.columns["torque"], there, e.shape))
+            rows = equation.rows(bound(e.term, "torque", there, e.shape))
             change = rows - stack.columns(e.term, e.shape)["torque"]
             columns[0][:, use.index(k)] += change @ np.array(e.coefficients) / length
     columns += [stack.columns(e.term, e.shape)["torque"] for e in following]

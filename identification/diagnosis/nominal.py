@@ -48,6 +48,7 @@ class Nominal:
             recordings, where each has an origin of its own), and coefficients; none where it is empty.
         bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
             with a rise or a speed is then said by it.
+        late_s: By how much the torque's samples are late against the angles', as an effect named so far says, or 0.
         bristles: Stiffness that friction springs by before it slips, as an effect named so far says, N m/rad; or 0.
         most: Greatest static levels that the recordings allow; none where it is empty.
     """
@@ -59,6 +60,7 @@ class Nominal:
     zero_A: float = 0.0
     ripple: tuple[tuple[float, ...], ...] = ()
     bent: float | None = None
+    late_s: float = 0.0
     bristles: float = 0.0
     most: Mapping[str, float] = field(default_factory=dict)
 

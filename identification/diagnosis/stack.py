@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cache, cached_property
 
 import numpy as np
 from scipy import sparse, special
@@ -16,6 +16,7 @@ from scipy import sparse, special
 from identification.diagnosis.blocks import gather_of, in_blocks, numbered
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.terms.lateness import behind
 from identification.diagnosis.terms.term import Columns, Shape, Term
 from identification.diagnosis.view import View
 from identification.recording import Array
@@ -154,18 +155,19 @@ class Stack:
     def columns(self, term: Term, shape: Shape) -> dict[str, Array]:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
-        kept = {**self.cache.get(key, {}), **self.own.get(key, {})}
+        late = term.at_angle and self.nominal.late_s != 0.0
+        kept = self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
         # What adds to the drive's torque does so in motion and at breakaway alike.
-        made = cache(lambda make, view: make(view, self.nominal, shape))
+        once = cache(_made)
         found = {
             equation.name: kept[equation.name]
             if equation.name in kept
-            else equation.rows(partial(made, term.columns[equation.name]))
+            else equation.rows(bound(term, equation.name, self.nominal, shape, once))
             for equation in self.equations
             if equation.name in term.columns
         }
         for name, columns in found.items():
-            varies = (term.follows and name in NOMINAL_IN) or name in term.varies
+            varies = late or (term.follows and name in NOMINAL_IN) or name in term.varies
             store = self.own if varies else self.cache
             store.setdefault(key, {})[name] = columns
         return found
@@ -282,9 +284,18 @@ def tied(names: Collection[str], ties: Iterable[Collection[str]]) -> set[str]:
     return found
 
 
-def bound(make: Columns, nominal: Nominal, shape: Shape) -> Callable[[View], Array]:
-    """Return regressors as a function of the view alone."""
-    return lambda view: make(view, nominal, shape)
+def _made(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Array:
+    return make(view, nominal, shape)
+
+
+def bound(
+    term: Term, equation: str, nominal: Nominal, shape: Shape, made: Callable[..., Array] = _made
+) -> Callable[[View], Array]:
+    """Return regressors of one equation as a function of the view alone; ``made`` may remember what it has made."""
+    make = term.columns[equation]
+    if term.at_angle and equation == "torque" and nominal.late_s:
+        return lambda view: made(make, behind(view, nominal.late_s), nominal, shape)
+    return lambda view: made(make, view, nominal, shape)
 
 
 def wald(score: Array, sums: Array) -> float:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -89,6 +89,7 @@ class View:
         unsteady: The same, unsteady motion allowed: where hardly any motion is steady, as at a crawl against cogging,
             that is how this machine moves, and it is kept.
         breakaways: Samples at which a rest ends, shape (e,).
+        behind: The same with its motion late, by how late, s, as it was last asked for.
     """
 
     recording: Recording
@@ -119,6 +120,7 @@ class View:
     moving: BoolArray
     unsteady: BoolArray
     breakaways: np.ndarray
+    behind: dict[float, View] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def step(self) -> float:

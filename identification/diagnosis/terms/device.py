@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -155,6 +156,7 @@ TERMS = (
         _stops,
         refine={1: 0.08},
         positive=(0,),
+        at_angle=True,
     ),
     Term(
         "load_exponent",
@@ -225,6 +227,7 @@ TERMS = (
         refine={0: 2e-3},
         positive=(0,),
         size=1.0,
+        begin=lambda nominal, shape: (replace(nominal, late_s=shape[0]), shape),
         follows=True,
     ),
 )

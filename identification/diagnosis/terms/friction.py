@@ -197,6 +197,7 @@ TERMS = (
         lambda c, shape, _context: {"torque_Nm": float(c[0]), "center_rad": shape[0], "width_rad": shape[1]},
         _patches,
         refine={0: 0.1, 1: 0.0},
+        at_angle=True,
         shape_error=CLOSE,
     ),
     Term(

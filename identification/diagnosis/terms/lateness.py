@@ -12,6 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identification.diagnosis.terms.memory import delayed
 from identification.diagnosis.view import View
 from identification.prepare import drive_torque
 from identification.recording import Array, Recording
@@ -44,6 +45,36 @@ def too_early(view: View, late_s: float) -> Array:
     together = replace(recording, channels={**recording.channels, "voltage": volts})
     here, there = (drive_torque(r, view.time, view.velocity) for r in (recording, together))
     return np.asarray(here - there)
+
+
+def behind(view: View, late_s: float) -> View:
+    """Return a recording whose motion is as late as the torque's samples: a tooth is met where the joint then was.
+
+    Not where the torque comes from a voltage that was computed of its own samples. Most trial shapes ask for the same.
+    """
+    known = view.behind.get(late_s)
+    if known is None:
+        known = view if computed(view.recording) else _moved(view, late_s)
+        view.behind.clear()
+        view.behind[late_s] = known
+    return known
+
+
+def _moved(view: View, late_s: float) -> View:
+    def late(series: Array) -> Array:
+        return delayed(series, view.step, late_s)
+
+    return replace(
+        view,
+        angle=late(view.angle),
+        velocity=late(view.velocity),
+        acceleration=late(view.acceleration),
+        known=late(view.known),
+        moment=late(view.moment),
+        sense=late(view.sense),
+        motor=late(view.motor),
+        motor_speed=late(view.motor_speed),
+    )
 
 
 def _law(recording: Recording, late_s: float) -> Array:

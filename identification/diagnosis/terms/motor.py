@@ -248,8 +248,8 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, shape_error=EXACT),
-    Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, follows=True),
+    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, at_angle=True, shape_error=EXACT),
+    Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, at_angle=True, follows=True),
     Term(
         "torque_saturation",
         in_motion(_saturation),

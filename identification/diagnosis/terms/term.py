@@ -53,6 +53,7 @@ class Term:
         begin: From nominal values and a trial shape to those that a joint fit begins from.
         shape_error: What the regressor's own error leaves to others, over what it explains; :data:`EXACT` where it
             is the physics itself, known from clock, angle, motion or torque.
+        at_angle: Whether its torque is met at an angle: where the torque's samples are late, so is that angle.
         size: Coefficient the regressor is scaled to have, where its shape alone says how large it is (else None).
     """
 
@@ -65,6 +66,7 @@ class Term:
     size: float | None = None
     shape_error: float = ROUGH
     follows: bool = False
+    at_angle: bool = False
     varies: tuple[str, ...] = ()
     limits: Mapping[int, tuple[float, float]] = field(default_factory=dict)
     place: int | None = None

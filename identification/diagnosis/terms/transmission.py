@@ -248,6 +248,7 @@ TERMS = (
         {"transmission": _mesh, "torque": _mesh_torque},
         _read_mesh,
         lambda context: everywhere(context, _both_encoders, TEETH),
+        at_angle=True,
         follows=True,
     ),
     Term(
@@ -275,12 +276,14 @@ TERMS = (
         refine={0: 0.0},
         positive=(0,),
         size=1.0,
+        shape_error=EXACT,
     ),
     Term(
         "encoder_eccentricity",
         {"transmission": _eccentric},
         _read_eccentric,
         lambda context: everywhere(context, _both_encoders, ((),)),
+        shape_error=EXACT,
     ),
     Term(
         "encoder_slip",
@@ -289,5 +292,6 @@ TERMS = (
         _slips,
         place=0,
         refine={1: 3.0},
+        shape_error=EXACT,
     ),
 )

@@ -1,0 +1,69 @@
+"""Names whose fit is no model, or leaves too much of one recording, are no diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.contest import Round
+from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.judgement import judged
+from identification.diagnosis.result import Verdict
+from identification.diagnosis.search import Search
+from identification.diagnosis.terms import TERMS
+from identification.recording import Array
+
+from .benches import campaign, nominal_fit
+
+NAME = "asymmetric_coulomb"
+FAINT_N_M, UNSEEN = 0.002, 1.4
+"""Size of an effect that explains hardly anything, and mean square in all that may still be noise."""
+
+
+@lru_cache
+def found(size_N_m: float) -> Search:
+    joint = nominal_fit(campaign({NAME: {"torque_Nm": size_N_m}}, 5, 6.0))
+    term = next(t for t in TERMS if t.name == NAME)
+    final = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (), (0.0,)),), joint)
+    return Search(joint, final, (Round(NAME, ()),), 1e-3, 1.0, "", ())
+
+
+def verdict(search: Search) -> Verdict:
+    return judged(search, np.random.default_rng(0))[0]
+
+
+def with_left(joint: Joint, more: Array) -> Joint:
+    """Return a fit that leaves more of the torque."""
+    residual = joint.residual.copy()
+    residual[joint.stack.part("torque")] += more
+    return replace(joint, residual=residual)
+
+
+def noise(search: Search, power: float) -> Array:
+    """Return white rows of the torque of this power over the noise's."""
+    rows = search.final.stack.part("torque")
+    return np.random.default_rng(1).normal(0.0, np.sqrt(power), rows.stop - rows.start)
+
+
+@pytest.mark.parametrize(("power", "expected"), [(0.0, Verdict.NAMED), (20.0, Verdict.OUTSIDE_CATALOGUE)])
+def test_a_fit_whose_constants_do_not_keep_what_it_promises_names_nothing(power: float, expected: Verdict) -> None:
+    search = found(1.0)
+    rows = search.final.equations[0].sigma * noise(search, power)
+    torque = replace(search.final.stack.equations[0], residual=search.final.stack.equations[0].residual + rows)
+    stack = replace(search.final.stack, equations=(torque, *search.final.stack.equations[1:]))
+    assert verdict(replace(search, final=replace(search.final, stack=stack))) is expected
+
+
+@pytest.mark.parametrize(("one", "expected"), [(False, Verdict.NAMED), (True, Verdict.OUTSIDE_CATALOGUE)])
+def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(one: bool, expected: Verdict) -> None:
+    """As much in all as may be noise, in every recording or in one."""
+    search = found(FAINT_N_M)
+    owner = search.final.equations[0].owner
+    left = UNSEEN - float(np.mean(search.final.residual[search.final.stack.part("torque")] ** 2))
+    where = owner == owner[0] if one else np.ones(len(owner), bool)
+    more = noise(search, left) * where * np.sqrt(len(owner) / np.sum(where))
+    both = {name: with_left(joint, more) for name, joint in (("baseline", search.baseline), ("final", search.final))}
+    assert verdict(replace(search, **both)) is expected
