@@ -153,7 +153,7 @@ def _empty(views: Sequence[View], torque: float) -> float:
     Never above zero: a loop that closes without torque is a gap with one number more; of one that closes with some the
     angles have judged already.
     """
-    usual = float(np.median(np.concatenate([np.abs(transmitted(v)[~v.still]) for v in views if v.lag is not None])))
+    usual = float(np.median(np.concatenate([np.abs(v.transmitted[~v.still]) for v in views if v.lag is not None])))
     return min(0.0, (torque / usual - CARRIED) / SLACK)
 
 
