@@ -39,9 +39,6 @@ MOST = 2.0
 """Median stretches that one is believed as at most: the stretches of a sine differ by chance alone, and where one says
 far more than the others it was all but stopped there, which no other run need repeat."""
 
-LIKELY = 0.999
-"""Share of the noises under which the likelihood's slope at the values simulated counts as noise."""
-
 NOISE_SEED = 0
 GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
 """Size of the nominal model's own residuals, in units of their noise, and correlation of neighbours, above which the
@@ -149,8 +146,9 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     """Return the Fisher information of one stage on all nine, each relative to its value, in the order of NAMES.
 
     Zero where the stage has too few breakaways, or moves so that the estimator could not follow, or does not go from
-    rest to rest with its command: what it does then is up to drive and chance. Relative, so that the
-    matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
+    rest to rest with its command: what it does then is up to drive and chance. Less by as much as the likelihood is
+    steeper at the values simulated than noise makes it: the filter errs by about the root of that there. Relative,
+    so that the matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
 
     Args:
         stage: What is commanded, under which weight.
@@ -173,15 +171,12 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     if not _follows(residual[: len(residual) - problem.breakaways]):
         return NOTHING
     jacobian, slope = likelihood_slope(problem)
-    sought = len(free) - 1
-    if slope > stats.chi2.ppf(LIKELY, sought) / sought:
-        return NOTHING
     others = instruments(problem, jacobian)
     mean = jacobian.mixed(1.0 / problem.siblings, others)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
     normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(mean)) @ turn
-    return Information(normal)
+    return Information(normal / max(slope, 1.0))
 
 
 def likelihood_slope(problem: Problem) -> tuple[Arrow, float]:
