@@ -20,6 +20,7 @@ from identification.design.forward import Loop, Response, respond, usual_loop
 from identification.estimate.arrow import Arrow
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
+from identification.estimate.leverage import bounded
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
@@ -175,7 +176,7 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     mean = jacobian.mixed(1.0 / problem.siblings, others)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(mean)) @ turn
+    normal[: len(names), : len(names)] = turn.T @ bounded(mean.told(), MOST) @ turn
     return Information(normal / max(slope, 1.0))
 
 
@@ -203,30 +204,6 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
     """Return the size of some unknowns' scores in the metric of what is known of them."""
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
-
-
-def _by_stretch(slopes: Arrow) -> Array:
-    """Return each stretch's information, its breakaway time eliminated, shape (m, p, p)."""
-    count = slopes.parameters.shape[1]
-    out = np.empty((slopes.stretches, count, count))
-    for j in range(slopes.stretches):
-        rows = slopes.owners == j
-        own, along = slopes.parameters[rows], slopes.own[rows]
-        cross = own.T @ along
-        out[j] = own.T @ own - np.outer(cross, cross) / max(float(along @ along), 1e-300)
-    return out
-
-
-def _sound(stretches: Array) -> Array:
-    """Return the sum of stretches' informations, none believed more than it takes to be :data:`MOST` median ones.
-
-    Args:
-        stretches: Of each, shape (m, p, p).
-    """
-    told = np.einsum("mkk->mk", stretches)
-    usual = np.median(told, axis=0)
-    excess = np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1)
-    return np.asarray(np.tensordot(np.minimum(1.0, MOST / np.maximum(excess, MOST)), stretches, 1))
 
 
 def _ways(command: Array) -> int:

@@ -315,12 +315,6 @@ def test_a_stage_under_which_other_values_are_likelier_says_less(monkeypatch: py
     assert told[9.0] == pytest.approx(told[1.0] / 9.0)
 
 
-def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_two() -> None:
-    stretches = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 4.0]), np.diag([1.0, 4000.0])])
-    assert pinning._sound(stretches) == pytest.approx(np.diag([2.0 + 2e-3, 8.0 + 8.0]))
-    assert pinning._sound(stretches[:2]) == pytest.approx(np.diag([2.0, 8.0]))
-
-
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
     chance = [np.random.default_rng(2) for _ in range(2)]
