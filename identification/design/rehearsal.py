@@ -40,7 +40,7 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
         result = identify(Dataset(tuple(_recording(k, s, nominal, rng) for k, s in enumerate(stages))))
     except RecordingError:
         return nothing
-    if result.warnings:
+    if all(p.floor is None for p in result.parameters.values()):
         return nothing
     widths = dict(nothing.half_widths)
     truth = nominal.values

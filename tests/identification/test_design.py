@@ -113,13 +113,15 @@ def test_the_rehearsal_repeats_and_knows_what_it_cannot_do() -> None:
 def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interval(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = {n: Parameter(n, "", v, 0.99 * v, 1.01 * v) for n, v in NOMINAL.items() if n in NAMES[:5]}
+    found = {n: Parameter(n, "", v, 0.99 * v, 1.01 * v, floor=0.01 * v) for n, v in NOMINAL.items() if n in NAMES[:5]}
     found["J"] = Parameter("J", "", 1.25 * NOMINAL["J"], 1.24 * NOMINAL["J"], 1.26 * NOMINAL["J"])
-    result = SimpleNamespace(warnings=(), parameters=found)
-    monkeypatch.setattr(rehearsing, "identify", lambda _: result)
+    monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=found))
     widths = rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).half_widths
     assert widths["Mc"] == pytest.approx(0.01)
     assert widths["J"] == pytest.approx(0.2)
+    refused = {n: replace(p, floor=None) for n, p in found.items()}
+    monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=refused))
+    assert math.isinf(rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).worst)
 
 
 def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
