@@ -20,6 +20,7 @@ from identification.design.forward import Loop, Response, respond, usual_loop
 from identification.estimate.arrow import Arrow
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
+from identification.estimate.leverage import bounded
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
@@ -38,9 +39,6 @@ with fewer it turns without coming to rest, which next to chance it may always d
 MOST = 2.0
 """Median stretches that one is believed as at most: the stretches of a sine differ by chance alone, and where one says
 far more than the others it was all but stopped there, which no other run need repeat."""
-
-LIKELY = 0.999
-"""Share of the noises under which the likelihood's slope at the values simulated counts as noise."""
 
 NOISE_SEED = 0
 GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
@@ -149,8 +147,9 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     """Return the Fisher information of one stage on all nine, each relative to its value, in the order of NAMES.
 
     Zero where the stage has too few breakaways, or moves so that the estimator could not follow, or does not go from
-    rest to rest with its command: what it does then is up to drive and chance. Relative, so that the
-    matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
+    rest to rest with its command: what it does then is up to drive and chance. Less by as much as the likelihood is
+    steeper at the values simulated than noise makes it: the filter errs by about the root of that there. Relative,
+    so that the matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
 
     Args:
         stage: What is commanded, under which weight.
@@ -173,15 +172,12 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     if not _follows(residual[: len(residual) - problem.breakaways]):
         return NOTHING
     jacobian, slope = likelihood_slope(problem)
-    sought = len(free) - 1
-    if slope > stats.chi2.ppf(LIKELY, sought) / sought:
-        return NOTHING
     others = instruments(problem, jacobian)
     mean = jacobian.mixed(1.0 / problem.siblings, others)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ _sound(_by_stretch(mean)) @ turn
-    return Information(normal)
+    normal[: len(names), : len(names)] = turn.T @ bounded(mean.told(), MOST) @ turn
+    return Information(normal / max(slope, 1.0))
 
 
 def likelihood_slope(problem: Problem) -> tuple[Arrow, float]:
@@ -208,30 +204,6 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
     """Return the size of some unknowns' scores in the metric of what is known of them."""
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
-
-
-def _by_stretch(slopes: Arrow) -> Array:
-    """Return each stretch's information, its breakaway time eliminated, shape (m, p, p)."""
-    count = slopes.parameters.shape[1]
-    out = np.empty((slopes.stretches, count, count))
-    for j in range(slopes.stretches):
-        rows = slopes.owners == j
-        own, along = slopes.parameters[rows], slopes.own[rows]
-        cross = own.T @ along
-        out[j] = own.T @ own - np.outer(cross, cross) / max(float(along @ along), 1e-300)
-    return out
-
-
-def _sound(stretches: Array) -> Array:
-    """Return the sum of stretches' informations, none believed more than it takes to be :data:`MOST` median ones.
-
-    Args:
-        stretches: Of each, shape (m, p, p).
-    """
-    told = np.einsum("mkk->mk", stretches)
-    usual = np.median(told, axis=0)
-    excess = np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1)
-    return np.asarray(np.tensordot(np.minimum(1.0, MOST / np.maximum(excess, MOST)), stretches, 1))
 
 
 def _ways(command: Array) -> int:

@@ -26,15 +26,13 @@ from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import Spread
 from identification.recording import Dataset, Model, Recording, RecordingError
 
-STRAYED = 3.0
-"""Error of a parameter, over the half width of its 90 % interval, at which a rehearsal ended in a wrong basin."""
-
 
 def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
     """Return the relative half widths that the default method arrives at on a simulated run of the nominal bench.
 
-    Infinite where it does not identify a parameter, and throughout where it refuses the prediction errors, as what it
-    would then fall back on is not what was planned, or ends far from the values that were simulated.
+    Where a value is further from the simulated one than its half width, that distance: the interval is too narrow, or
+    of a wrong basin. Infinite where it does not identify a parameter, and throughout where it refuses the prediction
+    errors, as what it would then fall back on is not what was planned.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Pinned(dict.fromkeys(names, math.inf))
@@ -42,15 +40,13 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
         result = identify(Dataset(tuple(_recording(k, s, nominal, rng) for k, s in enumerate(stages))))
     except RecordingError:
         return nothing
-    if result.warnings:
+    if all(p.floor is None for p in result.parameters.values()):
         return nothing
     widths = dict(nothing.half_widths)
     truth = nominal.values
     for name, p in result.parameters.items():
         if name in widths and p.value and p.low is not None and p.high is not None:
-            widths[name] = 0.5 * (p.high - p.low) / abs(p.value)
-            if abs(p.value - truth[name]) > STRAYED * widths[name] * abs(p.value):
-                return nothing
+            widths[name] = max(0.5 * (p.high - p.low), abs(p.value - truth[name])) / abs(p.value)
     return Pinned(widths)
 
 

@@ -24,8 +24,8 @@ from identification.design.shares import best_shares
 from identification.estimate.regression import HIGHEST_SHARE
 from identification.recording import Array
 
-DESIGNS = 3
-"""Designs that are rehearsed beside the present one, at most."""
+DESIGNS = 5
+"""Designs that are judged as wholes, at most."""
 PARTS = 5
 """Stages of a design, at most."""
 _SUPPORT = 9
@@ -79,6 +79,25 @@ class Design:
 def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
     """Return the commands and weight of one stage."""
     return PlannedStage(frame.render(excitation), excitation.weight)
+
+
+def halved(design: Design, frames: Sequence[Frame], nominal: Nominal) -> Design:
+    """Return a design in half of the time, beside the present excitation in the other half.
+
+    The present one leads the searches of an identification into the right basin where a design alone does not.
+    """
+    parts, left = [], 0.0
+    for number, frame in enumerate(frames):
+        own = [p.excitation for p in design.parts if p.frame == number]
+        spans = [frame.total, *(e.seconds + frame.pause for e in own)]
+        for excitation, span in zip((frame.present, *own), spans, strict=True):
+            room = 0.5 * span + left - frame.pause
+            left = room + frame.pause
+            if 2.0 * excitation.tones[0][1] * room >= 1.0:  # less than half a period would take longer
+                parts.append(Part(number, excitation.lasting(room)))
+                left = room - parts[-1].excitation.seconds
+    told = [stage_information(planned(frames[p.frame], p.excitation), nominal) for p in parts]
+    return Design(tuple(parts), pinned(told, any(f.loaded for f in frames)))
 
 
 def drives(nominal: Nominal) -> tuple[float, ...]:

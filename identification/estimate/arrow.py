@@ -91,6 +91,17 @@ class Arrow:
         scores = self._by_stretch(weight * residual, self.parameters) - share * pull[:, None]
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
+    def told(self) -> Array:
+        """Return what each stretch says of the parameters, its breakaway time eliminated, shape (m, p, p)."""
+        p = self.parameters.shape[1]
+        squares = np.zeros((self.stretches, p, p))
+        for k, column in enumerate(self.parameters.T):
+            squares[:, k] = self._by_stretch(column, self.parameters)
+        cross = self._by_stretch(self.own, self.parameters)
+        own = np.bincount(self.owners, self.own**2, self.stretches)
+        share = cross / np.where(own > 0.0, own, np.inf)[:, None]
+        return squares - cross[:, :, None] * share[:, None, :]
+
     def scaled(self, weight: Array) -> Arrow:
         """Return this with every row multiplied by its weight."""
         return replace(self, parameters=self.parameters * weight[:, None], own=self.own * weight)

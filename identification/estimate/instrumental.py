@@ -18,6 +18,7 @@ from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
+from identification.estimate.leverage import widening
 from identification.estimate.noise_level import CLIP, likeliest_noise
 from identification.estimate.prediction_problem import LOGARITHMIC, Problem
 from identification.recording import Array
@@ -35,6 +36,8 @@ _SETTLED = 0.05
 _TURNS = 8
 _PRIOR = 1.0
 """Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch."""
+_MOST = 3.0
+"""Median stretches of its recording that one is believed as at most: where friction is regular none counts as much."""
 _CHORD_SETTLED = 0.02
 
 
@@ -178,7 +181,8 @@ def covariances(problem: Problem) -> Covariances:
 
     The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
     known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
-    what its error does to them. The inertia's variance is not lowered by its scores' scatter.
+    what its error does to them. The inertia's variance is not lowered by its scores' scatter. All but the inertia are
+    wider by what they owe to single stretches (:mod:`identification.estimate.leverage`).
     """
     x = problem.origin()
     problem.weigh()
@@ -190,13 +194,14 @@ def covariances(problem: Problem) -> Covariances:
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     if kernel.INERTIA not in problem.free:
-        spread, achieved = _scatter(jacobian, residual), floor
+        spread, achieved = _scatter(jacobian, residual) * _leverage(problem, jacobian), floor
     else:
         j = problem.free.index(kernel.INERTIA)
         influence = influence_on_inertia(problem, z, jacobian, residual)
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(floor, j, variance)
-        spread = _scatter(jacobian.without(j), residual)
+        others = jacobian.without(j)
+        spread = _scatter(others, residual) * _leverage(problem, others)
         spread = np.insert(spread, j, max(_scatter_of_inertia(problem, z, jacobian, residual), 1.0))
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale)
 
@@ -234,6 +239,13 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
     stretches = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
     squared = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
     return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
+
+
+def _leverage(problem: Problem, jacobian: Arrow) -> Array:
+    """Return how many times wider the parameters are than if single stretches were believed whatever they say."""
+    numbers = np.arange(len(problem.motions), dtype=np.int64)
+    recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
+    return widening(jacobian.told(), recordings, _MOST)
 
 
 def _scatter_of_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> float:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from identification.design import pinning, search
 from identification.design import propose as proposing
+from identification.design import rehearsal as rehearsing
 from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.forward import respond, usual_loop
 from identification.design.pinning import (
@@ -26,8 +28,9 @@ from identification.design.pinning import (
 )
 from identification.design.propose import present_pins, propose
 from identification.design.rehearsal import expected, rehearse
-from identification.design.search import Candidate, Search
+from identification.design.search import Candidate, Design, Search, halved, planned
 from identification.design.shares import best_shares
+from identification.estimate.result import Parameter
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
 
@@ -105,6 +108,20 @@ def test_the_rehearsal_repeats_and_knows_what_it_cannot_do() -> None:
     assert 0.0 < one.worst < 0.2
     still = rehearse([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
     assert math.isinf(still.worst)
+
+
+def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interval(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = {n: Parameter(n, "", v, 0.99 * v, 1.01 * v, floor=0.01 * v) for n, v in NOMINAL.items() if n in NAMES[:5]}
+    found["J"] = Parameter("J", "", 1.25 * NOMINAL["J"], 1.24 * NOMINAL["J"], 1.26 * NOMINAL["J"])
+    monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=found))
+    widths = rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).half_widths
+    assert widths["Mc"] == pytest.approx(0.01)
+    assert widths["J"] == pytest.approx(0.2)
+    refused = {n: replace(p, floor=None) for n, p in found.items()}
+    monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=refused))
+    assert math.isinf(rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).worst)
 
 
 def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
@@ -214,6 +231,34 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
     assert found.weakest == found.present.weakest
 
 
+@pytest.mark.usefixtures("few")
+def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    stages = frames((0.0,))
+    slow = planned(stages[0], stages[0].present.lasting(6.0)).command
+
+    def rehearsed(own: list[PlannedStage], *_: object) -> Pinned:
+        told = any(np.array_equal(s.command, slow) for s in own)
+        return Pinned(dict.fromkeys(NAMES[:5], 1e-6 if told else math.inf))
+
+    monkeypatch.setattr(proposing, "rehearse", rehearsed)
+    bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
+    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
+    assert found.stages[0] == Part(0, stages[0].present.lasting(6.0))
+    assert len(found.stages) > 1
+    assert found.rehearsed == 2
+    assert 9.0 < sum(p.excitation.seconds for p in found.stages) <= 12.0
+
+
+def test_half_of_a_stage_too_short_for_half_a_period_is_left_out() -> None:
+    stages = frames((0.0,))
+    fast, slow = (Part(0, Excitation(((0.1, f),), 0.0, s)) for f, s in ((1.0, 8.0), (0.25, 2.0)))
+    found = halved(Design((fast, slow), Pinned({})), stages, nominal())
+    assert [p.excitation.tones for p in found.parts] == [stages[0].present.tones, fast.excitation.tones]
+    assert [p.excitation.seconds for p in found.parts] == pytest.approx([5.0, 5.0])
+
+
 def test_a_design_has_a_sine_that_leaves_the_fall_of_friction() -> None:
     """Were it left out, the equation error would find no inertia to start from."""
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
@@ -255,19 +300,21 @@ def test_moment_of_a_bench_without_lever() -> None:
 def test_a_shaft_that_sticks_and_slips_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     """Under 30.6 kg the drive cannot hold 0.07 rad/s; the filter follows, but what it sees is chance."""
     monkeypatch.setattr(pinning, "_follows", lambda _errors: True)
-    monkeypatch.setattr(pinning, "LIKELY", 1.0)  # the likelihood's slope would refuse it too
     slow = PlannedStage(command(3.0, 0.2, 10.0), 30.6)
     assert stage_information(slow, nominal()) is NOTHING
     monkeypatch.setattr(pinning, "STRAY_STRETCHES", 1000)
     assert stage_information(slow, nominal()) is not NOTHING
-    monkeypatch.setattr(pinning, "LIKELY", 0.0)
-    assert stage_information(slow, nominal()) is NOTHING  # as if other values than those simulated were likelier by far
 
 
-def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_two() -> None:
-    stretches = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 4.0]), np.diag([1.0, 4000.0])])
-    assert pinning._sound(stretches) == pytest.approx(np.diag([2.0 + 2e-3, 8.0 + 8.0]))
-    assert pinning._sound(stretches[:2]) == pytest.approx(np.diag([2.0, 8.0]))
+def test_a_stage_under_which_other_values_are_likelier_says_less(monkeypatch: pytest.MonkeyPatch) -> None:
+    stage = figure10(0.0, 10.0)
+    whole = pinning.likelihood_slope
+    told = {}
+    for slope in (0.5, 1.0, 9.0):
+        monkeypatch.setattr(pinning, "likelihood_slope", lambda p, slope=slope: (whole(p)[0], slope))
+        told[slope] = stage_information(stage, nominal()).normal
+    assert told[0.5] == pytest.approx(told[1.0])
+    assert told[9.0] == pytest.approx(told[1.0] / 9.0)
 
 
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
