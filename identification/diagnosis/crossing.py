@@ -18,7 +18,7 @@ from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, count_of_twist, lead
+from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, Gap, Loop, count_of_twist, lead
 from identification.diagnosis.view import QUICK_SAMPLES, View
 from identification.recording import Array
 
@@ -122,13 +122,13 @@ def told_apart(
         joint = fit(views, unit, joint.nominal, [e for e in joint.effects if e is own or e not in named], baseline)
         rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
         own = next(e for e in joint.effects if e.term.name == own.term.name)
-    gap, rotor = (own.shape[0], own.shape[3]) if own.term.name == "backlash" else (2.0 * own.shape[2], own.shape[1])
+    gap, rotor = _gap_and_rotor(own)
     seen = crossed(views, joint.nominal, gap, rotor)
     other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views))
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
-    loop = (own if own.term.name != "backlash" else beside.effects[-1]).shape[0]
-    prefers_loop = _empty(views, loop) if seen is None else (seen.share - CARRIED) / seen.error
+    loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
+    prefers_loop = _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
     if _falls(views, joint.nominal):
         # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's sum.
@@ -145,6 +145,13 @@ def told_apart(
         for taken in rounds
     ]
     return best, out
+
+
+def _gap_and_rotor(effect: Added) -> tuple[float, float]:
+    """Return how far one side moves alone, rad, and the inertia of the rotor, kg m^2, as a gap or a loop says."""
+    if effect.term.name == "backlash":
+        return Gap(*effect.shape).width, Gap(*effect.shape).rotor
+    return 2.0 * Loop(*effect.shape).deflection, Loop(*effect.shape).rotor
 
 
 def _empty(views: Sequence[View], torque: float) -> float:
@@ -170,12 +177,13 @@ def _other(
     Its fit begins from the rotor's inertia that was seen as well, or from a supposed one, ``rotor``, kg m^2; a gap's
     from a shaft that twists by ``twist``, rad/(N m), for each count.
     """
+    counts = 0.5 * TWIST_COUNTS[1]
     if own.term.name != "backlash":
-        return Added(by_name["backlash"], (gap, 0.5 * TWIST_COUNTS[1], twist, rotor), (1.0,))
-    term = by_name["coupling_hysteresis"]
+        return Added(by_name["backlash"], Gap(gap, counts, twist, rotor), (1.0,))
+    term, loop = by_name["coupling_hysteresis"], Loop(1.0, rotor, 0.5 * gap, counts, twist)
     if seen is None or seen.torque <= 0.0:
-        return Added(term, (1.0, rotor, 0.5 * gap, 0.5 * TWIST_COUNTS[1], twist), (1.0,))
-    shape = (seen.torque, seen.inertia if seen.inertia > 0.0 else rotor, 0.5 * gap, 0.5 * TWIST_COUNTS[1], twist)
+        return Added(term, loop, (1.0,))
+    loop = loop._replace(torque=seen.torque, rotor=seen.inertia if seen.inertia > 0.0 else rotor)
     # Of the torque a crossing says more than the angles do; what else a shape says is sought.
-    sought = {k: reach for k, reach in term.refine.items() if k > 0}
-    return Added(replace(term, refine=sought), shape, (1.0,))
+    sought = {k: reach for k, reach in term.refine.items() if Loop._fields[k] != "torque"}
+    return Added(replace(term, refine=sought), loop, (1.0,))

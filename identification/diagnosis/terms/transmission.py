@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,6 +36,28 @@ FIRST_SAMPLES = 20
 """Over which the encoders are asked where in its gap, or loop, a recording begins."""
 
 
+class Gap(NamedTuple):
+    """Shape of a gap: how wide it is, rad, and the shaft about it and the rotor before it."""
+
+    width: float
+    counts: float
+    """By which the shaft twists under the greatest torque."""
+    per_torque: float
+    """Twist of one count, rad/(N m)."""
+    rotor: float
+    """Its inertia at the joint, kg m^2."""
+
+
+class Loop(NamedTuple):
+    """Shape of a coupling's loop: the torque that closes it, N m, and how far it gives, rad; else as a gap's."""
+
+    torque: float
+    rotor: float
+    deflection: float
+    counts: float
+    per_torque: float
+
+
 def _both_encoders(view: View) -> bool:
     return view.lag is not None
 
@@ -58,7 +81,7 @@ def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
 
 
 def _play(view: View, nominal: Nominal, shape: Shape) -> Array:
-    gap, counts, per_torque, rotor = shape
+    gap, counts, per_torque, rotor = Gap(*shape)
     return rows(lead(view, nominal, gap, rotor) + counts * per_torque * carried(view, rotor))
 
 
@@ -122,7 +145,7 @@ def _through(
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    width, rotor, deflection, counts, per_torque = shape
+    width, rotor, deflection, counts, per_torque = Loop(*shape)
     torque, state, closed = _closing(view, width, rotor)
     twist = counts * per_torque * torque
     if view.lag is not None and closed < len(torque):
@@ -254,7 +277,7 @@ TERMS = (
     Term(
         "coupling_hysteresis",
         {"transmission": _loop},
-        lambda _c, shape, _context: {"deflection_rad": shape[2], "torque_Nm": shape[0]},
+        lambda _c, shape, _context: {"deflection_rad": Loop(*shape).deflection, "torque_Nm": Loop(*shape).torque},
         _loops,
         refine={2: 0.0, 0: 0.0, 1: 0.0, 3: 0.5 * TWIST_COUNTS[1]},
         limits={3: TWIST_COUNTS},
