@@ -18,7 +18,7 @@ from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
-from identification.estimate.leverage import widening
+from identification.estimate.leverage import doubts
 from identification.estimate.noise_level import CLIP, likeliest_noise
 from identification.estimate.prediction_problem import LOGARITHMIC, Problem
 from identification.recording import Array
@@ -128,6 +128,9 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
     free = problem.free
     others = tuple(k for k in free if k != kernel.INERTIA)
     low, high = (-np.inf, 0.0), (np.inf, 0.0)
+    problem.free = others
+    problem.doubt = _doubted(problem)
+    problem.free = free
     for _ in range(_TURNS):
         if others:
             problem.free = others
@@ -181,8 +184,7 @@ def covariances(problem: Problem) -> Covariances:
 
     The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
     known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
-    what its error does to them. The inertia's variance is not lowered by its scores' scatter. All but the inertia are
-    wider by what they owe to single stretches (:mod:`identification.estimate.leverage`).
+    what its error does to them. The inertia's variance is not lowered by its scores' scatter.
     """
     x = problem.origin()
     problem.weigh()
@@ -194,14 +196,14 @@ def covariances(problem: Problem) -> Covariances:
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     if kernel.INERTIA not in problem.free:
-        spread, achieved = _scatter(jacobian, residual) * _leverage(problem, jacobian), floor
+        spread, achieved = _scatter(jacobian, residual), floor
     else:
         j = problem.free.index(kernel.INERTIA)
         influence = influence_on_inertia(problem, z, jacobian, residual)
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(floor, j, variance)
         others = jacobian.without(j)
-        spread = _scatter(others, residual) * _leverage(problem, others)
+        spread = _scatter(others, residual)
         spread = np.insert(spread, j, max(_scatter_of_inertia(problem, z, jacobian, residual), 1.0))
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale)
 
@@ -241,11 +243,14 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
     return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
 
 
-def _leverage(problem: Problem, jacobian: Arrow) -> Array:
-    """Return how many times wider the parameters are than if single stretches were believed whatever they say."""
+def _doubted(problem: Problem) -> Array:
+    """Return by how much each stretch's noise is taken to be larger, so that no single one carries the estimate."""
+    problem.weigh()
+    x = problem.origin()
+    told = problem.jacobian(x, problem.residuals(x)).told()
     numbers = np.arange(len(problem.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
-    return widening(jacobian.told(), recordings, _MOST)
+    return doubts(told, recordings, _MOST)
 
 
 def _scatter_of_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> float:

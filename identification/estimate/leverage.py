@@ -24,25 +24,28 @@ def bounded(stretches: Array, most: float) -> Array:
         stretches: Of each of one recording, shape (m, p, p).
         most: Median stretches.
     """
-    told = np.einsum("mkk->mk", stretches)
-    usual = np.median(told, axis=0)
-    excess = np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1)
+    excess = _excess(np.einsum("mkk->mk", stretches))
     return np.asarray(np.tensordot(np.minimum(1.0, most / np.maximum(excess, most)), stretches, 1))
 
 
-def widening(stretches: Array, recordings: NDArray[np.int64], most: float) -> Array:
-    """Return how many times wider each deviation is where stretches' informations are so bounded, shape (p,).
+def doubts(stretches: Array, recordings: NDArray[np.int64], most: float) -> Array:
+    """Return by how much larger than it seems each stretch's noise is taken to be, shape (m,); 1 for most.
 
     Args:
         stretches: Information of each stretch, breakaway times eliminated, shape (m, p, p).
         recordings: The number of each stretch's recording, shape (m,).
         most: Median stretches of its recording that one is believed as at most.
     """
-    whole = np.sum(stretches, axis=0)
-    scale = np.sqrt(np.diag(whole))
-    scale[scale == 0.0] = 1.0
-    alike = stretches / np.outer(scale, scale)
-    alike[np.abs(alike) < _ROUNDING] = 0.0
-    limited = np.sum([bounded(alike[recordings == k], most) for k in np.unique(recordings)], axis=0)
-    before, after = (np.diag(np.linalg.pinv(n, hermitian=True)) for n in (np.sum(alike, axis=0), limited))
-    return np.sqrt(np.maximum(after / np.where(before > 0.0, before, np.inf), 1.0))
+    told = np.einsum("mkk->mk", stretches)
+    told = np.where(told > _ROUNDING * np.sum(told, axis=0), told, 0.0)
+    out = np.ones(len(told))
+    for k in np.unique(recordings):
+        here = recordings == k
+        out[here] = np.sqrt(np.maximum(_excess(told[here]) / most, 1.0))
+    return out
+
+
+def _excess(told: Array) -> Array:
+    """Return how many median ones each stretch is worth for the parameter of which it says most, (m, p) to (m,)."""
+    usual = np.median(told, axis=0)
+    return np.asarray(np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1, initial=0.0))

@@ -87,6 +87,8 @@ class Problem:
         inside = [self._owners(m, j) for j, m in enumerate(motions)]
         self.owners = np.concatenate([*inside, np.arange(self.breakaways)])
         """Stretch of every residual, the breakaway residuals last, shape (r,)."""
+        self.doubt = np.ones(self.breakaways)
+        """How many times larger than it seems each stretch's noise is taken to be, shape (m,)."""
 
     def _owners(self, m: Motion, j: int) -> NDArray[np.int64]:
         """Number, over all recordings, of the stretch that owns each inside sample."""
@@ -136,7 +138,13 @@ class Problem:
 
     def weigh(self) -> None:
         """Hold the prediction errors' weights at what they are at the start."""
-        _, self._deviation = self.run(self.start, self.begins, self.noise, self.angle_noise)
+        _, deviations = self.run(self.start, self.begins, self.noise, self.angle_noise)
+        self._deviation = self._believed(deviations)
+
+    def _believed(self, deviations: Array) -> Array:
+        """Return standard deviations of prediction errors, then of the ties, with the doubt in each stretch."""
+        ties = np.full(self.breakaways, self.noise)
+        return np.asarray(np.concatenate([deviations, ties]) * self.doubt[self.owners])
 
     def times(self, x: Array) -> list[Array]:
         """Return the breakaway times of a free vector, s, one array per recording."""
@@ -153,7 +161,7 @@ class Problem:
             m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)
             for m, t in zip(self.motions, times, strict=True)
         ]
-        return np.concatenate([errors, *ends]), np.concatenate([deviations, np.full(self.breakaways, self.noise)])
+        return np.concatenate([errors, *ends]), self._believed(deviations)
 
     def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[Arrow, Arrow]:
         """Return d errors / d x over the deviations, and d log deviations / d x, by differences."""
@@ -168,7 +176,7 @@ class Problem:
     def residuals(self, x: Array) -> Array:
         """Return the errors of :meth:`predictions` over the deviations that they had when last weighed."""
         errors, _ = self.predictions(x)
-        return np.asarray(errors / np.concatenate([self._deviation, np.full(self.breakaways, self.noise)]))
+        return np.asarray(errors / self._deviation)
 
     def jacobian(self, x: Array, here: Array) -> Arrow:
         """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""

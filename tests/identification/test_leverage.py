@@ -1,4 +1,4 @@
-"""What single stretches may say of a parameter, and what that does to its interval."""
+"""What single stretches may say of a parameter."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.arrow import Arrow
-from identification.estimate.leverage import bounded, widening
+from identification.estimate.leverage import bounded, doubts
 
 
 def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_a_few() -> None:
@@ -15,20 +15,22 @@ def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_a_few() -> 
     assert bounded(stretches[:2], 2.0) == pytest.approx(np.diag([2.0, 8.0]))
 
 
-def test_an_interval_that_rests_on_one_stretch_is_wider() -> None:
+def test_the_noise_of_a_stretch_that_says_far_more_is_taken_to_be_larger() -> None:
     stretches = np.array([np.diag([1.0, 1.0])] * 9 + [np.diag([1.0, 9991.0])])
     one = np.zeros(10, dtype=np.int64)
-    wide = widening(stretches, one, 3.0)
-    share = 3.0 / 9991.0
-    assert wide == pytest.approx([np.sqrt(10.0 / (9.0 + share)), np.sqrt(1e4 / 12.0)])
-    assert widening(stretches[:9], one[:9], 3.0) == pytest.approx([1.0, 1.0])
+    doubt = doubts(stretches, one, 3.0)
+    assert doubt == pytest.approx([1.0] * 9 + [np.sqrt(9991.0 / 3.0)])
+    believed = np.sum(stretches / doubt[:, None, None] ** 2, axis=0)
+    assert believed == pytest.approx(bounded(stretches, 3.0))
+    assert doubts(stretches[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
 
 
 def test_recordings_are_judged_each_by_its_own_stretches() -> None:
     """A heavier weight may say more than a lighter one, and what a recording does not hold limits nothing."""
-    light, heavy = np.diag([1.0, 1.0, 0.0]), np.diag([1.0, 100.0, 1.0])
-    stretches = np.array([light] * 3 + [heavy] * 3)
-    assert widening(stretches, np.repeat([0, 1], 3), 3.0) == pytest.approx([1.0, 1.0, 1.0])
+    light, heavy = np.diag([1.0, 1.0, 1e-15]), np.diag([1.0, 100.0, 1.0])
+    stretches = np.array([light] * 2 + [10.0 * light] + [heavy] * 3)
+    doubt = doubts(stretches, np.repeat([0, 1], 3), 3.0)
+    assert doubt == pytest.approx([1.0, 1.0, np.sqrt(10.0 / 3.0), 1.0, 1.0, 1.0])
 
 
 def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() -> None:
