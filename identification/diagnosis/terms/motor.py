@@ -42,12 +42,12 @@ LEAST_GAIN = 0.5
 KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Knee of a saturating torque constant over the greatest current."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
-STEP_A = (0.01, 0.1)
+STEP_A = (0.01, 0.3)
 """Current over which a dead time's step may seem to be reached. About zero a noisy sample does not tell the sign, and
 the winding rests without current within the step."""
-ROUNDED_A = (0.15, 10.0)
+ROUNDED_A = (0.3, 10.0)
 """Current over which a brush drop is reached; where it is less, it looks like a dead time."""
-DEAD_CURRENTS, BRUSH_CURRENTS = (0.05,), (0.2, 0.5, 1.0, 2.0)
+DEAD_CURRENTS, BRUSH_CURRENTS = (0.05, 0.2), (0.5, 1.0, 2.0)
 KEPT = 64
 """Rises that are kept, of a recording and a time constant: a fit moves the nominal values far more often."""
 ZEROED_S = (0.0, 2.0)
