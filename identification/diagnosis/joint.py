@@ -13,7 +13,7 @@ from scipy import stats
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.linear import STEP, Solved, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.nominal import STATICS, Nominal
 from identification.diagnosis.promise import promise
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import Stack, granting, stacked, tied
@@ -124,19 +124,30 @@ def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Join
     """Return a fit whose constants keep what it is worth: the step that it ended with taken, where that brings more.
 
     Static friction under a load that hardly any row is slow enough to tell moves by half of itself in such a step.
+    Where that spoils it, the step without static friction is taken, which has the other constants right.
     """
     for _ in range(LAST_STEPS):
         promised, kept = promise(best.stack, best.effects, best.residual)
         if kept <= (1.0 + UNSETTLED) * promised:
             break
-        nominal = best.nominal.moved(solved.straight, np.zeros(len(solved.straight)))
-        stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
-        solved = solve(stack, best.effects)
-        there = promise(stack, solved.effects, solved.residual)[1]
-        if there >= kept or solved.cost > (1.0 + UNSETTLED) * best.cost:
+        after = _stepped(views, unit, best, solved, kept)
+        if after is None:
+            after = _stepped(views, unit, best, solve(best.stack, best.effects, STATICS), kept)
+        if after is None:
             break
-        best = Joint(nominal, solved.effects, stack.equations, solved.residual, stack)
+        best, solved = after
     return best
+
+
+def _stepped(views: Sequence[View], unit: str, best: Joint, step: Solved, kept: float) -> tuple[Joint, Solved] | None:
+    """Return the fit after a step of its constants, or None where they keep no more then, or it is worth less."""
+    nominal = best.nominal.moved(step.straight, np.zeros(len(step.straight)))
+    stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
+    solved = solve(stack, best.effects)
+    there = promise(stack, solved.effects, solved.residual)[1]
+    if there >= kept or solved.cost > (1.0 + UNSETTLED) * best.cost:
+        return None
+    return Joint(nominal, solved.effects, stack.equations, solved.residual, stack), solved
 
 
 def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[Added, ...]]:

@@ -28,7 +28,7 @@ LEAST_FALL = 1e-3
 """The same, below which friction does not fall."""
 _RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
 """Coulomb level, static level and Stribeck speed: of the system, of the load, of the gear under a declared weight."""
-_STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
+STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +151,7 @@ class Nominal:
         """
         values = dict(self.values)
         for name, change in zip(self.free, (float(s) for s in straight), strict=True):
-            if name in (*SPEEDS, *_STATICS):
+            if name in (*SPEEDS, *STATICS):
                 continue
             values[name] = values[name] + change if name == "offset" else max(0.0, values[name] + change)
         for coulomb, static, _ in _RISES:

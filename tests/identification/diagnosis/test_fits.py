@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from identification.diagnosis import joint as fitting
 from identification.diagnosis.begin import or_kept
 from identification.diagnosis.contest import broken
 from identification.diagnosis.equations import equations, noise, without_tones
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.nominal import Nominal
+from identification.diagnosis.nominal import STATICS, Nominal
 from identification.diagnosis.promise import promise
 from identification.diagnosis.search import excess, screened
 from identification.diagnosis.stack import Candidate, stacked
@@ -191,3 +193,26 @@ def test_static_friction_stays_below_the_torque_that_overcame_it() -> None:
     assert nominal.moved(up, still).values["Ms"] == 8.0
     assert nominal.moved(down, still).values["Ms"] == pytest.approx(5.0, rel=1e-5)
     assert replace(nominal, most={}).moved(up, still).values["Ms"] == 11.0
+
+
+def test_where_static_friction_spoils_the_last_step_the_other_constants_take_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Seen with a saturating motor: a rise that no row pinned put unseen recordings 19 times the noise off."""
+    best, after = (SimpleNamespace(stack=stack, effects=(), residual=None) for stack in (None, 1))
+    promises = {None: (1.0, 400.0), 1: (1.0, 1.0)}
+    held: list[object] = []
+
+    def stepped(_views: object, _unit: str, _best: object, step: object, kept: float) -> object:
+        assert kept == 400.0
+        return None if step == "with it" else (after, "done")
+
+    def solve(_stack: object, _effects: object, without: object = ()) -> str:
+        held.append(without)
+        return "without it"
+
+    monkeypatch.setattr(fitting, "promise", lambda stack, _effects, _residual: promises[stack])
+    monkeypatch.setattr(fitting, "_stepped", stepped)
+    monkeypatch.setattr(fitting, "solve", solve)
+    assert fitting._kept((), "N m", best, "with it") is after
+    assert held == [STATICS]
