@@ -124,7 +124,11 @@ def test_what_explains_too_little_for_a_name_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("mass", "length"), [(259, 50), (259, 70), (259, 100), (457, 50)])
 def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
-    """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not (docs/diagnosis.md)."""
+    """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not (docs/diagnosis.md).
+
+    What is left on unseen recordings is held against the weight's own torque too: how well the constants alone do there
+    hangs on a static friction that few rows tell.
+    """
     text = (CAMPAIGNS / "sts3032_no_weight.yaml").read_text()
     path = tmp_path / "campaign.yaml"
     text = text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared"))
@@ -133,8 +137,9 @@ def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_pat
     first = found["effects"][0]
     assert first["name"] == "gravity_imbalance"
     assert set(first["alias_group"]) <= {"gravity_imbalance", "return_spring"}
-    assert first["parameters"]["torque_Nm"]["value"] == pytest.approx(9.80665e-6 * mass * length, rel=0.15)
-    assert found["fit"]["validate_final_rms"] < 0.3 * found["fit"]["validate_baseline_rms"]
+    weight = 9.80665e-6 * mass * length
+    assert first["parameters"]["torque_Nm"]["value"] == pytest.approx(weight, rel=0.15)
+    assert found["fit"]["validate_final_rms"] < min(0.2 * weight, 0.5 * found["fit"]["validate_baseline_rms"])
 
 
 @pytest.mark.parametrize("amperes", [0.3, -0.3])
