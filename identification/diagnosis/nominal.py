@@ -117,6 +117,10 @@ class Nominal:
             return view.known
         return _helping(view, self.hidden)
 
+    def helped(self, view: View) -> bool:
+        """Whether any torque turns with the joint."""
+        return any(self.hidden) or view.burdened
+
     def drive(self, view: View) -> Array:
         """Return the whole torque that is asked of the drive, N m: what turns with the joint is part of it."""
         return _drive(self, view)

@@ -143,6 +143,11 @@ class View:
         return np.asarray(self.motor / self.recording.bench.gear_ratio)
 
     @cached_property
+    def burdened(self) -> bool:
+        """Whether a declared load turns with the joint."""
+        return bool(np.any(self.known))
+
+    @cached_property
     def loaded(self) -> bool:
         """Whether a weight presses."""
         return bool(np.any(self.moment != 0.0))
