@@ -122,12 +122,28 @@ def _decimated(series: Array, taps: Array, factor: int) -> Array:
 @compiled_sums
 def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) -> Array:
     """Return outputs of :func:`_decimated` by their numbers, (k, m) to (n, k); of a series of zeros without a sum."""
-    reach = len(taps)
-    out = np.zeros((len(places), series.shape[0]))
+    reach, count = len(taps), len(places)
+    out = np.zeros((count, series.shape[0]))
     for i in range(series.shape[0]):
-        if not np.any(series[i]):
+        size = 0.0
+        for value in series[i]:
+            size += abs(value)
+        if size == 0.0:
             continue
-        for j in range(len(places)):
+        # Four outputs at a time, or each would wait for its own sum.
+        for j in range(0, count - 3, 4):
+            a = series[i, places[j] * factor : places[j] * factor + reach]
+            b = series[i, places[j + 1] * factor : places[j + 1] * factor + reach]
+            c = series[i, places[j + 2] * factor : places[j + 2] * factor + reach]
+            d = series[i, places[j + 3] * factor : places[j + 3] * factor + reach]
+            total_a = total_b = total_c = total_d = 0.0
+            for k in range(reach):
+                total_a += taps[k] * a[k]
+                total_b += taps[k] * b[k]
+                total_c += taps[k] * c[k]
+                total_d += taps[k] * d[k]
+            out[j, i], out[j + 1, i], out[j + 2, i], out[j + 3, i] = total_a, total_b, total_c, total_d
+        for j in range(count - count % 4, count):
             under = series[i, places[j] * factor : places[j] * factor + reach]
             total = 0.0
             for k in range(reach):

@@ -34,6 +34,7 @@ def signals(
     voltage: Any = 0.0,
     supply: Any = 1.0,
     known: Any = 0.0,
+    known_inertia: float = 0.0,
     run_start: float = 0.0,
     number: int = 1,
 ) -> dict[str, Any]:
@@ -50,7 +51,8 @@ def signals(
         current: Logged, A.
         voltage: Logged, V.
         supply: V.
-        known: Torque of a weight that turns with the joint, N m.
+        known: Torque of a weight that turns with the joint, less what its inertia takes, N m.
+        known_inertia: Of that weight about the joint, kg m^2.
         run_start: s between the first recording's start and this one's.
         number: Of the recording, from 1.
     """
@@ -68,6 +70,7 @@ def signals(
         "moment": contact_force * m["L1"] * one,
         "mass": weight_mass,
         "known": known * one,
+        "hanging": (known + known_inertia * acceleration) * one,
         "drive": m["ampere_torque"] * current * one,
         "current": current * one,
         "voltage": voltage * one,

@@ -28,6 +28,7 @@ def signals_of(view: View) -> dict[str, Any]:
         "moment": view.moment,
         "mass": label_kg(view),
         "known": view.known,
+        "hanging": view.hanging,
         "drive": view.torque - view.known,
         "current": nothing if view.current is None else view.current,
         "voltage": nothing if view.voltage is None else np.nan_to_num(view.voltage),

@@ -32,7 +32,7 @@ def gear_level(speed: Array, m: Any, alpha: float) -> Array:
 def borne(s: Any, m: Any) -> Array:
     """Return the magnitude of the torque that turns with the joint, declared and found, N m: the gear bears it."""
     found = m["load_sine"] * np.sin(s["angle"]) + m["load_cosine"] * np.cos(s["angle"])
-    return np.asarray(np.abs(s["known"] - found - m["load_slope"] * s["angle"] - m["load_constant"]))
+    return np.asarray(np.abs(s["hanging"] - found - m["load_slope"] * s["angle"] - m["load_constant"]))
 
 
 def dry_level(s: Any, m: Any, alpha: float) -> Array:
@@ -142,7 +142,7 @@ def wrong_weight(s: Any, m: Any, mass_kg: float, recording: float) -> Array:
     """Another mass than the label's on one recording, counted from 1."""
     if s["number"] != round(recording) or s["mass"] <= 0.0:
         return np.zeros_like(s["time"])
-    turning = s["sense"] * np.abs(s["known"]) * gear_level(s["velocity"], m, m["alpha"]) - s["known"]
+    turning = s["sense"] * np.abs(s["hanging"]) * gear_level(s["velocity"], m, m["alpha"]) - s["known"]
     return np.asarray((load_torque(s, m) + turning) * (mass_kg / s["mass"] - 1.0))
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from scipy import stats
 
 from identification.diagnosis.equations import Equation, equations
+from identification.diagnosis.least import least_squares
 from identification.diagnosis.linear import STEP, Solved, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.nominal import STATICS, Nominal
@@ -207,7 +208,7 @@ class _Others(NamedTuple):
         """Return what an effect leaves with its best coefficients."""
         if effect.term.size is not None:
             return np.asarray(self.left - effect.term.size * columns[:, 0])
-        return np.asarray(self.left - columns @ np.linalg.lstsq(columns, self.left, rcond=1e-10)[0])
+        return np.asarray(self.left - columns @ least_squares(columns, self.left))
 
 
 def _others(stack: Stack, effects: Sequence[Added], k: int) -> _Others:
@@ -248,14 +249,14 @@ def _polished(stack: Stack, effects: Sequence[Added], k: int) -> Added:
     reaches = effect.term.refine.items()
     columns = others.columns(effect, effect.shape)
     for _ in range(POLISHES):
-        coefficients, *_ = np.linalg.lstsq(columns, others.left, rcond=1e-10)
+        coefficients = least_squares(columns, others.left)
         rest = others.left - columns @ coefficients
         moved = [others.columns(effect, displaced(effect.shape, i, reach, STEP)) for i, reach in reaches]
         slopes = np.stack([(m - columns) @ coefficients / STEP for m in moved], axis=1)
         every = np.concatenate([columns, slopes], axis=1)
         scale = np.linalg.norm(every, axis=0)
         scale[scale == 0.0] = 1.0
-        step = (np.linalg.lstsq(every / scale, rest, rcond=1e-10)[0] / scale)[columns.shape[1] :]
+        step = (least_squares(every / scale, rest) / scale)[columns.shape[1] :]
         shape = _downhill(others, effect, np.clip(step, -LARGEST_SHIFT, LARGEST_SHIFT), float(rest @ rest))
         if shape is None:
             break

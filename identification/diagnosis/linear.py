@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.diagnosis.least import least_squares
 from identification.diagnosis.nominal import SPEEDS
 from identification.diagnosis.stack import Stack, bound
 from identification.diagnosis.terms.term import Context, Shape, Term
@@ -144,7 +145,7 @@ def _followed(stack: Stack, whitened: Array, following: Sequence[Added], without
     every = np.concatenate(columns, axis=1)
     norm = np.linalg.norm(every, axis=0)
     norm[norm == 0.0] = 1.0
-    found = np.linalg.lstsq(every / norm, whitened[stack.part("torque")] * equation.sigma, rcond=1e-8)[0] / norm
+    found = least_squares(every / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8) / norm
     step[use] = found[: len(use)]
     return step
 
@@ -167,7 +168,7 @@ def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
     columns = stack.projected(free)
     scale = np.linalg.norm(columns, axis=0)
     scale[scale == 0.0] = 1.0
-    found = np.linalg.lstsq(columns / scale, left, rcond=1e-10)[0] / scale
+    found = least_squares(columns / scale, left) / scale
     return found, left - columns @ found
 
 
@@ -181,7 +182,7 @@ def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
             tangent = equation.tangent[:, use]
             norm = np.linalg.norm(tangent, axis=0)
             norm[norm == 0.0] = 1.0
-            found = np.linalg.lstsq(tangent / norm, whitened[stack.part("torque")] * equation.sigma, rcond=1e-8)[0]
+            found = least_squares(tangent / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8)
             for k, change in zip(use, found / norm, strict=True):
                 if k < len(free):
                     step[k] = change

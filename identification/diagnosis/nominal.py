@@ -108,14 +108,21 @@ class Nominal:
         return self._level(view, _RISES[1], "mu_2")
 
     def borne(self, view: View) -> Array:
-        """Return the magnitude of the torque that turns with the joint and that the gear bears, N m."""
-        return np.abs(self.helping(view))
+        """Return the magnitude of the torque that turns with the joint and that the gear bears, N m.
+
+        A weight's own: what its inertia takes loads no gear in eq. 9, in the ladder of friction or on the bench.
+        """
+        return _borne(view, self.hidden)
 
     def helping(self, view: View) -> Array:
         """Return the torque that turns with the joint, declared or hidden, where it helps the drive positive, N m."""
         if not any(self.hidden):
             return view.known
         return _helping(view, self.hidden)
+
+    def helped(self, view: View) -> bool:
+        """Whether any torque turns with the joint."""
+        return any(self.hidden) or view.burdened
 
     def drive(self, view: View) -> Array:
         """Return the whole torque that is asked of the drive, N m: what turns with the joint is part of it."""
@@ -224,9 +231,17 @@ class Nominal:
 
 @lru_cache(maxsize=KEPT)
 def _helping(view: View, hidden: tuple[float, float, float, float]) -> Array:
+    return _frozen(view.known - _unknown(view, hidden))
+
+
+@lru_cache(maxsize=KEPT)
+def _borne(view: View, hidden: tuple[float, float, float, float]) -> Array:
+    return _frozen(np.abs(view.hanging - _unknown(view, hidden) if any(hidden) else view.hanging))
+
+
+def _unknown(view: View, hidden: tuple[float, float, float, float]) -> Array:
     sine, cosine, slope, constant = hidden
-    unknown = sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
-    return _frozen(view.known - unknown)
+    return np.asarray(sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant)
 
 
 @lru_cache(maxsize=KEPT)

@@ -71,6 +71,7 @@ class View:
         raw_torque: The same before any filter, for what happens within a few samples.
         twist: Acceleration of the motor before the joint's where friction follows the joint, else zero, rad/s^2.
         known: Known loads (a declared weight that turns with the joint), N m.
+        hanging: The same without their inertia, N m.
         moment: F_P L1, N m.
         sense: Direction in which friction acts: that of motion, at rest that of the torque.
         still: Samples at rest.
@@ -103,6 +104,7 @@ class View:
     raw_torque: Array
     twist: Array
     known: Array
+    hanging: Array
     moment: Array
     sense: Array
     still: BoolArray
@@ -141,6 +143,11 @@ class View:
     def drive_angle(self) -> Array:
         """The motor's angle at the joint, rad."""
         return np.asarray(self.motor / self.recording.bench.gear_ratio)
+
+    @cached_property
+    def burdened(self) -> bool:
+        """Whether a declared load turns with the joint."""
+        return bool(np.any(self.known))
 
     @cached_property
     def loaded(self) -> bool:
@@ -209,7 +216,8 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     angle, velocity, quick, still = _motion(recording, grid, cutoff, valve_side)
     acceleration = central_difference(velocity, 1.0 / rate)
     drive = drive_torque(recording, grid, velocity)
-    known = _known(recording, angle, acceleration)
+    hanging, inertia = _hanging(recording, angle)
+    known = hanging - inertia * acceleration
     torque = smooth(drive, rate, cutoff) + known
     sense = _sense(velocity, torque, still)
     turned = _turned(sense)
@@ -239,6 +247,7 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         raw_torque=np.asarray(drive + known),
         twist=_twist(recording, grid, cutoff, valve_side),
         known=known,
+        hanging=hanging,
         moment=contact_moment(recording, grid, angle),
         sense=sense,
         still=still,
@@ -301,12 +310,12 @@ def _motion(
     return angle, velocity, _Quick(velocity, 0.0), np.asarray(velocity == 0.0)
 
 
-def _known(recording: Recording, angle: Array, acceleration: Array) -> Array:
+def _hanging(recording: Recording, angle: Array) -> tuple[Array, float]:
+    """Return the torque of a declared weight that turns with the joint, N m, and its inertia, kg m^2."""
     pendulum = recording.pendulum
     if pendulum is None:
-        return np.zeros(len(angle))
-    weight = pendulum.mass * recording.bench.gravity * pendulum.length
-    return np.asarray(-weight * np.sin(angle - pendulum.zero) - pendulum.mass * pendulum.length**2 * acceleration)
+        return np.zeros(len(angle)), 0.0
+    return pendulum.torque(angle, recording.bench.gravity), pendulum.inertia
 
 
 def _channel(recording: Recording, name: str, grid: Array) -> Array | None:

@@ -67,7 +67,7 @@ def _of_the_label(view: View, nominal: Nominal) -> Array:
     """Return the torque asked of the drive that is proportional to the mass on the label, N m."""
     if view.loaded:
         return _load(view, nominal)
-    return np.asarray(-view.known + view.sense * np.abs(view.known) * nominal.gear(view))
+    return np.asarray(-view.known + view.sense * np.abs(view.hanging) * nominal.gear(view))
 
 
 def _labels(context: Context) -> list[Shape]:

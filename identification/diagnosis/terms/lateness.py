@@ -70,6 +70,7 @@ def _moved(view: View, late_s: float) -> View:
         velocity=late(view.velocity),
         acceleration=late(view.acceleration),
         known=late(view.known),
+        hanging=late(view.hanging),
         moment=late(view.moment),
         sense=late(view.sense),
         motor=late(view.motor),

@@ -7,6 +7,9 @@ import numpy as np
 from identification.compiled import compiled
 from identification.recording import Array
 
+SAME_STEP = 1e-6
+"""Difference of two time steps, over the one, that is rounding."""
+
 
 @compiled
 def lagged(series: Array, step: float, time_constant: float) -> Array:
@@ -110,15 +113,23 @@ def falling_play(angle: Array, speed: Array, step: float, gap: float, pull: Arra
 
 
 @compiled
-def heated(loss: Array, run_time: Array, start: float, time_constant: float) -> Array:
-    """Return the temperature rise per thermal resistance, W, of a first-order body, shape (m,)."""
-    out = np.empty_like(loss)
-    state = start
-    out[0] = state
+def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
+    """Return how a first-order body warms: per thermal resistance, W, and what is left of 1 K at first.
+
+    Shape (2, m).
+    """
+    out = np.empty((2, len(loss)))
+    rise, left = 0.0, 1.0
+    out[0, 0], out[1, 0] = rise, left
+    step = kept = 0.0
     for k in range(1, len(loss)):
-        step = run_time[k] - run_time[k - 1]
-        state += (1.0 - np.exp(-step / time_constant)) * (loss[k] - state)
-        out[k] = state
+        # Steps of an even grid differ by rounding alone, and an exponential for each is most of the work.
+        if abs(run_time[k] - run_time[k - 1] - step) > SAME_STEP * step:
+            step = run_time[k] - run_time[k - 1]
+            kept = np.exp(-step / time_constant)
+        rise = loss[k] + kept * (rise - loss[k])
+        left *= kept
+        out[0, k], out[1, k] = rise, left
     return out
 
 

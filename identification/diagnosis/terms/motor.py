@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.terms.memory import heated
+from identification.diagnosis.terms.memory import warmed
 from identification.diagnosis.terms.term import (
     EXACT,
     NO_SHAPE,
@@ -116,6 +116,7 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
     return rows(central_difference(nominal.drive(view), view.step))
 
 
+@lru_cache(maxsize=KEPT)
 def _loss(view: View) -> Array:
     """Return what the winding turns into heat, W: the power it takes less what leaves as motion, I (U - Ke omega).
 
@@ -134,8 +135,7 @@ def _loss(view: View) -> Array:
 @lru_cache(maxsize=KEPT)
 def _rises(view: View, time_constant: float) -> Array:
     """Return the winding's rise per K/W, and what it may have begun with, K, shape (2, m)."""
-    since = view.run_time - view.run_time[0]
-    return rows(heated(_loss(view), view.run_time, 0.0, time_constant), np.exp(-since / time_constant))
+    return warmed(_loss(view), view.run_time, time_constant)
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
@@ -157,7 +157,7 @@ def _heating_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _heating_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    return _by_recording(view, shape, MAGNET_PER_K * _rises(view, shape[0]) * nominal.drive(view))
+    return _by_recording(view, shape, _rises(view, shape[0]) * (MAGNET_PER_K * nominal.drive(view)))
 
 
 def _warm_ups(context: Context) -> Sequence[Shape]:

@@ -108,5 +108,7 @@ def everywhere(context: Context, needed: Callable[[View], bool], shapes: Sequenc
 
 
 def rows(*series: Array) -> Array:
-    """Stack series of one recording, shape (k, m)."""
+    """Stack series of one recording, shape (k, m); a single one is not copied."""
+    if len(series) == 1:
+        return np.asarray(series[0], dtype=np.float64)[None]
     return np.stack([np.asarray(s, dtype=np.float64) for s in series])

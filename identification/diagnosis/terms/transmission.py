@@ -67,7 +67,8 @@ def carried(view: View, rotor: float) -> Array:
 
     While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
     """
-    return np.asarray(view.transmitted - rotor * view.rotor_acceleration)
+    out = rotor * view.rotor_acceleration
+    return np.asarray(np.subtract(view.transmitted, out, out=out))
 
 
 def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
@@ -111,7 +112,7 @@ def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
         gap: rad.
         rotor: The rotor's inertia at the joint, kg m^2.
     """
-    if not np.any(nominal.helping(view)) or nominal.get("J") <= 0.0:
+    if not nominal.helped(view) or nominal.get("J") <= 0.0:
         return _lead(view, None, gap, 0.0)
     return _lead(view, nominal, gap, rotor)
 
@@ -125,10 +126,10 @@ def _lead(view: View, nominal: Nominal | None, gap: float, rotor: float) -> Arra
     crossed = first_swing(motor, gap)
     if view.lag is None or crossed == len(motor):
         return middle
-    zero = float(np.mean((view.lag - middle)[crossed:]))
+    zero = float(np.mean(view.lag[crossed:] - middle[crossed:]))
     # From there on both are the same: a flank has carried.
-    begun = through(crossed + 1, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
-    return np.concatenate([begun, middle[crossed + 1 :]])
+    middle[: crossed + 1] = through(crossed + 1, float(np.mean(view.lag[:FIRST_SAMPLES])) - zero)
+    return middle
 
 
 def _through(
@@ -146,27 +147,41 @@ def _through(
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
     width, rotor, deflection, counts, per_torque = Loop(*shape)
-    torque, state, closed = _closing(view, width, rotor)
-    twist = counts * per_torque * torque
-    if view.lag is not None and closed < len(torque):
-        yields = view.lag - twist
-        zero = float(np.mean((yields - deflection * state)[closed:]))
-        first = (float(np.mean(yields[:FIRST_SAMPLES])) - zero) / deflection
-        begun = _sheared(torque[: closed + 1], width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
-        state = np.concatenate([begun, state[closed + 1 :]])
-    return rows(deflection * state + twist)
+    torque, state, closed, known = _closing(view, width, rotor)
+    compliance = counts * per_torque
+    out = deflection * state + compliance * torque
+    if known is not None:
+        at_first, later = (float(lag - compliance * twisting) for lag, twisting in known[:, :2])
+        first = (at_first - (later - deflection * float(known[1, 2]))) / deflection
+        here = torque[: closed + 1]
+        begun = _sheared(here, width, float(torque[0]) - width * min(max(first, -1.0), 1.0))
+        out[: closed + 1] = deflection * begun + compliance * here
+    return rows(out)
 
 
 @lru_cache(maxsize=KEPT)
-def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int]:
-    """Return torque carried, N m, the loop's deflection from its middle, and from where on any beginning ends in it."""
+def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int, Array | None]:
+    """Return what a loop is built from, whatever its deflection and its twist.
+
+    Returns:
+        Torque carried, N m; the loop's deflection from its middle; from where on any beginning ends in it; means of
+        lag, torque and deflection over the first samples and over those from there on, shape (2, 3), or None.
+    """
     torque = carried(view, rotor)
-    return torque, _sheared(torque, width), first_swing(torque, 2.0 * width)
+    state, closed = _sheared(torque, width), first_swing(torque, 2.0 * width)
+    if view.lag is None or closed == len(torque):
+        return torque, state, closed, None
+    stretches = slice(FIRST_SAMPLES), slice(closed, None)
+    means = np.array([[np.mean(series[s]) for series in (view.lag, torque, state)] for s in stretches])
+    return torque, state, closed, means
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
     """Return the loop's deflection over its greatest one, from the torque by which the play leads at first."""
-    return np.asarray(np.clip((torque - play(torque, 2.0 * width, start)) / width, -1.0, 1.0))
+    out = play(torque, 2.0 * width, start)
+    np.subtract(torque, out, out=out)
+    out /= width
+    return np.asarray(np.clip(out, -1.0, 1.0, out=out))
 
 
 def _loops(context: Context) -> list[Shape]:
@@ -187,7 +202,11 @@ def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
     # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much less torque.
     sine, cosine = sine_cosine(shape[0], view.angle)
     torque = shape[0] * nominal.drive(view)
-    return rows(-torque * cosine, torque * sine)
+    out = np.empty((2, len(torque)))
+    np.multiply(torque, cosine, out=out[0])
+    np.multiply(torque, sine, out=out[1])
+    np.negative(out[0], out=out[0])
+    return out
 
 
 def _read_mesh(c: Array, shape: Shape, _context: Context) -> dict[str, float]:

@@ -21,7 +21,7 @@ from identification.diagnosis.stack import Candidate, stacked
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.diagnosis.view import View, views
-from identification.recording import Recording
+from identification.recording import Pendulum, Recording
 
 from .benches import BENCH, CYCLE_S, campaign, honest, nominal_fit
 
@@ -154,22 +154,36 @@ def test_a_tone_is_no_noise() -> None:
     assert noise(without_tones(quiet[kept], owner, time[kept]), owner, low_pass) == pytest.approx(floor, rel=0.03)
 
 
-def _ramp(hunting_rad_s: float) -> View:
-    """Return the view of a slow ramp during whose second half the drive hunts at 80 Hz."""
+def _ramp(hunting_rad_s: float, hertz: float = 80.0) -> View:
+    """Return the view of a slow ramp during whose second half the drive hunts."""
     time = np.arange(6000) * CYCLE_S
-    swing = hunting_rad_s / (2.0 * np.pi * 80.0) * np.sin(2.0 * np.pi * 80.0 * time) * (time > 3.0)
+    swing = hunting_rad_s / (2.0 * np.pi * hertz) * np.sin(2.0 * np.pi * hertz * time) * (time > 3.0)
     angle = np.round((0.05 * time + swing) / COUNT_RAD) * COUNT_RAD
     channels = {"time": time, "motor_angle": 100.0 * angle, "current": np.ones(len(time))}
     recording = Recording("ramp", channels, BENCH, "unloaded", 0.0, averaged=frozenset({"current"}))
     return views([recording], 25.0)[0]
 
 
-def test_rows_in_which_the_drive_hunts_unseen_by_the_filter_are_left_out() -> None:
+@pytest.mark.parametrize("hertz", [80.0])
+def test_rows_in_which_the_drive_hunts_unseen_by_the_filter_are_left_out(hertz: float) -> None:
     late = _ramp(0.0).kept_times > 3.2
     assert np.mean(_ramp(0.0).moving) > 0.9, "an encoder's counts are no hunting"
-    hunting = _ramp(0.03)
+    hunting = _ramp(0.03, hertz)
     assert not np.any(hunting.moving[late])
     assert np.mean(hunting.moving[hunting.kept_times < 2.8]) > 0.9
+
+
+def test_a_weights_inertia_loads_no_gear() -> None:
+    """Nor does it in the ladder's terms: a tenth of the load's torque as friction left 20 times the noise otherwise."""
+    time = np.arange(4000) * CYCLE_S
+    channels = {"time": time, "motor_angle": 100.0 * 0.3 * np.sin(9.0 * time), "current": np.ones(len(time))}
+    weight = Pendulum(2.0, 0.25, 0.4)
+    view = views([replace(Recording("swing", channels, BENCH, "unloaded", 0.0), pendulum=weight)], 25.0)[0]
+    nominal = Nominal({"Mc": 5.0}, ("Mc",), 2.0)
+    assert nominal.borne(view) == pytest.approx(np.abs(weight.torque(view.angle, BENCH.gravity)))
+    assert nominal.helping(view) == pytest.approx(weight.torque(view.angle, BENCH.gravity) - 0.125 * view.acceleration)
+    beside = replace(nominal, hidden=(0.0, 0.0, 0.0, 1.0))
+    assert beside.borne(view) == pytest.approx(np.abs(weight.torque(view.angle, BENCH.gravity) - 1.0))
 
 
 def test_a_joint_that_moves_against_its_torque_has_not_broken_away() -> None:

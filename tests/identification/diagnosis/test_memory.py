@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.diagnosis.terms.memory import dahl, delayed, falling_play, first_swing, heated, lagged, play
+from identification.diagnosis.terms.memory import dahl, delayed, falling_play, first_swing, lagged, play, warmed
 
 TIME = np.arange(2000) * 1e-3
 
@@ -84,8 +84,10 @@ def test_a_maxwell_slip_element_closes_its_loop_within_its_force() -> None:
 
 def test_a_warming_body_ends_at_its_loss() -> None:
     run = np.linspace(0.0, 600.0, 6001)
-    rise = heated(np.full(6001, 3.0), run, 0.0, 60.0)
+    run[3000:] += 40.0
+    rise, left = warmed(np.full(6001, 3.0), run, 60.0)
     assert rise == pytest.approx(3.0 * (1.0 - np.exp(-run / 60.0)), abs=1e-9)
+    assert left == pytest.approx(np.exp(-run / 60.0), abs=1e-9), "a hole between samples counts as time"
 
 
 def test_a_play_forgets_where_it_began_once_it_was_crossed() -> None:

@@ -1,0 +1,32 @@
+"""Least squares by normal equations, and by singular values where columns are not apart."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.diagnosis.least import least_squares
+
+ROWS = np.linspace(0.0, 1.0, 400)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e8])
+def test_columns_that_are_apart_come_out_as_by_singular_values(scale: float) -> None:
+    columns = np.stack([np.ones(400), scale * ROWS, np.sin(9.0 * ROWS)], axis=1)
+    target = np.cos(5.0 * ROWS)
+    expected = np.linalg.lstsq(columns, target, rcond=None)[0]
+    assert least_squares(columns, target) == pytest.approx(expected, rel=1e-12)
+
+
+def test_of_columns_that_are_one_each_gets_its_half() -> None:
+    columns = np.stack([ROWS, ROWS], axis=1)
+    assert least_squares(columns, 3.0 * ROWS) == pytest.approx([1.5, 1.5])
+
+
+def test_a_column_of_nothing_gets_nothing() -> None:
+    columns = np.stack([ROWS, np.zeros(400)], axis=1)
+    assert least_squares(columns, 3.0 * ROWS) == pytest.approx([3.0, 0.0])
+
+
+def test_no_column_gets_no_coefficient() -> None:
+    assert least_squares(np.zeros((400, 0)), ROWS).shape == (0,)
