@@ -161,7 +161,8 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, yardstick: str) -> Weig
 def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> float | None:
     """Return the mass at which the straight lines through other stages' levels do the measured work, or None.
 
-    One line a speed bin, least squares over the stages that have it.
+    One line a speed bin, least squares over the stages that have it. Bins count by the way that all of them went there:
+    what one hardly went through at the end of its range is not known, however far another went.
     """
     stages = list(others)
     masses = np.array([other.weight_kg for other in stages])
@@ -178,7 +179,8 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> float | N
         return None
     rise = (weight * (masses[:, None] - mean_mass) * torques).sum(axis=0)
     slope = rise[shared] / spread[shared]
-    path = level.path[shared]
+    unsure = np.divide(1.0, paths, out=np.zeros_like(paths), where=paths > 0.0).sum(axis=0)[shared]
+    path = 1.0 / (1.0 / level.path[shared] + unsure)
     empty = mean_torque[shared] - slope * mean_mass[shared]
     total = float(np.sum(path * slope))
     if not total > 0.0:

@@ -68,14 +68,14 @@ def fit_of(
 
 
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
-    """Return the geometric mean over the used samples of their recording's rms torque error, N m or N.
+    """Return the geometric mean over the recordings of their rms torque errors, N m or N.
 
-    What counts where recordings have unknown levels of error of their own, as in their likelihood: one that turns too
-    fast for the bandwidth has an error many times that of the others, whatever the values.
+    What counts where recordings have unknown levels of error of their own: one that turns too fast for the bandwidth
+    has an error many times that of the others, whatever the values. Each counts alike, however long: a long one with
+    such an error would outvote all others together.
     """
-    moving = [(int(np.sum(p.used)), p) for p in prepared if np.any(p.used)]
-    logs = [n * math.log(max(_errors([p], values, alpha)[0], 1e-300)) for n, p in moving]
-    return math.exp(math.fsum(logs) / max(sum(n for n, _ in moving), 1))
+    errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
+    return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))
 
 
 def _errors(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> tuple[float, float]:

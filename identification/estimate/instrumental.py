@@ -128,12 +128,10 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
     free = problem.free
     others = tuple(k for k in free if k != kernel.INERTIA)
     low, high = (-np.inf, 0.0), (np.inf, 0.0)
-    problem.free = others
-    problem.doubt = _doubted(problem)
-    problem.free = free
     for _ in range(_TURNS):
         if others:
             problem.free = others
+            problem.doubt = problem.doubt * _doubted(problem)
             refine(problem, (1.0,))
             problem.free = free
         if others == free:
@@ -150,6 +148,10 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
         problem.iterations += 1
         if abs(there - here) < _SETTLED * deviation:
             break
+    # Which stretch says far more than the others hangs on the values: where the fit ends another may.
+    problem.free = others
+    problem.doubt = problem.doubt * _doubted(problem)
+    problem.free = free
     problem.weigh()
     return problem.residuals(problem.origin())
 

@@ -23,7 +23,8 @@ from identification.estimate.result import Starts
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
-_TEMPERING = (20.0, 4.0, 1.0)
+_TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
+"""Torque noise of the loaded stage's searches, over its own: with fewer levels they end beside the likeliest."""
 _START_SPEEDS = 6
 _START_STATICS = 7
 _STARTS = 3

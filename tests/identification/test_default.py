@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -161,9 +162,11 @@ def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(
     wrong = {**TRUTH, "mu_c": 1.1 * TRUTH["mu_c"]}
     grown = typical_error(prepared, wrong, 2.0) / typical_error(prepared, TRUTH, 2.0)
     alone = typical_error(prepared[1:], wrong, 2.0) / typical_error(prepared[1:], TRUTH, 2.0)
-    share = np.sum(prepared[1].used) / sum(np.sum(p.used) for p in prepared)
-    assert grown == pytest.approx(alone**share)
+    assert grown == pytest.approx(math.sqrt(alone))
     assert alone > 1.3
+    shorter = replace(prepared[1], used=prepared[1].used & (np.arange(len(prepared[1].used)) % 2 == 0))
+    halved = [typical_error([prepared[0], shorter], v, 2.0) for v in (wrong, TRUTH)]
+    assert halved[0] / halved[1] == pytest.approx(grown, rel=0.01)
 
 
 def test_exact_channels_are_not_refined() -> None:

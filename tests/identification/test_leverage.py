@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 
+from identification.estimate import innovations as kernel
+from identification.estimate import instrumental
 from identification.estimate.arrow import Arrow
 from identification.estimate.leverage import bounded, doubts
+from identification.estimate.prediction_problem import Problem, pack, static_limit
+from identification.estimate.stretches import motion
+from identification.recording import Array, Model, Recording
+
+from .practical import beginning
+from .synthetic import TRUTH
 
 
 def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_a_few() -> None:
@@ -42,3 +52,24 @@ def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() 
     own, along = slopes.parameters[4:8], slopes.own[4:8]
     clear = own - np.outer(along, along @ own) / (along @ along)
     assert told[1] == pytest.approx(clear.T @ clear)
+
+
+def test_stretches_are_judged_again_where_the_fit_ends(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = motion(beginning(practical_pair[0], 3.0))
+    assert found is not None
+    begun = pack(TRUTH)
+    problem = Problem([found], begun, [kernel.MC], Model(), 0.1)
+    problem.begins = [found.static_crossing(static_limit(begun, found))]
+
+    def fit(p: Problem, _noise: Sequence[float]) -> Array:
+        p.start = p.start + 0.1
+        return np.empty(0)
+
+    def doubted(p: Problem) -> Array:
+        return np.full(p.breakaways, 1.0 if p.start is begun else 2.0)
+
+    monkeypatch.setattr(instrumental, "_doubted", doubted)
+    instrumental.beside_inertia(problem, fit)
+    assert problem.doubt == pytest.approx(np.full(problem.breakaways, 2.0))

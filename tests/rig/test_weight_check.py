@@ -129,6 +129,21 @@ def test_stages_at_other_speeds_are_none() -> None:
     assert "other speeds" in found.message
 
 
+def test_speeds_that_a_light_stage_hardly_reached_do_not_decide_on_a_heavy_one() -> None:
+    """The line through 0 and 5 kg is eight times as wrong at 40 kg as the level at 5 kg is."""
+    light = level(5.0)
+    last = int(np.flatnonzero(light.path)[-1])
+    path, torque = light.path.copy(), light.torque.copy()
+    path[last] *= 1e-3
+    torque[last] -= 1.5
+    off = LoadedLevel("light", 5.0, dataclasses.replace(light, path=path, torque=torque))
+    assert suspects([item("empty", 0.0), off, item("heavy", 40.0)], None) == []
+    assert {f.stage for f in suspects([item("empty", 0.0), off, item("heavy", 40.0, hung_kg=34.0)], None)} == {
+        "light",
+        "heavy",
+    }
+
+
 def test_a_stage_off_its_label_is_named() -> None:
     stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0), item("c", 30.0)]
     (found,) = suspects(stages, None)
