@@ -176,7 +176,7 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     mean = jacobian.mixed(1.0 / problem.siblings, others)
     turn = _turn(names, nominal)
     normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ bounded(mean.told(), MOST) @ turn
+    normal[: len(names), : len(names)] = turn.T @ bounded(mean.told(), problem.lengths, MOST) @ turn
     return Information(normal / max(slope, 1.0))
 
 

@@ -252,7 +252,7 @@ def _doubted(problem: Problem) -> Array:
     told = problem.jacobian(x, problem.residuals(x)).told()
     numbers = np.arange(len(problem.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
-    return doubts(told, recordings, _MOST)
+    return doubts(told, problem.lengths, recordings, _MOST)
 
 
 def _scatter_of_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> float:

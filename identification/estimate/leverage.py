@@ -4,6 +4,9 @@ Where a shaft all but stops, whether it goes on hangs on the least noise, and th
 is sure of what nobody can know. The stretches of a recording make much the same motion, so one that says far more than
 the others was in such a place, and what it says is not to be believed to that precision (bounded influence: Hampel et
 al., Robust Statistics, 1986, ch. 6).
+
+The median one is that in which the middle of all samples lies: where friction falls steeply a recording may hold more
+short slips than strokes, and beside a slip every stroke says far more.
 """
 
 from __future__ import annotations
@@ -17,22 +20,24 @@ _ROUNDING = 1e-12
 """Share of what is known of a parameter below which a stretch is taken to say nothing of it."""
 
 
-def bounded(stretches: Array, most: float) -> Array:
+def bounded(stretches: Array, lengths: NDArray[np.int64], most: float) -> Array:
     """Return the sum of stretches' informations, none believed more than it takes to be ``most`` median ones.
 
     Args:
         stretches: Of each of one recording, shape (m, p, p).
+        lengths: Samples in each, shape (m,).
         most: Median stretches.
     """
-    excess = _excess(np.einsum("mkk->mk", stretches))
+    excess = _excess(np.einsum("mkk->mk", stretches), lengths)
     return np.asarray(np.tensordot(np.minimum(1.0, most / np.maximum(excess, most)), stretches, 1))
 
 
-def doubts(stretches: Array, recordings: NDArray[np.int64], most: float) -> Array:
+def doubts(stretches: Array, lengths: NDArray[np.int64], recordings: NDArray[np.int64], most: float) -> Array:
     """Return by how much larger than it seems each stretch's noise is taken to be, shape (m,); 1 for most.
 
     Args:
         stretches: Information of each stretch, breakaway times eliminated, shape (m, p, p).
+        lengths: Samples in each, shape (m,).
         recordings: The number of each stretch's recording, shape (m,).
         most: Median stretches of its recording that one is believed as at most.
     """
@@ -41,11 +46,13 @@ def doubts(stretches: Array, recordings: NDArray[np.int64], most: float) -> Arra
     out = np.ones(len(told))
     for k in np.unique(recordings):
         here = recordings == k
-        out[here] = np.sqrt(np.maximum(_excess(told[here]) / most, 1.0))
+        out[here] = np.sqrt(np.maximum(_excess(told[here], lengths[here]) / most, 1.0))
     return out
 
 
-def _excess(told: Array) -> Array:
+def _excess(told: Array, lengths: NDArray[np.int64]) -> Array:
     """Return how many median ones each stretch is worth for the parameter of which it says most, (m, p) to (m,)."""
-    usual = np.median(told, axis=0)
+    order = np.argsort(told, axis=0)
+    middle = np.argmax(2 * np.cumsum(lengths[order], axis=0) >= np.sum(lengths), axis=0)
+    usual = np.take_along_axis(told, np.take_along_axis(order, middle[None], axis=0), axis=0)[0]
     return np.asarray(np.max(told / np.where(usual > 0.0, usual, np.inf), axis=1, initial=0.0))

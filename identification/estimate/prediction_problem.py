@@ -99,6 +99,11 @@ class Problem:
         return owner[m.inside]
 
     @property
+    def lengths(self) -> NDArray[np.int64]:
+        """Samples in each stretch, shape (m,)."""
+        return np.bincount(self.owners[: len(self.owners) - self.breakaways], minlength=self.breakaways)
+
+    @property
     def siblings(self) -> Array:
         """How many stretches of its recording move like every residual's, itself among them, shape (r,)."""
         counts = np.concatenate([np.sum(m.alike, axis=1).astype(np.float64) for m in self.motions])

@@ -18,29 +18,42 @@ from identification.recording import Array, Model, Recording
 from .practical import beginning
 from .synthetic import TRUTH
 
+ALIKE = np.full(10, 1000, dtype=np.int64)
+"""Samples of stretches of one length."""
+
 
 def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_a_few() -> None:
     stretches = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 4.0]), np.diag([1.0, 4000.0])])
-    assert bounded(stretches, 2.0) == pytest.approx(np.diag([2.0 + 2e-3, 8.0 + 8.0]))
-    assert bounded(stretches[:2], 2.0) == pytest.approx(np.diag([2.0, 8.0]))
+    assert bounded(stretches, ALIKE[:3], 2.0) == pytest.approx(np.diag([2.0 + 2e-3, 8.0 + 8.0]))
+    assert bounded(stretches[:2], ALIKE[:2], 2.0) == pytest.approx(np.diag([2.0, 8.0]))
 
 
 def test_the_noise_of_a_stretch_that_says_far_more_is_taken_to_be_larger() -> None:
     stretches = np.array([np.diag([1.0, 1.0])] * 9 + [np.diag([1.0, 9991.0])])
     one = np.zeros(10, dtype=np.int64)
-    doubt = doubts(stretches, one, 3.0)
+    doubt = doubts(stretches, ALIKE, one, 3.0)
     assert doubt == pytest.approx([1.0] * 9 + [np.sqrt(9991.0 / 3.0)])
     believed = np.sum(stretches / doubt[:, None, None] ** 2, axis=0)
-    assert believed == pytest.approx(bounded(stretches, 3.0))
-    assert doubts(stretches[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
+    assert believed == pytest.approx(bounded(stretches, ALIKE, 3.0))
+    assert doubts(stretches[:9], ALIKE[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
 
 
 def test_recordings_are_judged_each_by_its_own_stretches() -> None:
     """A heavier weight may say more than a lighter one, and what a recording does not hold limits nothing."""
     light, heavy = np.diag([1.0, 1.0, 1e-15]), np.diag([1.0, 100.0, 1.0])
     stretches = np.array([light] * 2 + [10.0 * light] + [heavy] * 3)
-    doubt = doubts(stretches, np.repeat([0, 1], 3), 3.0)
+    doubt = doubts(stretches, ALIKE[:6], np.repeat([0, 1], 3), 3.0)
     assert doubt == pytest.approx([1.0, 1.0, np.sqrt(10.0 / 3.0), 1.0, 1.0, 1.0])
+
+
+def test_strokes_are_not_doubted_beside_more_slips_that_say_little() -> None:
+    """Seen on a bench whose load slipped twenty samples far between strokes: every stroke was taken for the odd one."""
+    stretches = np.array([np.diag([100.0]), np.diag([1.0]), np.diag([1.0])] * 3)
+    lengths = np.array([2000, 20, 20] * 3)
+    recordings = np.zeros(9, dtype=np.int64)
+    assert doubts(stretches, lengths, recordings, 3.0) == pytest.approx(np.ones(9))
+    stretches[0] *= 12.0
+    assert doubts(stretches, lengths, recordings, 3.0) == pytest.approx([2.0] + [1.0] * 8)
 
 
 def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() -> None:
