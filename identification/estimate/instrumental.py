@@ -131,7 +131,7 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
     for _ in range(_TURNS):
         if others:
             problem.free = others
-            problem.doubt = problem.doubt * _doubted(problem)
+            problem.doubt = _doubted(problem)
             refine(problem, (1.0,))
             problem.free = free
         if others == free:
@@ -150,7 +150,7 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
             break
     # Which stretch says far more than the others hangs on the values: where the fit ends another may.
     problem.free = others
-    problem.doubt = problem.doubt * _doubted(problem)
+    problem.doubt = _doubted(problem)
     problem.free = free
     problem.weigh()
     return problem.residuals(problem.origin())
@@ -247,6 +247,7 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
 
 def _doubted(problem: Problem) -> Array:
     """Return by how much each stretch's noise is taken to be larger, so that no single one carries the estimate."""
+    problem.doubt = np.ones(problem.breakaways)
     problem.weigh()
     x = problem.origin()
     told = problem.jacobian(x, problem.residuals(x)).told()
