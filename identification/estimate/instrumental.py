@@ -246,7 +246,10 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
 
 
 def _doubted(problem: Problem) -> Array:
-    """Return by how much each stretch's noise is taken to be larger, so that no single one carries the estimate."""
+    """Return by how much each stretch's noise is taken to be larger, so that no single one carries the estimate.
+
+    Judged as if nothing were doubted yet: what the problem holds of doubt is taken back.
+    """
     problem.doubt = np.ones(problem.breakaways)
     problem.weigh()
     x = problem.origin()

@@ -156,10 +156,8 @@ def motion(recording: Recording) -> Motion | None:
         torque = 0.5 * (torque + np.concatenate((torque[:1], torque[:-1])))
     extra = 0.0
     if recording.pendulum is not None:
-        pendulum = recording.pendulum
-        extra = pendulum.mass * pendulum.length**2
-        weight = pendulum.mass * recording.bench.gravity * pendulum.length
-        torque = torque - weight * np.sin(angle - pendulum.zero)
+        extra = recording.pendulum.inertia
+        torque = torque + recording.pendulum.torque(angle, recording.bench.gravity)
     table, seen = _table(angle, step, holes)
     if len(table) < 2:
         return None
