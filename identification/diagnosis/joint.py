@@ -33,6 +33,8 @@ SETTLED = 1e-4
 LAST_STEPS, UNSETTLED = 3, 0.02
 """Most steps after it ended, and the share by which the torque's mismatch is larger with its constants as they are,
 from which on they are taken."""
+WORTH_A_STEP = 0.1
+"""Share of what the constants do not keep that such a step must mend."""
 DAMPING = 0.3
 """Share of a step that is taken where the whole of it made things worse..."""
 MOST_FAILURES = 2
@@ -131,22 +133,23 @@ def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Join
         promised, kept = promise(best.stack, best.effects, best.residual)
         if kept <= (1.0 + UNSETTLED) * promised:
             break
-        after = _stepped(views, unit, best, solved, kept)
+        enough = kept - WORTH_A_STEP * (kept - promised)
+        after = _stepped(views, unit, best, solved, enough)
         if after is None:
-            after = _stepped(views, unit, best, solve(best.stack, best.effects, STATICS), kept)
+            after = _stepped(views, unit, best, solve(best.stack, best.effects, STATICS), enough)
         if after is None:
             break
         best, solved = after
     return best
 
 
-def _stepped(views: Sequence[View], unit: str, best: Joint, step: Solved, kept: float) -> tuple[Joint, Solved] | None:
-    """Return the fit after a step of its constants, or None where they keep no more then, or it is worth less."""
+def _stepped(views: Sequence[View], unit: str, best: Joint, step: Solved, enough: float) -> tuple[Joint, Solved] | None:
+    """Return the fit after a step of its constants, or None where it leaves more than enough, or is worth less."""
     nominal = best.nominal.moved(step.straight, np.zeros(len(step.straight)))
     stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
     solved = solve(stack, best.effects)
     there = promise(stack, solved.effects, solved.residual)[1]
-    if there >= kept or solved.cost > (1.0 + UNSETTLED) * best.cost:
+    if there >= enough or solved.cost > (1.0 + UNSETTLED) * best.cost:
         return None
     return Joint(nominal, solved.effects, stack.equations, solved.residual, stack), solved
 
@@ -176,7 +179,11 @@ def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
 def _told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
     """Return nominal values with what the effects so far say that others, or they themselves, are built from."""
     ripple = next(((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ())
-    return replace(nominal, hidden=hidden_load(effects), zero_A=current_zero(effects), ripple=ripple)
+    loss = next(
+        (e.coefficients[0] for e in effects if e.term.name == "transmission_efficiency" and e.coefficients), 0.0
+    )
+    passed = 1.0 / (1.0 + max(loss, 0.0))
+    return replace(nominal, hidden=hidden_load(effects), zero_A=current_zero(effects), ripple=ripple, efficiency=passed)
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:

@@ -46,6 +46,7 @@ class Nominal:
         zero_A: What the logged current reads without any, as effects named so far say, A.
         ripple: Of the motor's torque over its current, as effects named so far say: cycles a motor turn (and how many
             recordings, where each has an origin of its own), and coefficients; none where it is empty.
+        efficiency: Share of the torque that the transmission passes, as effects named so far say.
         bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
             with a rise or a speed is then said by it.
         late_s: By how much the torque's samples are late against the angles', as an effect named so far says, or 0.
@@ -59,6 +60,7 @@ class Nominal:
     hidden: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     zero_A: float = 0.0
     ripple: tuple[tuple[float, ...], ...] = ()
+    efficiency: float = 1.0
     bent: float | None = None
     late_s: float = 0.0
     bristles: float = 0.0

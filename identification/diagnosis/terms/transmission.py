@@ -261,8 +261,9 @@ def _slips(context: Context) -> list[Shape]:
 
 
 def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
+    # Driven back, eta of the torque comes through; driving, 1 / eta is asked for, and 1 / eta - 1 is the coefficient.
     torque = nominal.drive(view)
-    return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -1.0))
+    return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -nominal.efficiency))
 
 
 TERMS = (

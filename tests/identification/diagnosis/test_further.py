@@ -110,6 +110,21 @@ def test_the_transmission_carries_the_declared_weight_too() -> None:
     assert loaded.transmitted == pytest.approx(bare.transmitted, abs=1e-9)
 
 
+def test_a_loss_is_built_exactly_however_large() -> None:
+    """Driving, 1 / eta of the torque is asked for; driven back, eta of it comes through."""
+    hung = replace(honest()[0], pendulum=Pendulum(mass=20.0, length=0.3, zero=0.5))
+    view, eta = views([hung], 25.0)[0], 0.7
+    nominal = replace(nominal_fit(honest()).nominal, efficiency=eta)
+    torque = nominal.drive(view)
+    added = (1.0 / eta - 1.0) * BY_NAME["transmission_efficiency"].columns["torque"](view, nominal, ())[0]
+    driving = torque * view.velocity > 0.0
+    back = torque * view.velocity < 0.0
+    moving = added != 0.0
+    assert np.sum(back & moving) > 1000
+    assert (torque + added)[driving & moving] == pytest.approx(torque[driving & moving] / eta)
+    assert (torque + added)[back & moving] == pytest.approx(torque[back & moving] * eta)
+
+
 def test_a_loss_under_friction_alone_is_one_with_the_constants_and_under_a_weight_is_not() -> None:
     joint = nominal_fit(honest())
     assert taken_up(joint, TERMS) == ("transmission_efficiency",)
