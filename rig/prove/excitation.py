@@ -1,7 +1,9 @@
-"""The experiments of a blind rig: twelve recordings that together split the catalogue's look-alikes.
+"""The experiments of a blind rig: thirteen recordings that together split the catalogue's look-alikes.
 
 Wide and small, slow and fast, at four weights; ramps from creeping to quick; rests from 0.1 to 8 s; loops below
-breakaway; and one experiment twice, for the noise floor. Those to validate repeat none of the others.
+breakaway; one experiment twice, for the noise floor; and one with a weight on the joint itself, which drives the motor
+back: where friction is all the load, the constants take up what the gear loses. Those to validate repeat none of the
+others.
 """
 
 from __future__ import annotations
@@ -32,6 +34,9 @@ class FixedWeight(NamedTuple):
     zero_rad: float
 
 
+NOTHING_FIXED = FixedWeight(0.0, 0.0, 0.0)
+
+
 class Experiment(NamedTuple):
     """One recording to make.
 
@@ -40,7 +45,7 @@ class Experiment(NamedTuple):
         role: As in the campaign file.
         weight_kg: On the lever.
         command: Joint angle sent in each cycle, rad, shape (n,).
-        fixed: On the joint, on a bench without lever.
+        fixed: On the joint; on a bench without lever in every recording.
     """
 
     name: str
@@ -148,6 +153,11 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
     ("k", "validate", 20.0, lambda: tones((17.0, 0.17, 1.2), (6.0, 0.53, 0.2), (0.5, 3.7, 2.0))),
     ("l", "fit", 0.0, _mixed),
 )
+_DRIVEN_BACK = Experiment(
+    "m", "fit", 0.0, tones((10.0, 0.25, 0.0), (3.0, 0.6, 0.5)), FixedWeight(15.0, 0.1, -np.pi / 2.0)
+)
+"""Heavier than most friction, and standing out level: it pulls one way and by the same throughout, whatever an encoder
+that is off says of its angle."""
 
 
 _FIXED = {
@@ -161,12 +171,12 @@ _FIXED = {
 
 @cache
 def experiments(gravity: bool = False) -> tuple[Experiment, ...]:
-    """Return the twelve experiments in the order in which they are made; the last repeats the first.
+    """Return the experiments in the order in which they are made; the last repeats the first.
 
     Args:
         gravity: A bench without lever, whose load is a weight fixed to the joint.
     """
     plan = tuple(Experiment(name, role, weight, command()) for name, role, weight, command in _PLAN)
-    if not gravity:
-        return plan
-    return tuple(e._replace(weight_kg=0.0, fixed=_FIXED[e.weight_kg]) for e in plan)
+    if gravity:
+        plan = tuple(e._replace(weight_kg=0.0, fixed=_FIXED[e.weight_kg]) for e in plan)
+    return (*plan[:-1], _DRIVEN_BACK, plan[-1])

@@ -11,7 +11,7 @@ import numpy as np
 from drivers.mock.direct import Samples, record
 from drivers.mock.plant.machine import SimulatedMachine
 from rig.prove.draw import Rig
-from rig.prove.excitation import CYCLE_S, Array, Experiment
+from rig.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment
 
 MOVING_RAD_S = 0.02
 SETTLE_S = 0.5
@@ -32,12 +32,13 @@ def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
     """Simulate all experiments, one after another on one machine that warms, wears and remembers."""
     machine = SimulatedMachine(rig.machine, np.random.default_rng(rig.seed))
     done = []
-    clock_s = 0.0
+    clock_s, turning = 0.0, None
     for experiment, pause_s in zip(plan, rig.pauses_s, strict=True):
         machine.power(False)
         machine.hang(experiment.weight_kg)
-        if experiment.fixed is not None:
-            machine.fix_weight(*experiment.fixed)
+        if experiment.fixed is not None or turning is not None:
+            machine.fix_weight(*(experiment.fixed or NOTHING_FIXED))
+        turning = experiment.fixed
         machine.rest(pause_s)
         machine.power(True)
         record(machine, np.zeros(round(SETTLE_S / CYCLE_S)), CYCLE_S)

@@ -87,7 +87,7 @@ def test_any_number_of_rigs_is_shared_out(rigs: int) -> None:
 
 def test_the_experiments_stay_within_the_bench() -> None:
     plan = experiments()
-    assert Counter(e.role for e in plan) == {"fit": 8, "validate": 4}
+    assert Counter(e.role for e in plan) == {"fit": 9, "validate": 4}
     assert len({e.weight_kg for e in plan}) == 4
     for e in plan:
         assert len(e.command) == round(30.0 / CYCLE_S)
@@ -167,6 +167,20 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     assert min(asymmetry[0], loss[0]) > STRONG
     assert asymmetry[1] > STRONG
     assert loss[1] < 1.5
+    by_name = {e.name: e for e in experiments()}
+    plan[1] = by_name["m"]._replace(command=by_name["m"].command[:8000])
+    floor = floors(rig.machine, twin_of(rig, plan))
+    assert shown({"transmission_efficiency": {"efficiency": 0.85}})[1] > STRONG, "a weight that drives the motor back"
+
+
+def test_a_weight_on_the_joint_hangs_there_for_its_recording_alone() -> None:
+    rig, _ = short(draw("nothing", (), (3, 1)))
+    named = {e.name: e._replace(command=e.command[:2000]) for e in experiments()}
+    before, hung, after = (r.samples.current for r in campaign(rig, [named["a"], named["m"], named["l"]]))
+    assert [e.name for e in experiments() if e.fixed is not None] == ["m"]
+    assert float(np.median(np.abs(hung - before))) > 2.0
+    assert float(np.median(np.abs(after - before))) < 0.1
+    assert all(e.fixed is not None for e in experiments(gravity=True))
 
 
 def test_a_truth_that_was_changed_is_found_out(tmp_path: Path) -> None:
