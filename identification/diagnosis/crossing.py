@@ -169,7 +169,9 @@ def _falls(views: Sequence[View], nominal: Nominal) -> bool:
 
     Where it does so in some recordings only, the crossings in the others tell more than any model of a fall.
     """
-    return all(v.burdened for v in views) and any(np.any((np.abs(nominal.helping(v)) > np.abs(nominal.friction(v))) & ~v.still) for v in views)
+    if not all(v.burdened for v in views):
+        return False
+    return any(np.any((np.abs(nominal.helping(v)) > np.abs(nominal.friction(v))) & ~v.still) for v in views)
 
 
 def _other(
