@@ -21,6 +21,8 @@ RESULT_FILE = "prove.json"
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",
     "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
+    "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias group",
     "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
     "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in the alias group",
     "top1_all": "one effect, any strength: named first",

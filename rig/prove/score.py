@@ -14,6 +14,8 @@ Row = Mapping[str, Any]
 LEVEL = 0.95
 STRONG = 3.0
 """From this strength on (rms change over noise in the channel that shows it best) an effect has to be named."""
+TORQUE = "current"
+"""Channel that shows an effect's share of the torque: the motor's, in motion."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
@@ -37,6 +39,7 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         by_kind[row["kind"]].append(row)
     one, two, nothing, outside = (by_kind[kind] for kind in ("one", "two", "nothing", "outside"))
     strong = [row for row in one if row["strength"] >= STRONG]
+    torque = [row for row in one if row["strength_by_channel"].get(TORQUE, 0.0) >= STRONG]
     shown = [row for row in one if (row["left"] or 0.0) >= STRONG]
     inside = [p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None]
     placed = [{"right": row["verdict"] == "outside_catalogue"} for row in outside]
@@ -44,6 +47,8 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "counts": {kind: len(by_kind[kind]) for kind in ("one", "two", "nothing", "outside")},
         "top1": count(strong, "top1"),
         "alias_group": count(strong, "alias"),
+        "top1_torque": count(torque, "top1"),
+        "alias_group_torque": count(torque, "alias"),
         "top1_left": count(shown, "top1"),
         "alias_group_left": count(shown, "alias"),
         "absorbed": [row["rig"] for row in strong if row["left"] is not None and row["left"] < STRONG],

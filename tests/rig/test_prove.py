@@ -83,6 +83,19 @@ def test_rates_count_what_the_constants_cannot_absorb_beside_what_is_strong() ->
     assert scored("one", NOTHING, backlash=GAP)["left"] is None, "unknown without a twin"
 
 
+def test_a_share_of_the_torque_is_one_in_the_current() -> None:
+    """What the encoders see of a breakaway that comes later is no torque."""
+
+    def row(diagnosis: Mapping[str, Any], **channels: float) -> dict[str, Any]:
+        return row_of(truth("one", backlash=GAP), channels, judged(diagnosis), None, "digest")
+
+    found = score([row(NOTHING, current=1.4, angle=8.0), row(diagnosed(effect("backlash")), current=5.0, angle=8.0)])
+    assert (found["top1"]["n"], found["top1"]["of"]) == (1, 2)
+    assert (found["top1_torque"]["n"], found["top1_torque"]["of"]) == (1, 1)
+    assert (found["alias_group_torque"]["n"], found["alias_group_torque"]["of"]) == (1, 1)
+    assert score([row(NOTHING, pressure=9.0)])["top1_torque"]["of"] == 0
+
+
 GAP = {"gap_rad": 0.01}
 NOTHING = diagnosed(verdict="nothing_missing")
 
