@@ -33,6 +33,8 @@ SETTLED = 1e-4
 LAST_STEPS, UNSETTLED = 3, 0.02
 """Most steps after it ended, and the share by which the torque's mismatch is larger with its constants as they are,
 from which on they are taken."""
+LAST_SHARES = (1.0, 0.5)
+"""Shares of such a step that are tried: the whole of one of static friction may be more than breakaways bear."""
 WORTH_A_STEP = 0.1
 """Share of what the constants do not keep that such a step must mend."""
 DAMPING = 0.3
@@ -134,18 +136,20 @@ def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Join
         if kept <= (1.0 + UNSETTLED) * promised:
             break
         enough = kept - WORTH_A_STEP * (kept - promised)
-        after = _stepped(views, unit, best, solved, enough)
+        steps = [share * solved.straight for share in LAST_SHARES]
+        after = next((a for step in steps if (a := _stepped(views, unit, best, step, enough)) is not None), None)
         if after is None:
-            after = _stepped(views, unit, best, solve(best.stack, best.effects, STATICS), enough)
+            without = solve(best.stack, best.effects, STATICS).straight
+            after = _stepped(views, unit, best, without, enough)
         if after is None:
             break
         best, solved = after
     return best
 
 
-def _stepped(views: Sequence[View], unit: str, best: Joint, step: Solved, enough: float) -> tuple[Joint, Solved] | None:
+def _stepped(views: Sequence[View], unit: str, best: Joint, step: Array, enough: float) -> tuple[Joint, Solved] | None:
     """Return the fit after a step of its constants, or None where it leaves more than enough, or is worth less."""
-    nominal = best.nominal.moved(step.straight, np.zeros(len(step.straight)))
+    nominal = best.nominal.moved(step, np.zeros(len(step)))
     stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
     solved = solve(stack, best.effects)
     there = promise(stack, solved.effects, solved.residual)[1]

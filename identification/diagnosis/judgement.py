@@ -141,13 +141,18 @@ def _open(taken: Round) -> tuple[str, ...]:
 
 
 def effects_of(found: Search, verdict: Verdict) -> tuple[Effect, ...]:
-    """Return every effect that was kept, with its parameters, rivals and confidence."""
+    """Return every effect that was kept, with its parameters, rivals and confidence.
+
+    In the order in which the search came upon them, each having explained most of what was left then: what another took
+    the place of since stands last in the fit.
+    """
     sizes = estimates(found.final)
-    rounds = {r.name: r for r in found.rounds}
+    places = {e.term.name: k for k, e in enumerate(found.final.effects)}
     excess = {e.equation: e for e in _excess(found)}
     return tuple(
-        _effect(found, k, added.term.name, sizes[k], rounds[added.term.name], excess)
-        for k, added in enumerate(found.final.effects)
+        _effect(found, places[r.name], r.name, sizes[places[r.name]], r, excess)
+        for r in found.rounds
+        if r.name in places
     )
 
 

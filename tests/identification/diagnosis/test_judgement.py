@@ -10,7 +10,7 @@ import pytest
 
 from identification.diagnosis.contest import Round
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.judgement import judged
+from identification.diagnosis.judgement import effects_of, judged
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.search import Search
 from identification.diagnosis.terms import TERMS
@@ -67,3 +67,17 @@ def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(one: bo
     more = noise(search, left) * where * np.sqrt(len(owner) / np.sum(where))
     both = {name: with_left(joint, more) for name, joint in (("baseline", search.baseline), ("final", search.final))}
     assert verdict(replace(search, **both)) is expected
+
+
+def test_effects_are_listed_as_the_search_came_upon_them() -> None:
+    """What takes another's place later, as a loop a gap's, stands last in the fit and is no less important for that."""
+    search = found(1.0)
+    second = next(t for t in TERMS if t.name == "asymmetric_viscous")
+    first = search.final.effects[0]
+    views = search.final.equations[0].views
+    both = fit(views, "N m", search.final.nominal, (Added(second, (), (0.0,)), first), search.baseline)
+    listed = replace(search, final=both, rounds=(Round(NAME, ()), Round(second.name, ())))
+    assert [e.term.name for e in both.effects] == [second.name, NAME]
+    effects = effects_of(listed, Verdict.NAMED)
+    assert [e.name for e in effects] == [NAME, second.name]
+    assert effects[0].parameters["torque_Nm"].value == pytest.approx(1.0, rel=0.05)
