@@ -69,9 +69,9 @@ TRANSMISSION: tuple[Entry, ...] = (
         parameters=(Quantity("efficiency", "", 0.4, 1.0),),
         look_alikes=("asymmetric_coulomb", "load_dependent_friction", "torque_saturation"),
         experiment=(
-            "A load that pulls both ways (a weight fixed to the joint), or stops so quick that inertia drives the "
-            "motor back: the loss follows the direction of power, an asymmetry that of motion. Where friction is all "
-            "the load power flows one way only, and the constants take the loss up."
+            "A load that pulls both ways, in one recording at least: a declared weight fixed to the joint, level and "
+            "heavier than its friction. The loss follows the direction of power, an asymmetry that of motion. Where "
+            "friction is all the load power flows one way only, and the constants take the loss up."
         ),
         sentence="the gear passes {efficiency:%} of the torque when it drives, and as much less when it is driven back",
     ),
