@@ -183,11 +183,13 @@ def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
 def _told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
     """Return nominal values with what the effects so far say that others, or they themselves, are built from."""
     ripple = next(((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ())
-    loss = next(
-        (e.coefficients[0] for e in effects if e.term.name == "transmission_efficiency" and e.coefficients), 0.0
+    return replace(
+        nominal,
+        hidden=hidden_load(effects),
+        zero_A=current_zero(effects),
+        ripple=ripple,
+        efficiency=1.0 / (1.0 + gear_loss(effects)),
     )
-    passed = 1.0 / (1.0 + max(loss, 0.0))
-    return replace(nominal, hidden=hidden_load(effects), zero_A=current_zero(effects), ripple=ripple, efficiency=passed)
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
@@ -196,6 +198,13 @@ def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
     slope, constant = found.get("return_spring", (0.0, 0.0))
     return sine, -cosine, slope, -constant
+
+
+def gear_loss(effects: Sequence[Added]) -> float:
+    """Return by what share more torque is asked for than the transmission passes on, as the effects so far say."""
+    return sum(
+        max(e.coefficients[0], 0.0) for e in effects if e.term.name == "transmission_efficiency" and e.coefficients
+    )
 
 
 def current_zero(effects: Sequence[Added]) -> float:

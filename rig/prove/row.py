@@ -17,8 +17,8 @@ MOST_NAMED = 3
 WORTH = 0.05
 """Held-out gain of the oracle over the noise, below which there is nothing to gain."""
 FAINT = 1e-12
-VERSION = 4
-"""Of a row: a proof begun with other ones is not gone on with."""
+VERSION = 5
+"""Of a row, and of the recordings behind it: a proof begun with other ones is not gone on with."""
 
 
 def row_of(
