@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from identification.diagnosis.joint import Joint
-from identification.diagnosis.kept import FURTHER_SHARE, judging, left_beyond_noise
+from identification.diagnosis.kept import FURTHER_SHARE, hopeless, judging, left_beyond_noise
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import Term
 
@@ -20,15 +20,20 @@ RIVAL_SHARE = 0.3
 
 
 def groups(
-    joint: Joint, terms: Mapping[str, Term], ranked: Sequence[Candidate], missing: Callable[[str], bool]
+    baseline: Joint,
+    joint: Joint,
+    terms: Mapping[str, Term],
+    ranked: Sequence[Candidate],
+    missing: Callable[[str], bool],
 ) -> Iterator[list[Candidate]]:
     """Yield finalists, to be tried one group after another until one of them is taken.
 
     The first effect is the one that explains most. Of further ones those come first that explain, of what is left
     beyond the noise where they show, the share that makes one more name. None counts that shows only where nothing is
-    missing.
+    missing, or that could not be kept.
 
     Args:
+        baseline: The nominal model.
         joint: With the effects so far.
         terms: Of the candidates, by name.
         ranked: The best candidate of each effect, best first.
@@ -38,7 +43,12 @@ def groups(
         yield _finalists(ranked)
         return
     seen = {e.name for e in joint.equations if missing(e.name)}
-    shown = [c for c in ranked if any(name in seen for name in judging(joint, terms[c.name]))]
+    shown = [
+        c
+        for c in ranked
+        if any(name in seen for name in judging(joint, terms[c.name]))
+        and not hopeless(baseline, joint, terms[c.name], c)
+    ]
     telling = [c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])]
     first = _finalists(telling)
     yield first

@@ -11,6 +11,7 @@ from identification.diagnosis.begin import or_kept
 from identification.diagnosis.contest import Contender, Round, again, broken, implausible, numbers, preference, simplest
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.result import Step
+from identification.diagnosis.stack import Candidate
 from identification.diagnosis.terms.term import EXACT, ROUGH, Term
 from identification.diagnosis.view import View
 
@@ -28,6 +29,9 @@ SURE = float(stats.norm.isf(0.01))
 """Standard errors by which an effect must be worth keeping where without it nothing is left beyond the noise. There it
 must be worth :data:`UNCERTAIN` times the error of the others as well, unless they are exact: below that and below the
 noise is where regressors err."""
+
+MOST_GROWN = 3.0
+"""Most that a joint fit makes of the gain that an effect's regressors promise, where that is looked at before."""
 
 
 def pruned(
@@ -64,14 +68,35 @@ def _worth(baseline: Joint, without: Joint, joint: Joint, term: Term) -> tuple[f
     parts = _touched(joint, term)
     gain = _squares(without, parts) - _squares(joint, parts)
     others = gain / max(_squares(baseline, parts) - _squares(without, parts), 1e-300)
-    beside = [e.term for e in without.effects if alike(e.term, term)]
-    error = max((t.shape_error for t in beside), default=EXACT)
-    needed = needed_share(others, error)
+    needed = needed_share(others, _error(without, term))
     left = _beyond_noise(without, parts)
-    least = UNCERTAIN * error if error > EXACT else error
-    if left <= 1.0 and (others < least or preference(joint, without) < SURE):
+    if left <= 1.0 and (others < _least(without, term) or preference(joint, without) < SURE):
         needed = math.inf
     return gain / left, needed
+
+
+def hopeless(baseline: Joint, joint: Joint, term: Term, candidate: Candidate) -> bool:
+    """Whether one more effect would be taken out again after the fit: it is not worth keeping by what it promises.
+
+    Nothing is left beyond the noise where it shows, and it explains less than the error of the effects before it, or is
+    not sure.
+    """
+    parts = _touched(joint, term)
+    if _beyond_noise(joint, parts) > 1.0:
+        return False
+    explained = _squares(baseline, parts) - _squares(joint, parts)
+    return MOST_GROWN * candidate.gain < _least(joint, term) * explained or candidate.preference < SURE
+
+
+def _least(beside: Joint, term: Term) -> float:
+    """Return the gain, over what others explain, below which an effect is their error where nothing else is left."""
+    error = _error(beside, term)
+    return UNCERTAIN * error if error > EXACT else error
+
+
+def _error(beside: Joint, term: Term) -> float:
+    """Return what the regressors of other effects leave to this one, over what they explain."""
+    return max((e.term.shape_error for e in beside.effects if alike(e.term, term)), default=EXACT)
 
 
 def needed_share(others: float, error: float = ROUGH) -> float:

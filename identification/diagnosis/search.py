@@ -111,7 +111,7 @@ def search(
             break
         missing = partial(_missing, joint, by_name, (*trials, *unnamed), rng)
         taken = None
-        for finalists in groups(joint, by_name, best, missing):
+        for finalists in groups(baseline, joint, by_name, best, missing):
             progress("fitting " + ", ".join(c.name for c in finalists), (turn + 0.5) / (MOST_EFFECTS + 1))
             taken = _contest(views, unit, baseline, joint, finalists, by_name, p_after, steps, fixed)
             if taken is not None:

@@ -6,6 +6,7 @@ Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
@@ -70,6 +71,16 @@ class Candidate:
     def surprise(self) -> float:
         """-log of the chance of such a statistic."""
         return surprise(self.statistic, len(self.coefficients))
+
+    @property
+    def preference(self) -> float:
+        """How far the data prefer it to nothing, in standard errors of the gain by blocks; infinite without weights."""
+        if not len(self.weights):
+            return math.inf
+        score = np.sum(self.blocks, axis=0)
+        gain = 2.0 * self.blocks @ score - np.einsum("j,bjk,k->b", score, self.weights, score)
+        spread = float(np.std(gain, ddof=1)) * math.sqrt(len(gain))
+        return float(np.sum(gain)) / spread if spread > 0.0 else 0.0
 
 
 def surprise(statistic: Array | float, degrees: int) -> float:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from identification.diagnosis.contest import preference
 from identification.diagnosis.further import groups
 from identification.diagnosis.joint import Added, Joint, fit
-from identification.diagnosis.kept import alike, left_beyond_noise
+from identification.diagnosis.kept import alike, hopeless, left_beyond_noise
 from identification.diagnosis.search import excess, screened
 from identification.diagnosis.stack import Candidate
 from identification.diagnosis.taken_up import taken_up
@@ -25,12 +27,17 @@ NAMES = ("encoder_eccentricity", "encoder_slip", "asymmetric_coulomb", "cogging"
 
 
 @pytest.fixture(scope="module")
-def gap() -> Joint:
-    """A gap and an asymmetry, of which the gap alone is in the model, and too narrow by a third."""
+def plain() -> Joint:
+    """A gap and an asymmetry, neither of them in the model."""
     hidden = {"backlash": {"gap_rad": 0.003}, "asymmetric_coulomb": {"torque_Nm": 0.1}}
-    joint = nominal_fit(campaign(hidden, 12, 6.0)[:3])
+    return nominal_fit(campaign(hidden, 12, 6.0)[:3])
+
+
+@pytest.fixture(scope="module")
+def gap(plain: Joint) -> Joint:
+    """The gap alone is in the model, and too narrow by a third."""
     fixed = replace(BY_NAME["backlash"], refine={})
-    return fit(joint.equations[0].views, "N m", joint.nominal, (Added(fixed, (0.002, 0.0, 0.0, 0.1), (1.0,)),), joint)
+    return fit(plain.equations[0].views, "N m", plain.nominal, (Added(fixed, (0.002, 0.0, 0.0, 0.1), (1.0,)),), plain)
 
 
 def ranked(joint: Joint) -> list[Candidate]:
@@ -50,26 +57,59 @@ def test_what_a_gap_explains_is_not_looked_for_again(gap: Joint) -> None:
     assert all(c.gain <= 1.01 * gap.cost for c in ranked(gap))
 
 
-def test_the_effect_that_explains_its_own_equation_is_tried_first(gap: Joint) -> None:
+def test_the_effect_that_explains_its_own_equation_is_tried_first(plain: Joint, gap: Joint) -> None:
     asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
     tenth = 0.1 * left_beyond_noise(gap, BY_NAME["encoder_slip"])
     assert tenth > asymmetry.gain, "in squares a tenth of the encoders' is more"
     slip = replace(asymmetry, name="encoder_slip", gain=tenth)
-    first, rest = list(groups(gap, BY_NAME, [slip, asymmetry], lambda _name: True))
+    first, rest = list(groups(plain, gap, BY_NAME, [slip, asymmetry], lambda _name: True))
     assert [c.name for c in first] == ["asymmetric_coulomb"]
     assert [c.name for c in rest] == ["encoder_slip"]
 
 
-def test_where_nothing_is_missing_nothing_is_tried(gap: Joint) -> None:
-    tried = groups(gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
+def test_where_nothing_is_missing_nothing_is_tried(plain: Joint, gap: Joint) -> None:
+    tried = groups(plain, gap, BY_NAME, ranked(gap), lambda name: name == "transmission")
     assert {c.name for group in tried for c in group} <= {"encoder_eccentricity", "encoder_slip"}
 
 
-def test_what_shows_at_breakaways_alone_is_judged_by_them_and_nothing_else_is(gap: Joint) -> None:
+def test_what_could_not_be_kept_is_not_tried(plain: Joint, gap: Joint) -> None:
+    """As one block shows it, or as less than the gap's own error; unless something is left that it may complete."""
+    asymmetry, slip = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb"), BY_NAME["encoder_slip"]
+    rows = gap.stack.part("transmission")
+    silent = gap.residual.copy()
+    silent[rows] *= 0.5 * math.sqrt((rows.stop - rows.start) / float(silent[rows] @ silent[rows]))
+    whole = replace(gap, residual=silent)
+    steady = np.tile([[1.9], [2.1]], (20, 1)), np.full((40, 1, 1), 1.0 / 40)
+    lone = np.zeros((40, 1)), np.zeros((40, 1, 1))
+    lone[0][0], lone[1][0] = 80.0, 1.0
+    sure, one_block = (replace(asymmetry, gain=6400.0, blocks=s, weights=w) for s, w in (steady, lone))
+    assert one_block.preference == pytest.approx(1.0, rel=0.05)
+    assert sure.preference > 50.0
+    assert not hopeless(plain, whole, slip, replace(sure, gain=0.1 * plain.cost))
+    assert hopeless(plain, whole, slip, replace(sure, gain=1e-6 * plain.cost))
+    assert hopeless(plain, whole, slip, replace(one_block, gain=0.1 * plain.cost))
+    assert not hopeless(plain, gap, slip, replace(one_block, gain=1e-6 * plain.cost))
+    first, rest = list(
+        groups(plain, whole, BY_NAME, [replace(one_block, name="encoder_slip"), asymmetry], lambda _: True)
+    )
+    assert ([c.name for c in first], rest) == (["asymmetric_coulomb"], [])
+
+
+def test_what_a_candidate_promises_is_what_its_fit_is_preferred_by(plain: Joint, gap: Joint) -> None:
+    asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
+    added = Added(BY_NAME["asymmetric_coulomb"], (), tuple(asymmetry.coefficients))
+    after = fit(gap.equations[0].views, "N m", gap.nominal, (*gap.effects, added), plain)
+    assert gap.cost - after.cost == pytest.approx(asymmetry.gain, rel=0.05)
+    assert preference(after, gap) == pytest.approx(asymmetry.preference, rel=0.1)
+
+
+def test_what_shows_at_breakaways_alone_is_judged_by_them_and_nothing_else_is(plain: Joint, gap: Joint) -> None:
     asymmetry = next(c for c in ranked(gap) if c.name == "asymmetric_coulomb")
     dwell = replace(asymmetry, name="dwell_static_friction")
     rests = replace(gap, equations=(*gap.equations, replace(gap.equations[0], name="breakaway")))
-    tried = [c.name for g in groups(rests, BY_NAME, [asymmetry, dwell], lambda name: name == "breakaway") for c in g]
+    tried = [
+        c.name for g in groups(plain, rests, BY_NAME, [asymmetry, dwell], lambda name: name == "breakaway") for c in g
+    ]
     assert tried == ["dwell_static_friction"]
     assert excess(rests, "breakaway") == 1.0, "their size says nothing"
 
