@@ -16,8 +16,11 @@ R = TypeVar("R")
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a numeric kernel with numba and keep the machine code on disk for the next process."""
-    return cast(Callable[P, R], njit(cache=True, error_model="numpy")(function))
+    """Compile a numeric kernel with numba and keep the machine code on disk for the next process.
+
+    Other threads run meanwhile: a kernel touches nothing but its arguments.
+    """
+    return cast(Callable[P, R], njit(cache=True, nogil=True, error_model="numpy")(function))
 
 
 def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:

@@ -121,6 +121,32 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Moti
     assert abs(np.mean(found[1:] * found[:-1]) / np.mean(found**2)) < 0.1
 
 
+def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
+    both = Problem(motions, pack(TRUTH), (), Model(), 0.06)
+    both.begins = [m.static_crossing(static_limit(both.start, m)) for m in motions]
+    found = both.run(both.start, both.begins, 0.06, 1e-6)
+    alone = [at_truth(m).run(both.start, [b], 0.06, 1e-6) for m, b in zip(motions, both.begins, strict=True)]
+    for k in (0, 1):
+        assert found[k] == pytest.approx(np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15)
+    filtered = [(j, row) for part in both._halves for j, rows in part for row in range(rows.start, rows.stop)]
+    assert sorted(filtered) == [(j, row) for j, m in enumerate(motions) for row in range(len(m.table))]
+    steps = [sum(float(np.sum(_of(motions[j], rows))) for j, rows in part) for part in both._halves]
+    longest = max(float(np.sum(_of(m, slice(k, k + 1)))) for m in motions for k in range(len(m.table)))
+    assert abs(steps[0] - steps[1]) <= 2.0 * longest
+
+
+def _of(m: Motion, rows: slice) -> np.ndarray:
+    return np.concatenate([m.steps[int(a) : int(b)] for a, b in m.table[rows, :2]])
+
+
+def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) -> None:
+    chained = motions[0].table.copy()
+    chained[1:-1, kernel.RISE] = 0.0
+    one, other = at_truth(replace(motions[0], table=chained))._halves
+    assert [rows for _, rows in one] == [slice(0, len(chained) - 1)]
+    assert [rows for _, rows in other] == [slice(len(chained) - 1, len(chained))]
+
+
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1])
     right = deviance(*problem.run(problem.start, problem.begins, 0.06, 0.0))
