@@ -15,11 +15,12 @@ import numpy as np
 
 from identification.diagnosis.contest import Contender, Round, preference
 from identification.diagnosis.joint import Added, Joint, fit
+from identification.diagnosis.marks import QUICK_SAMPLES
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
 from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, Gap, Loop, count_of_twist, lead
-from identification.diagnosis.view import QUICK_SAMPLES, View
+from identification.diagnosis.view import View
 from identification.recording import Array
 
 PAIR = ("backlash", "coupling_hysteresis")

@@ -14,8 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from identification.diagnosis.marks import RISE_SAMPLES
 from identification.diagnosis.nominal import Nominal
-from identification.diagnosis.view import RISE_SAMPLES, View
+from identification.diagnosis.view import View
 from identification.recording import Array
 from identification.signals import BoolArray, Decimator, central_difference, quantum
 

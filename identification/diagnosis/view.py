@@ -6,17 +6,14 @@ that no filter imitates physics.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy import ndimage
 
 from identification.contact_force import contact_moment
+from identification.diagnosis import marks
 from identification.diagnosis.clock import run_starts
 from identification.prepare import (
     POSITION_BANDWIDTH,
@@ -30,27 +27,12 @@ from identification.prepare import (
     without_rare,
 )
 from identification.recording import Array, Recording, RecordingError
-from identification.signals import BoolArray, Decimator, central_difference, decimator, quantum, resample, smooth
+from identification.signals import BoolArray, Decimator, central_difference, decimator, resample, smooth
 
-RISE_SAMPLES = 5
-"""Samples before a breakaway over which the torque's rise is taken."""
-STEADY_SHARE = 0.7
-"""Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
-HUNTING_SHARE = 0.09
-"""Effective value of what the filtered speed does not show, over that speed, from which on it is not steady either."""
-QUICK_SAMPLES = 2
-"""To either side of a sample, over which its speed is taken to see whether it is steady."""
-BEYOND_FILTER = 3.0
-"""Frequency that the speed over these samples reaches, over that of the filter, from which on it tells hunting from
-what the filter just cuts off."""
-THIRD_DIFFERENCE = math.sqrt(20.0)
-"""Standard deviation of third differences of white noise over its own."""
 LEAST_STEADY = 0.1
 """Share of the motion of all recordings that must be steady, for the rest to be left out."""
 SAME_ENCODER = 1e-9
 """Greatest difference of motor and joint angle, over the travel, at which one encoder was read under two names."""
-LEAST_REST_S = 0.02
-"""Rests shorter than this are not told from a slow passage through zero."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,21 +201,14 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
     hanging, inertia = _hanging(recording, angle)
     known = hanging - inertia * acceleration
     torque = smooth(drive, rate, cutoff) + known
-    sense = _sense(velocity, torque, still)
-    turned = _turned(sense)
+    sense = marks.sense(velocity, torque, still)
+    turned = marks.turned(sense)
     margin = round(1.5 * rate / cutoff)
     stopped = still | turned
-    reach = round(0.5 * rate / cutoff)
-    # Where the speed changes by more than its own size friction is no longer a function of the filtered speed: the
-    # shaft slips and nearly sticks within the filter. Where it changes faster than that speed shows, as a drive does
-    # that hunts on falling friction at up to 100 Hz, mean friction is not friction at the mean speed.
-    unsteady = _swing(velocity, reach) >= STEADY_SHARE * np.abs(velocity)
-    if rate >= 2 * QUICK_SAMPLES * BEYOND_FILTER * cutoff:
-        hidden = ndimage.uniform_filter1d((quick.velocity - velocity) ** 2, 2 * reach + 1)
-        unsteady |= hidden - quick.noise**2 >= (HUNTING_SHARE * velocity) ** 2
+    hasty = marks.unsteady(velocity, quick, rate, cutoff)
     late = widened(irregular(recording.time, grid), margin)
-    rest = _since(grid, ~still)
-    reversal = _since(grid, turned)
+    rest = marks.since(grid, ~still)
+    reversal = marks.since(grid, turned)
     motor = _motor(recording, grid, angle)
     return View(
         recording=recording,
@@ -251,9 +226,9 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         moment=contact_moment(recording, grid, angle),
         sense=sense,
         still=still,
-        rest_time=_held(rest, still),
+        rest_time=marks.held(rest, still),
         reversal_time=reversal,
-        reversal_travel=_travel(angle, turned),
+        reversal_travel=marks.travel(angle, turned),
         motor=motor,
         motor_speed=_speed(recording, motor, velocity, cutoff),
         lag=_lag(recording, grid),
@@ -262,52 +237,27 @@ def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, v
         supply=_channel(recording, "supply_voltage", grid),
         temperature=_channel(recording, "temperature", grid),
         low_pass=low_pass,
-        moving=without_rare(low_pass, widened(stopped | unsteady, margin), late),
+        moving=without_rare(low_pass, widened(stopped | hasty, margin), late),
         unsteady=without_rare(low_pass, widened(stopped, margin), late),
-        breakaways=_breakaways(still, rest, drive + known, sense),
+        breakaways=marks.breakaways(still, rest, drive + known, sense),
     )
-
-
-def _breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
-    """Return the samples at which rests end in breakaways, shape (e,)."""
-    ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
-    # What moves against the torque as a rest ends has not broken away: a count flickers, or the shaft springs back.
-    pushed = np.sign(torque)
-    kept = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]]
-    return np.array(kept, dtype=np.int64)
-
-
-class _Quick(NamedTuple):
-    """The speed within a few samples, hardly filtered, and its noise, rad/s."""
-
-    velocity: Array
-    noise: float
-
-
-def _quick(series: Array, rate: float) -> _Quick:
-    """Return the speed over :data:`QUICK_SAMPLES` to either side of each sample of a measured position."""
-    span = 2 * QUICK_SAMPLES / rate
-    padded = np.pad(series, QUICK_SAMPLES, mode="edge")
-    rough = 1.4826 * float(np.median(np.abs(np.diff(series, n=3)))) / THIRD_DIFFERENCE
-    scatter = max(rough, quantum(series) / math.sqrt(12.0))
-    return _Quick((padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span, math.sqrt(2.0) * scatter / span)
 
 
 def _motion(
     recording: Recording, grid: Array, cutoff: float, valve_side: bool
-) -> tuple[Array, Array, _Quick, BoolArray]:
+) -> tuple[Array, Array, marks.Quick, BoolArray]:
     rate = 1.0 / recording.period
     position = recording.channels.get("angle") if valve_side else joint_angle(recording)
     if position is not None:
         series = resample(recording.time, position, grid)
         still = resting(series)
         angle = smooth(series, rate, cutoff)
-        return angle, central_difference(angle, 1.0 / rate), _quick(series, rate), still
+        return angle, central_difference(angle, 1.0 / rate), marks.quick(series, rate), still
     if "velocity" not in recording.channels:
         raise RecordingError(f"{recording.name}: no angle, motor_angle or velocity channel")
     velocity = smooth(resample(recording.time, recording.channels["velocity"], grid), rate, cutoff)
     angle = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-    return angle, velocity, _Quick(velocity, 0.0), np.asarray(velocity == 0.0)
+    return angle, velocity, marks.Quick(velocity, 0.0), np.asarray(velocity == 0.0)
 
 
 def _hanging(recording: Recording, angle: Array) -> tuple[Array, float]:
@@ -369,40 +319,6 @@ def _lag(recording: Recording, grid: Array) -> Array | None:
     if float(np.ptp(lag)) < SAME_ENCODER * float(np.ptp(channels["angle"])):
         return None
     return resample(recording.time, lag, grid)
-
-
-def _sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
-    sense = np.where(still, np.sign(torque), np.sign(velocity))
-    known = np.maximum.accumulate(np.where(sense != 0.0, np.arange(len(sense)), 0))
-    return np.asarray(sense[known])
-
-
-def _swing(series: Array, reach: int) -> Array:
-    """Return greatest less least value about each sample."""
-    size = 2 * reach + 1
-    return np.asarray(ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size))
-
-
-def _turned(sense: Array) -> BoolArray:
-    """Mark samples whose direction differs from that of the one before."""
-    return np.concatenate(([False], sense[1:] != sense[:-1]))
-
-
-def _since(time: Array, marks: BoolArray) -> Array:
-    """Return the time since the last marked sample; since the start before there is one."""
-    last = np.maximum.accumulate(np.where(marks, np.arange(len(time)), 0))
-    return np.asarray(time - time[last])
-
-
-def _held(rest: Array, still: BoolArray) -> Array:
-    """Keep the length of the last rest until the next one begins."""
-    last = np.maximum.accumulate(np.where(still, np.arange(len(rest)), 0))
-    return np.asarray(rest[last])
-
-
-def _travel(angle: Array, turned: BoolArray) -> Array:
-    last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
-    return np.asarray(np.abs(angle - angle[last]))
 
 
 def torque_per_ampere(view: View) -> float:
