@@ -14,7 +14,8 @@ import numpy as np
 from identification.diagnosis.begin import begun, common_bandwidth, started
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import equations
-from identification.diagnosis.joint import Joint, pinned
+from identification.diagnosis.intervals import pinned
+from identification.diagnosis.joint import Joint
 from identification.diagnosis.judgement import effects_of, judged, too_little
 from identification.diagnosis.locate import curve
 from identification.diagnosis.result import (

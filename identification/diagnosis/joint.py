@@ -8,20 +8,16 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import stats
 
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.least import least_squares
-from identification.diagnosis.linear import STEP, Solved, displaced, sized, solve, wide
+from identification.diagnosis.linear import STEP, Solved, directions, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.nominal import STATICS, Nominal
 from identification.diagnosis.promise import promise
-from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import Stack, granting, stacked, tied
-from identification.diagnosis.terms.term import Context, Shape
+from identification.diagnosis.terms.term import Shape
 from identification.diagnosis.view import View
-from identification.estimate.assemble import WIDEST
-from identification.estimate.uncertainty import CONFIDENCE
 from identification.recording import Array
 
 ROUNDS = 12
@@ -47,8 +43,6 @@ TRIALS = 9
 ZOOMS = 3
 POLISHES, SHORTEST = 4, 1.0 / 64.0
 """Most steps of a shape beyond the grid in one round, and the least share of one that is tried."""
-COARSE, PLACE_RAD = 0.02, 0.01
-"""What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle as such, rad."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +116,7 @@ def fit(
     best = _kept(views, unit, best, step)
     # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
     left = replace(best.stack, residual=best.residual)
-    return replace(best, stack=granting(left, _directions(left, best.effects)))
+    return replace(best, stack=granting(left, directions(left, best.effects)))
 
 
 def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Joint:
@@ -313,97 +307,3 @@ def _search(cost: Callable[[Shape], float], effect: Added, share: float) -> Shap
                     best, least = trial, value
         width *= 2.0 / (TRIALS - 1)
     return best
-
-
-def _directions(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives of the model by every coefficient and continuous shape entry, shape (n, g)."""
-    parts = [np.zeros((len(stack.residual), 0))]
-    for effect in effects:
-        here = stack.whitened(stack.columns(effect.term, effect.shape))
-        if effect.term.size is None:
-            parts.append(here)
-        coefficients = np.array(effect.coefficients)
-        for index, reach in effect.term.refine.items():
-            there = stack.whitened(stack.columns(effect.term, displaced(effect.shape, index, reach, STEP)))
-            parts.append((((there - here) @ coefficients) / STEP)[:, None])
-    return np.concatenate(parts, axis=1)
-
-
-def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
-    """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks of time.
-
-    Widened by what the regressors' own errors came to on simulated rigs, which no scatter shows.
-
-    The units are left empty; the catalogue knows them.
-    """
-    if not joint.effects:
-        return ()
-    context = Context(joint.equations[0].views, joint.nominal)
-    stack = stacked(joint.equations, joint.nominal, joint.stack)
-    directions = stack.projected(_directions(stack, joint.effects))
-    scale = np.linalg.norm(directions, axis=0)
-    scale[scale == 0.0] = 1.0
-    scaled = directions / scale
-    bread = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
-    sums = stack.sums(scaled * joint.residual[:, None])
-    covariance = bread @ (sums.T @ sums) @ bread / np.outer(scale, scale)
-    wide = float(stats.t.ppf(0.5 + 0.5 * CONFIDENCE, max(stack.blocks - directions.shape[1], 3)))
-    out, at = [], 0
-    for effect in joint.effects:
-        moves = _moves(effect, context)
-        part = covariance[at : at + len(moves), at : at + len(moves)]
-        at += len(moves)
-        values = effect.parameters(context)
-        slopes = {name: np.array([move[name] - values[name] for move in moves]) / STEP for name in values}
-        half = {
-            name: math.hypot(wide * math.sqrt(max(float(s @ part @ s), 0.0)), _coarseness(name, values[name]))
-            for name, s in slopes.items()
-        }
-        out.append({name: Estimate(v, v - half[name], v + half[name], "") for name, v in values.items()})
-    return tuple(out)
-
-
-def _coarseness(name: str, value: float) -> float:
-    """Return by how much a regressor, which only resembles the physics, may put a parameter off."""
-    if name.startswith("per_"):
-        return 0.0
-    return PLACE_RAD if name.split("_")[0] in ("phase", "center", "zero", "rest") else COARSE * abs(value)
-
-
-def pinned(joint: Joint, name: str) -> bool:
-    """Whether a nominal parameter's 90 % interval is narrower than half its value (its rise, its log) a side."""
-    nominal = joint.nominal
-    torque = next(e for e in joint.equations if e.name == "torque")
-    if name not in nominal.free:
-        return True
-    scale = np.linalg.norm(torque.tangent, axis=0)
-    if not scale[nominal.free.index(name)] > 0.0:
-        return False
-    scaled = torque.tangent / np.where(scale > 0.0, scale, 1.0)
-    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0))
-    spread /= np.where(scale > 0.0, scale, 1.0)
-    rows = joint.residual[joint.stack.part("torque")]
-    noise = torque.sigma * max(1.0, float(np.sqrt(np.mean(rows**2))))
-    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * noise * float(spread[nominal.free.index(name)])
-    if name in ("omega_sf", "omega_sL"):
-        return half < WIDEST
-    base = {"Ms": "Mc", "mu_s": "mu_c"}.get(name)
-    size = nominal.get(name) - (nominal.get(base) if base else 0.0)
-    return half < WIDEST * abs(size) or name == "offset"
-
-
-def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
-    """Return the parameters after a small step along each direction of :func:`_directions`."""
-    moves = []
-    coefficients = np.array(effect.coefficients)
-    if effect.term.size is None:
-        here = effect.term.read(coefficients, effect.shape, context)
-        scale = float(np.max(np.abs(coefficients))) or 1.0
-        for k in range(len(coefficients)):
-            step = np.zeros(len(coefficients))
-            step[k] = STEP * scale
-            there = effect.term.read(coefficients + step, effect.shape, context)
-            moves.append({name: value + (there[name] - value) / scale for name, value in here.items()})
-    for index, reach in effect.term.refine.items():
-        moves.append(dict(effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)))
-    return moves

@@ -12,7 +12,7 @@ from identification.diagnosis.contest import Contender, Round, broken, probabili
 from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.generic import LINEAR_UNITS
-from identification.diagnosis.joint import estimates
+from identification.diagnosis.intervals import estimates
 from identification.diagnosis.locate import location, maps, placed
 from identification.diagnosis.one_way import one_way
 from identification.diagnosis.remembered import remembered

@@ -56,6 +56,20 @@ def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
     return (np.concatenate(free, axis=1) if free else np.zeros((len(known), 0))), known
 
 
+def directions(stack: Stack, effects: Sequence[Added]) -> Array:
+    """Return whitened derivatives of the model by every coefficient and continuous shape entry, shape (n, g)."""
+    parts = [np.zeros((len(stack.residual), 0))]
+    for effect in effects:
+        here = stack.whitened(stack.columns(effect.term, effect.shape))
+        if effect.term.size is None:
+            parts.append(here)
+        coefficients = np.array(effect.coefficients)
+        for index, reach in effect.term.refine.items():
+            there = stack.whitened(stack.columns(effect.term, displaced(effect.shape, index, reach, STEP)))
+            parts.append((((there - here) @ coefficients) / STEP)[:, None])
+    return np.concatenate(parts, axis=1)
+
+
 @dataclass(frozen=True)
 class Solved:
     """The linear problem solved at one point.

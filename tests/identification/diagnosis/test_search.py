@@ -13,7 +13,8 @@ from identification.diagnosis.begin import begun, started
 from identification.diagnosis.clock import one_clock
 from identification.diagnosis.contest import implausible
 from identification.diagnosis.diagnose import diagnose, held_out
-from identification.diagnosis.joint import Added, fit, pinned
+from identification.diagnosis.intervals import pinned
+from identification.diagnosis.joint import Added, fit
 from identification.diagnosis.kept import needed_share
 from identification.diagnosis.result import Verdict
 from identification.diagnosis.search import DRAWS, chance, flipped
