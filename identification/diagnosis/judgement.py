@@ -13,6 +13,7 @@ from identification.diagnosis.entries import ENTRIES
 from identification.diagnosis.equations import Equation
 from identification.diagnosis.generic import LINEAR_UNITS
 from identification.diagnosis.intervals import estimates
+from identification.diagnosis.kept import EXCESS
 from identification.diagnosis.locate import location, maps, placed
 from identification.diagnosis.one_way import one_way
 from identification.diagnosis.remembered import remembered
@@ -33,9 +34,10 @@ SUREST = 0.99
 UNFINISHED = 0.8
 """Most confidence in a name beside which the test says that more is missing: of 16 such blind rigs (seed 20280301) 13
 had a right name first."""
-FAINT, FAINT_MOST = 3.5, 0.9
-"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that: a fifth of it may be
-something else and still pass for noise (:data:`identification.diagnosis.kept.EXCESS`)."""
+FAINT_MOST = 0.9
+FAINT = 1.0 + (EXCESS - 1.0) / (1.0 - FAINT_MOST)
+"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that: the rest of it may
+be something else and still pass for noise (:data:`identification.diagnosis.kept.EXCESS`)."""
 UNLIKELY = 0.05
 """Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
 
