@@ -23,11 +23,11 @@ from pathlib import Path
 import numpy as np
 
 from drivers.interfaces import RawFrame
-from identification.design.forward import respond, usual_loop
 from identification.estimate import default
 from identification.estimate.long import identify_long
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
+from identification.simulate.servo_loop import respond, usual_loop
 from rig.bench import load_bench
 from rig.recorder import Recorder
 from rig.sample import Sample

@@ -16,11 +16,11 @@ from collections import defaultdict
 import numpy as np
 from scipy import stats
 
-from identification.design.forward import respond, usual_loop
 from identification.estimate.default import identify
 from identification.estimate.profile import crossings
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench, Dataset, Recording
+from identification.simulate.servo_loop import respond, usual_loop
 from rig.tables import table
 
 PERIOD_S, STAGE_S = 1e-3, 10.0

@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from drivers.amt21 import COUNTS_PER_TURN
-from identification.design.drive import drive_loop
 from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.pinning import Nominal, Sensors
 from identification.design.propose import Proposal, propose
+from identification.simulate.seen_loop import drive_loop
 from rig.bench import Bench, EncoderSection, ServoSection
 from rig.configuration import Document
 from rig.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan

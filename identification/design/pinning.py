@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.design.forward import Loop, Response, respond, usual_loop
 from identification.estimate.arrow import Arrow
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
@@ -27,6 +26,7 @@ from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import CONFIDENCE
 from identification.recording import Array, Bench, Model, Recording
+from identification.simulate.servo_loop import Loop, Response, respond, usual_loop
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4

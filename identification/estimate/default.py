@@ -15,6 +15,7 @@ from identification.estimate.bootstrap import bootstrap
 from identification.estimate.prediction_error import Refined
 from identification.estimate.profile import profiles
 from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
+from identification.estimate.rehearsed import Bias, likelihood_bias
 from identification.estimate.result import (
     SYSTEM_PARAMETERS,
     Convergence,
@@ -128,11 +129,15 @@ def _asked(
         return (), (), [f"no {what}: of the prediction errors alone, which were not taken"] if what else []
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
+    # Both are about the likeliest values: they move with what the estimate was moved by.
+    moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        curves = profiles(found.taken, units, lambda share: tell("profiles", share))
+        walked = profiles(found.taken, units, lambda share: tell("profiles", share))
+        curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
     if draws:
         rng = rng or np.random.default_rng(0)
-        resampled = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
+        drawn = bootstrap(found.taken, units, draws, rng, lambda share: tell("bootstrap", share))
+        resampled = tuple(d.moved(moved[d.name]) for d in drawn)
     return curves, resampled, []
 
 
@@ -178,7 +183,21 @@ def _refined(
     stages = (joint_convergence(refined),)
     if fault:
         return replace(plain, starts=refined.starts, stages=stages, warnings=(f"{kept}: {fault}",))
-    return _Found(dict(refined.values), spread_of(refined), floors_of(refined), refined, refined.starts, stages)
+    bias = likelihood_bias(refined.joint, refined.names)
+    found = _Found(dict(refined.values), spread_of(refined), floors_of(refined), refined, refined.starts, stages)
+    return found if bias is None else _unbiased(found, bias)
+
+
+def _unbiased(found: _Found, bias: Bias) -> _Found:
+    """Take the likelihood's bias off; what so few rehearsals leave open of it is in the covariance."""
+    values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
+    rises = all(values[static] >= values[coulomb] for coulomb, static, _ in RISES if static in values)
+    positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
+    if not (rises and positive):
+        return found
+    names = found.spread.names
+    covariance = found.spread.covariance + np.diag([bias.variances[name] for name in names])
+    return replace(found, values=values, spread=replace(found.spread, covariance=covariance))
 
 
 def solve_stages(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -148,6 +148,11 @@ class Profile:
     high: float | None
     scale: float
 
+    def moved(self, by: float) -> Profile:
+        """Return the same about an estimate that was moved."""
+        low, high = (None if end is None else end + by for end in (self.low, self.high))
+        return replace(self, values=self.values + by, low=low, high=high)
+
 
 @dataclass(frozen=True)
 class Tradeoff:
@@ -199,6 +204,11 @@ class Resampled:
     high: float | None
     draws: int
     solved: int
+
+    def moved(self, by: float) -> Resampled:
+        """Return the same about an estimate that was moved."""
+        low, high = (None if end is None else end + by for end in (self.low, self.high))
+        return replace(self, low=low, high=high)
 
 
 @dataclass(frozen=True)

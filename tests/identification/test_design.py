@@ -13,7 +13,6 @@ from identification.design import pinning, search
 from identification.design import propose as proposing
 from identification.design import rehearsal as rehearsing
 from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.forward import respond, usual_loop
 from identification.design.pinning import (
     NAMES,
     NOTHING,
@@ -33,6 +32,7 @@ from identification.design.shares import best_shares
 from identification.estimate.result import Parameter
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
+from identification.simulate.servo_loop import respond, usual_loop
 
 from .synthetic import BENCH, friction
 

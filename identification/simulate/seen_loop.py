@@ -13,9 +13,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.forward import Loop, usual_loop
 from identification.prepare import ampere_torque
 from identification.recording import Array, Recording
+from identification.simulate.servo_loop import Loop, usual_loop
 
 _MEAN = 4
 """Samples over which both sides are averaged."""
@@ -41,7 +41,9 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
         return None
     middle = _DELAYS_S[len(_DELAYS_S) // 2]
     late = min(_LATENESSES, key=lambda cycles: _fit(usable, cycles, middle)[1])
-    gains, misfit = min((_fit(usable, late, delay) for delay in _DELAYS_S), key=lambda fit: fit[1])
+    fits = [_fit(usable, late, delay) for delay in _DELAYS_S]
+    best = min(range(len(fits)), key=lambda k: fits[k][1])
+    gains, misfit = fits[best]
     if misfit > _MISFIT or np.any(gains <= 0.0):
         return None
     velocity, total, product = float(gains[0]), float(gains[1] / gains[0]), float(gains[2] / gains[0])
@@ -49,7 +51,18 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
     half = 0.5 * total
     apart = math.sqrt(max(half * half - product, 0.0))
     usual = usual_loop(1.0, torque_limit, count)
-    return Loop(half + apart, velocity, half - apart, usual.filter_Hz, torque_limit, count)
+    # Of the delay, what the filter on the speed does not explain is the torque's own.
+    lag = max(_least(_DELAYS_S, [m for _, m in fits], best) - 1.0 / (2.0 * math.pi * usual.filter_Hz), 0.0)
+    return Loop(half + apart, velocity, half - apart, usual.filter_Hz, torque_limit, count, lag)
+
+
+def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
+    """Return where a parabola through the least of evenly spaced misfits, squared, and its neighbours is least."""
+    if not 0 < best < len(places) - 1:
+        return places[best]
+    before, here, after = (m * m for m in misfits[best - 1 : best + 2])
+    bend = before - 2.0 * here + after
+    return places[best] + (0.5 * (before - after) / bend if bend > 0.0 else 0.0) * (places[1] - places[0])
 
 
 def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Array, float]:

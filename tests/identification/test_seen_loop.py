@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.design.drive import drive_loop
-from identification.design.forward import Loop, respond
 from identification.model.nominal import NOMINAL
 from identification.recording import Bench, Recording
+from identification.simulate.seen_loop import drive_loop
+from identification.simulate.servo_loop import Loop, respond
 
 PERIOD = 1e-3
 STEP = 2.0 * np.pi / 409600.0

@@ -24,7 +24,7 @@ _MC, _DM, _OMEGA_SF, _SIGMA_2, _INERTIA, _MU_C, _DMU, _OMEGA_SL, _MU_2 = range(9
 
 @dataclass(frozen=True)
 class Loop:
-    """The drive as it is assumed: position P and velocity PI with feedforward; torque follows at once.
+    """The drive as it is assumed: position P and velocity PI with feedforward.
 
     Attributes:
         position_gain: 1/s.
@@ -35,6 +35,7 @@ class Loop:
         count: Joint angle of one step of the encoder that the drive follows, rad; 0 for an exact one. At the speeds of
             a Stribeck curve its steps come through the speed filter as torque, and a target in whole counts through the
             feedforward.
+        lag: Of the torque behind what the loop asks for, s; 0 where it follows at once.
     """
 
     position_gain: float
@@ -43,6 +44,7 @@ class Loop:
     filter_Hz: float
     torque_limit: float
     count: float = 0.0
+    lag: float = 0.0
 
 
 def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
@@ -93,7 +95,9 @@ def respond(
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
-    gains = np.array([loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit, loop.count])
+    lag = 1.0 - math.exp(-period / steps / loop.lag) if loop.lag > 0.0 else 1.0
+    own = [loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit, loop.count, lag]
+    gains = np.array(own)
     angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
     lost = np.zeros_like(command) if disturbance is None else disturbance
     if loop.count > 0.0:
@@ -120,6 +124,7 @@ def _follow(
     h = period / steps
     static = p[_MC] + p[_DM] + moment * (p[_MU_C] + p[_DMU])
     theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
+    given = 0.0
     angle[0] = theta
     for k in range(1, len(command)):
         rate = (command[k] - command[k - 1]) / period
@@ -135,6 +140,8 @@ def _follow(
             if abs(drive) <= gains[4] or drive * error < 0.0:
                 integral += gains[2] * h * error
             drive = min(max(drive, -gains[4]), gains[4])
+            given += gains[6] * (drive - given)
+            drive = given
             total += drive
             peaks[1] = max(peaks[1], abs(drive))
             drive -= lost[k]
