@@ -1,12 +1,12 @@
 """What the likelihood of the prediction errors puts off, found by rehearsal.
 
 Right after a breakaway friction falls steeply, and the filter is linear (to second order) about its prediction: it
-takes noise there to speed the onset up more than it does. And within the period of a breakaway the torque is no straight
-line, as the drive answers. So the likeliest values stand beside the true ones, most where static friction is high. The
-experiment is simulated at the estimate, under its own commands and by the drive's loop as the recordings show it, and
-what one step of the likelihood makes of the values simulated is the bias there (indirect inference: Gourieroux, Monfort
-and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise is used twice, the second time with its sign turned, so that
-what is odd in it cancels and few rehearsals are enough.
+takes noise there to speed the onset up more than it does. And within the period of a breakaway the torque is no
+straight line, as the drive answers. So the likeliest values stand beside the true ones, most where static friction is
+high. The experiment is simulated at the estimate, under its own commands and by the drive's loop as the recordings show
+it, and what one step of the likelihood makes of the values simulated is the bias there (indirect inference: Gourieroux,
+Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise is used twice, the second time with its sign
+turned, so that what is odd in it cancels and few rehearsals are enough.
 """
 
 from __future__ import annotations

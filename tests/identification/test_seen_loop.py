@@ -10,7 +10,7 @@ import pytest
 
 from identification.model.nominal import NOMINAL
 from identification.recording import Bench, Recording
-from identification.simulate.seen_loop import drive_loop
+from identification.simulate.seen_loop import _least, drive_loop
 from identification.simulate.servo_loop import Loop, respond
 
 PERIOD = 1e-3
@@ -51,6 +51,21 @@ def test_a_late_command_does_not_change_them() -> None:
     assert gains[0] is not None
     assert gains[1] is not None
     assert gains[1].velocity_gain == pytest.approx(gains[0].velocity_gain, rel=0.02)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.25e-3])
+def test_how_late_the_torque_is_comes_from_the_delay(lag: float) -> None:
+    found = drive_loop([recorded(Loop(60.0, 120.0, 60.0, 400.0, 75.0, STEP, lag))], 75.0, STEP)
+    assert found is not None
+    assert found.lag == pytest.approx(lag, abs=0.12e-3)
+
+
+def test_the_least_of_a_parabola() -> None:
+    places = [0.0, 1.0, 2.0, 3.0]
+    misfits = [math.sqrt((p - 1.3) ** 2 + 0.1) for p in places]
+    assert _least(places, misfits, 1) == pytest.approx(1.3)
+    assert _least(places, misfits[::-1], 0) == 0.0
+    assert _least(places, [1.0, 1.0, 1.0, 1.0], 1) == 1.0
 
 
 def test_what_is_no_such_loop_is_not_taken_for_one() -> None:

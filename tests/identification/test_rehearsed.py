@@ -1,0 +1,131 @@
+"""By how much the likelihood is off, foretold by rehearsals and held against the simulated machine."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.mock.plant.constants import Joint, Machine, Sensing
+from identification.estimate import default
+from identification.estimate import innovations as kernel
+from identification.estimate.default import _Found, _unbiased, identify
+from identification.estimate.levenberg import minimise_deviance
+from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
+from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.rehearsed import Bias, likelihood_bias
+from identification.estimate.stretches import motion
+from identification.estimate.uncertainty import Spread
+from identification.recording import Dataset, Model, Pendulum, Recording
+
+from .practical import beginning, command, logged, simulated
+from .synthetic import TRUTH
+
+NAMES = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2", "J")
+STICKY = {**TRUTH, "mu_c": 0.034, "mu_s": 0.1}
+"""A load that breaks away at three times its sliding friction, where the likelihood errs most."""
+
+
+def seen(recording: Recording) -> Recording:
+    """Return a recording that logs its command too, by which the drive's loop is seen."""
+    return replace(recording, channels={**recording.channels, "command": command(recording.time)})
+
+
+def sticky(seed: int) -> list[Recording]:
+    joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
+    machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.15))
+    return [seen(logged(simulated(2 * seed + int(w > 0.0), w, machine), w)) for w in (0.0, 30.6)]
+
+
+def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES) -> Problem:
+    """Return the joint problem at these values, its breakaways and noise levels the likeliest."""
+    motions = [m for r in recordings if (m := motion(r)) is not None]
+    problem = Problem(motions, pack(values), [], Model(), torque_noise(motions))
+    problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in motions]
+    problem.noise, problem.angle_noise = likeliest_noise(problem, problem.noise)
+    problem.weigh()
+    problem.seek_breakaways(CLIP)
+    problem.free = tuple(INDEX[n] for n in names)
+    return problem
+
+
+def likeliest(problem: Problem) -> dict[str, float]:
+    """Return the likeliest of all but the inertia, from the values at which a problem stands."""
+    problem.free = tuple(k for k in problem.free if k != kernel.INERTIA)
+    found = minimise_deviance(
+        problem.predictions, problem.derivatives, problem.origin(), threshold=CLIP, tolerance=0.05
+    )
+    return unpack(problem.parameters(found.x), [n for n in NAMES if n != "J"])
+
+
+def test_where_static_friction_is_high_the_likelihood_errs_as_foretold() -> None:
+    errors, foretold = [], []
+    for seed in range(2):
+        problem = at(STICKY, sticky(seed))
+        bias = likelihood_bias(problem, NAMES)
+        assert bias is not None
+        foretold.append(bias.shifts["mu_s"] / STICKY["mu_s"])
+        errors.append(likeliest(problem)["mu_s"] / STICKY["mu_s"] - 1.0)
+    error, told = float(np.mean(errors)), float(np.mean(foretold))
+    assert error > 0.004
+    assert abs(error - told) < 0.5 * error
+
+
+def test_a_rehearsal_is_the_same_each_time_and_changes_nothing() -> None:
+    recordings = [seen(logged(simulated(0, 0.0), 0.0))]
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, recordings, names)
+    before = problem.start.copy(), [b.copy() for b in problem.begins]
+    bias = likelihood_bias(problem, names)
+    assert bias is not None
+    assert bias.shifts["J"] == bias.variances["J"] == 0.0
+    assert all(v > 0.0 for n, v in bias.variances.items() if n != "J")
+    assert all(abs(bias.shifts[n]) < 0.01 * TRUTH[n] for n in names)
+    assert np.array_equal(problem.start, before[0])
+    assert all(np.array_equal(a, b) for a, b in zip(problem.begins, before[1], strict=True))
+    assert likelihood_bias(problem, names) == bias
+
+
+def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset = Dataset((beginning(logged(simulated(0, 0.0), 0.0), 10.0),))
+    likely = identify(dataset, profile=True, draws=20)
+    shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
+    bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
+    monkeypatch.setattr(default, "likelihood_bias", lambda _joint, _names: bias)
+    moved = identify(dataset, profile=True, draws=20)
+    for name, shift in shifts.items():
+        assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
+    for one, other in ((likely.profiles, moved.profiles), (likely.resampled, moved.resampled)):
+        for before, after in zip(one, other, strict=True):
+            assert (before.low is None) == (after.low is None)
+            if before.low is not None and after.low is not None:
+                assert after.low == pytest.approx(before.low - shifts[before.name])
+    width, wider = (r.parameters["Ms"] for r in (likely, moved))
+    assert width.high is not None
+    assert wider.high is not None
+    assert wider.high - moved.values()["Ms"] == pytest.approx(
+        math.hypot(width.high - likely.values()["Ms"], 1.6449 * 0.01), rel=1e-4
+    )
+
+
+def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
+    recordings = [logged(simulated(0, 0.0), 0.0)]
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    assert likelihood_bias(at(TRUTH, recordings, names), names) is None  # no command
+    known = [seen(recordings[0])]
+    assert likelihood_bias(at(TRUTH, known, (*names, "offset")), names) is None
+    hanging = [replace(known[0], pendulum=Pendulum(0.1, 0.1))]
+    assert likelihood_bias(at(TRUTH, hanging, names), names) is None
+
+
+def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
+    names = ("Mc", "Ms", "omega_sf")
+    found = _Found({"Mc": 6.0, "Ms": 12.0, "omega_sf": 0.05}, Spread(names, 1e-4 * np.eye(3), np.inf))
+    small = Bias({"Mc": 0.1, "Ms": -0.1, "omega_sf": 0.001}, dict.fromkeys(names, 1e-6))
+    corrected = _unbiased(found, small)
+    assert corrected.values == pytest.approx({"Mc": 5.9, "Ms": 12.1, "omega_sf": 0.049})
+    assert np.diag(corrected.spread.covariance) == pytest.approx(1.01e-4)
+    for name, shift in (("Ms", 6.5), ("omega_sf", 0.06)):
+        assert _unbiased(found, Bias({**small.shifts, name: shift}, small.variances)) is found
