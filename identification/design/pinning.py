@@ -32,10 +32,6 @@ NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
 """Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
 
-STRAY_STRETCHES = 2
-"""Stretches of motion that there may be more or fewer than ways of the command. With more the shaft sticks and slips;
-with fewer it turns without coming to rest, which next to chance it may always do."""
-
 MOST = 2.0
 """Median stretches that one is believed as at most: the stretches of a sine differ by chance alone, and where one says
 far more than the others it was all but stopped there, which no other run need repeat."""
@@ -146,10 +142,10 @@ def stage_response(
 def stage_information(stage: PlannedStage, nominal: Nominal, response: Response | None = None) -> Information:
     """Return the Fisher information of one stage on all nine, each relative to its value, in the order of NAMES.
 
-    Zero where the stage has too few breakaways, or moves so that the estimator could not follow, or does not go from
-    rest to rest with its command: what it does then is up to drive and chance. Less by as much as the likelihood is
-    steeper at the values simulated than noise makes it: the filter errs by about the root of that there. Relative,
-    so that the matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb level.
+    Zero where the stage has too few breakaways, or moves so that the estimator could not follow. Less by as much as the
+    likelihood is steeper at the values simulated than noise makes it: the filter errs by about the root of that there.
+    Relative, so that the matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb
+    level.
 
     Args:
         stage: What is commanded, under which weight.
@@ -158,8 +154,6 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
     """
     found = motion(_recording(stage, nominal, response or stage_response(stage, nominal)))
     if found is None or len(found.table) < LEAST_BREAKAWAYS:
-        return NOTHING
-    if abs(len(found.table) - _ways(stage.command)) > STRAY_STRETCHES:
         return NOTHING
     names = NAMES if stage.weight else SYSTEM_PARAMETERS
     free = [INDEX[n] for n in names]
@@ -204,13 +198,6 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
     """Return the size of some unknowns' scores in the metric of what is known of them."""
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
-
-
-def _ways(command: Array) -> int:
-    """Return how many times a command sets out in a direction that it did not have before."""
-    direction = np.sign(np.diff(command))
-    direction = direction[direction != 0.0]
-    return 1 + int(np.count_nonzero(np.diff(direction)))
 
 
 def _recording(stage: PlannedStage, nominal: Nominal, response: Response) -> Recording:

@@ -21,10 +21,10 @@ from identification.design.pinning import Nominal, Pinned, PlannedStage, pinned,
 from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Design, Search, drives, halved, planned
 
-CANDIDATES = (20, 50)
+CANDIDATES = (80, 200)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
-REFINEMENTS = 70
-"""Small changes tried afterwards of those that get a share."""
+REFINEMENTS, TOGETHER = 28, 10
+"""How often small changes of those that get a share are tried afterwards, and how many each time."""
 REHEARSALS = 3
 """Designs that go through the whole method before milder ones are tried, at most."""
 BORNE_OUT = 2.0
@@ -93,7 +93,8 @@ def propose(
             search.add(search.random(loaded))
             tell("candidates", (number + (k + 1) / wanted) / len(kinds))
     for k in range(REFINEMENTS):
-        search.add(search.changed())
+        for part in search.changed(TOGETHER):
+            search.add(part)
         tell("refinement", (k + 1) / REFINEMENTS)
     best, chosen, tried = now, Design(present, present_pins(frames, nominal)), 0
     designs = search.designs()

@@ -26,13 +26,13 @@ from identification.recording import Array
 
 DESIGNS = 5
 """Designs that are judged as wholes, at most."""
-PARTS = 5
+PARTS = 7
 """Stages of a design, at most."""
-_SUPPORT = 9
+_SUPPORT = 12
 """Excitations with the greatest shares, of which a design's are chosen."""
 TRIAL_S, TRIAL_PERIODS = 5.0, 2.5
 """Least duration of the stage on which an excitation is judged, s and its periods."""
-LEAST_S = 4.0
+LEAST_S = 3.0
 """Least duration of a proposed stage."""
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
 """Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where that one is assumed,
@@ -123,10 +123,10 @@ class Search:
         """Return the target's relative half width, more where another's exceeds what it is now; the less the better."""
         return pins.half_widths[self.target] * max(1.0, pins.worst / max(self.now, pins.half_widths[self.target]))
 
-    def add(self, part: Part | None) -> None:
+    def add(self, part: Part) -> None:
         """Judge an excitation on a short stage and keep it where it says anything."""
-        rate = None if part is None else self._rate(part, self.nominal)
-        if part is not None and rate is not None:
+        rate = self._rate(part, self.nominal)
+        if rate is not None:
             self.pool.append(Candidate(part, rate))
 
     def random(self, loaded: bool) -> Part:
@@ -156,12 +156,15 @@ class Search:
         frequency = acceleration / (2.0 * math.pi * speed)
         return min(max(frequency, _SLOWEST_HZ), self.bounds.highest_Hz), speed
 
-    def changed(self) -> Part | None:
-        """Return a small change of an excitation that gets a share, and now and then the next weight up or down."""
+    def changed(self, count: int) -> list[Part]:
+        """Return small changes of excitations that get a share; none where a kind of stage has no excitation."""
         if not self._complete(self.pool):
-            return None
+            return []
         shares = self._shares(self.pool)
-        part = self.pool[int(self.rng.choice(len(shares), p=shares))].part
+        return [self._changed(self.pool[k].part) for k in self.rng.choice(len(shares), count, p=shares)]
+
+    def _changed(self, part: Part) -> Part:
+        """Return a small change of an excitation, and now and then the next weight up or down."""
         e, ladder = part.excitation, sorted({*self.bounds.weights, part.excitation.weight})
         ((amplitude, frequency),) = e.tones
         wider, faster = np.exp(_SPREAD * self.rng.standard_normal(2))

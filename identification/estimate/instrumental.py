@@ -131,7 +131,7 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
     for _ in range(_TURNS):
         if others:
             problem.free = others
-            problem.doubt = _doubted(problem)
+            problem.doubt = doubted(problem)
             refine(problem, (1.0,))
             problem.free = free
         if others == free:
@@ -150,7 +150,7 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
             break
     # Which stretch says far more than the others hangs on the values: where the fit ends another may.
     problem.free = others
-    problem.doubt = _doubted(problem)
+    problem.doubt = doubted(problem)
     problem.free = free
     problem.weigh()
     return problem.residuals(problem.origin())
@@ -245,7 +245,7 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
     return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
 
 
-def _doubted(problem: Problem) -> Array:
+def doubted(problem: Problem) -> Array:
     """Return by how much each stretch's noise is taken to be larger, so that no single one carries the estimate.
 
     Judged as if nothing were doubted yet: what the problem holds of doubt is taken back.

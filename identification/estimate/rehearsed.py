@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.estimate import innovations as kernel
 from identification.estimate.information import settle
+from identification.estimate.instrumental import doubted
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import Problem, static_limit, unpack
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
@@ -29,12 +31,17 @@ from identification.simulate.servo_loop import Loop, respond
 
 PAIRS = 3
 """Noises, each taken both ways."""
+_WAYS = 2
+_TRIED, _ENOUGH = 6, 2
+"""Pairs tried where rehearsals fail, as one in which a shaft that all but stops is lost; and those that are enough."""
+_LARGE, _TURNS = 2.0, 3
+"""Deviations of a bias beyond which values nearer to the true ones are rehearsed in turn, and how often at most."""
 _HALF = math.sqrt(0.5)
 """Of the torque's noise in the torque itself, and in its measurement alike: which of the two it is rests on the drive's
 current loop, and both ends have been seen."""
 _HEADROOM = 2.0
 """The drive's greatest torque over the greatest in the recordings."""
-_FARTHEST = 6.0
+_FARTHEST = 20.0
 """Deviations beyond which a rehearsal's step is one of a filter that lost the shaft, and tells nothing."""
 
 
@@ -64,23 +71,59 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     loop = _loop(joint.motions)
     if loop is None or kernel.OFFSET in joint.free:
         return None
-    rehearsals = []
-    for seed in range(PAIRS):
-        both = [_step(joint, loop, seed, sign) for sign in (1.0, -1.0)]
-        shifts = [_named(joint, step, names) for step in both if step is not None]
-        if len(shifts) < len(both):
-            return None
-        rehearsals.append(np.mean(shifts, axis=0))
-    mean, spread = np.mean(rehearsals, axis=0), np.var(rehearsals, axis=0, ddof=1) / PAIRS
+    start, found = joint.start, None
+    for _ in range(_TURNS):
+        steps = _rehearsals(joint, start, loop)
+        if steps is None:
+            break
+        found = steps[0]
+        mean = np.mean(found, axis=0)
+        if np.max(np.abs(mean) / steps[1]) < _LARGE:
+            break
+        # What the estimate is off by is what values that far from it are put off by.
+        start = joint.parameters(_away(joint, mean))
+    if found is None:
+        return None
+    moved = np.array([_named(joint, pair, names) for pair in found])
+    mean, spread = _named(joint, np.mean(found, axis=0), names), np.var(moved, axis=0, ddof=1) / len(moved)
     return Bias(dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)))
 
 
-def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
-    """Return what a step of the free parameters does to named ones, in their own units, shape (p,)."""
+def _rehearsals(joint: Problem, start: Array, loop: Loop) -> tuple[Array, Array] | None:
+    """Return the mean step of each pair, shape (pairs, p), and its deviations, shape (p,); None where too few work.
+
+    Args:
+        joint: The problem whose experiment is simulated.
+        start: The values that are simulated.
+        loop: The drive's.
+    """
+    there = copy(joint)
+    there.start = start
+    steps: list[Array] = []
+    deviations: list[Array] = []
+    for seed in range(_TRIED):
+        both = [step for step in (_step(there, loop, seed, sign) for sign in (1.0, -1.0)) if step is not None]
+        if len(both) == _WAYS:
+            steps.append(np.mean([step for step, _ in both], axis=0))
+            deviations += [deviation for _, deviation in both]
+        if len(steps) == PAIRS:
+            break
+    if len(steps) < _ENOUGH:
+        return None
+    return np.array(steps), np.median(deviations, axis=0)
+
+
+def _away(joint: Problem, step: Array) -> Array:
+    """Return the free vector that lies a step of the parameters before the problem's start."""
     there = joint.origin()
-    there[: len(step)] += step
-    moved, here = (unpack(p, names) for p in (joint.parameters(there), joint.start))
-    return np.array([moved[n] - here[n] for n in names])
+    there[: len(step)] -= step
+    return there
+
+
+def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
+    """Return by how much named parameters change in a step that ends at the start, in their own units, shape (p,)."""
+    before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.start))
+    return np.array([here[n] - before[n] for n in names])
 
 
 def _loop(motions: Sequence[Motion]) -> Loop | None:
@@ -97,43 +140,48 @@ def _step_of_encoder(m: Motion) -> float:
     return math.sqrt(12.0 * m.angle_variance)
 
 
-def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> Array | None:
-    """Return one step of the likelihood from the values that were simulated; None where the filter does not follow."""
+def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> tuple[Array, Array] | None:
+    """Return one step of the likelihood from the values that are simulated, and its deviations, shape (p,) each.
+
+    No step, of infinite deviation, where a parameter is not found by likelihood; None where the filter does not follow.
+    """
     rng = np.random.default_rng(seed)
     motions = [_rehearsed(joint, m, loop, sign, rng) for m in joint.motions]
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
-    problem = Problem(seen, joint.start, joint.free, Model(alpha=joint.alpha), joint.noise)
+    sought = tuple(k for k in joint.free if k != kernel.INERTIA)
+    problem = Problem(seen, joint.start, sought, Model(alpha=joint.alpha), joint.noise)
     problem.angle_noise = joint.angle_noise
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
     settle(problem, CLIP)
     problem.weigh()
     if problem.seek_breakaways(CLIP):
         settle(problem, CLIP)
-    return _scored(problem)
+    problem.doubt = doubted(problem)
+    scored = _scored(problem)
+    if scored is None:
+        return None
+    step, deviation = np.zeros(len(joint.free)), np.full(len(joint.free), np.inf)
+    places = [joint.free.index(k) for k in sought]
+    step[places], deviation[places] = scored
+    return step, deviation
 
 
-def _scored(problem: Problem) -> Array | None:
-    """Return a step of Fisher scoring on parameters and breakaway times, the inertia held; the parameters' part."""
+def _scored(problem: Problem) -> tuple[Array, Array] | None:
+    """Return the parameters' part of a step of Fisher scoring on them and breakaway times, and its deviations."""
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
     jacobian, widening = problem.derivatives(x, errors, deviations)
     residual = np.clip(errors / deviations, -CLIP, CLIP)
     score = jacobian.back(residual) + widening.back(1.0 - residual**2)
     known = jacobian.product() + 2.0 * widening.product()
-    sought = [k for k in range(len(score)) if k >= count or problem.free[k] != kernel.INERTIA]
     try:
-        inverse = np.linalg.inv(known[np.ix_(sought, sought)])
+        inverse = np.linalg.inv(known)
     except np.linalg.LinAlgError:
         return None
-    moved = -inverse @ score[sought]
-    inside = sum(k < count for k in sought)
-    if np.any(np.abs(moved[:inside]) > _FARTHEST * np.sqrt(np.diag(inverse)[:inside])):
-        return None
-    step = np.zeros(count)
-    step[sought[:inside]] = moved[:inside]
-    return step
+    step, deviation = -(inverse @ score)[:count], np.sqrt(np.diag(inverse)[:count])
+    return None if np.any(np.abs(step) > _FARTHEST * deviation) else (step, deviation)
 
 
 def _rehearsed(joint: Problem, m: Motion, loop: Loop, sign: float, rng: np.random.Generator) -> Motion | None:

@@ -25,7 +25,13 @@ stages:
 
 @pytest.fixture(autouse=True)
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    for module, name, value in ((propose, "CANDIDATES", (8, 8)), (propose, "REFINEMENTS", 2), (search, "DESIGNS", 1)):
+    few = (
+        (propose, "CANDIDATES", (8, 8)),
+        (propose, "REFINEMENTS", 1),
+        (propose, "TOGETHER", 2),
+        (search, "DESIGNS", 1),
+    )
+    for module, name, value in few:
         monkeypatch.setattr(module, name, value)
 
 
