@@ -35,10 +35,11 @@ _SEEKS = 3
 _LEAST_GAIN = 0.05
 """Of the negative log likelihood, for a fit to go on."""
 _LEAST_RESOLVED = 0.05
-_BESIDE = ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05))
+_FAR = ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05))
+_NEAR = ((kernel.OMEGA_SL, 1.08), (kernel.OMEGA_SL, 0.92))
 """Where beside the best end of the loaded stage another search begins: parameter and factor."""
-_HOPS = 2
-"""Rounds of such searches, each from the best of the one before."""
+_HOPS = (_FAR, _FAR, _NEAR, _NEAR)
+"""Rounds of such searches, each from the best of the one before; a second of a kind only where the first found one."""
 _End = tuple[bool, float, Array, list[Array]]
 """End of a search: whether its Stribeck speed is unresolved, deviance, kernel's vector, breakaway times."""
 SAME_END = 1.0
@@ -151,9 +152,12 @@ def _neighbours(problem: Problem, best: _End) -> _End:
 
     Parameters and breakaway times move together, so that a search ends where no single one of them is better.
     """
-    for _ in range(_HOPS):
+    settled = None
+    for beside in _HOPS:
+        if beside is settled:
+            continue
         begun = best
-        for place, factor in _BESIDE:
+        for place, factor in beside:
             vector = begun[2].copy()
             if place not in problem.free:
                 continue
@@ -167,7 +171,7 @@ def _neighbours(problem: Problem, best: _End) -> _End:
             problem.ends.append(end[1])
             best = min(best, end, key=lambda e: e[:2])
         if begun[1] - best[1] < SAME_END:
-            break
+            settled = beside
     return best
 
 
