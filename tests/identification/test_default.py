@@ -51,7 +51,7 @@ def test_where_the_starts_ended_is_kept(practical_result: Identification) -> Non
     unloaded, loaded = practical_result.starts
     assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
     assert unloaded.ends[-1] <= unloaded.reached
-    assert len(loaded.ends) == 3 + 4  # of the grid, and beside the best of their ends
+    assert len(loaded.ends) == 3 + 4 + 2  # of the grid, and far from and near to the best of their ends
     assert 1 <= loaded.best <= 7
     assert min(loaded.ends) < loaded.reached
 

@@ -83,6 +83,6 @@ def test_stretches_are_judged_again_where_the_fit_ends(
     def doubted(p: Problem) -> Array:
         return np.full(p.breakaways, 1.0 if p.start is begun else 2.0)
 
-    monkeypatch.setattr(instrumental, "_doubted", doubted)
+    monkeypatch.setattr(instrumental, "doubted", doubted)
     instrumental.beside_inertia(problem, fit)
     assert problem.doubt == pytest.approx(np.full(problem.breakaways, 2.0))

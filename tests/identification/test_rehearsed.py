@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.constants import Joint, Machine, Sensing
-from identification.estimate import default
+from identification.estimate import default, rehearsed
 from identification.estimate import innovations as kernel
 from identification.estimate.default import _Found, _unbiased, identify
 from identification.estimate.levenberg import minimise_deviance
@@ -18,7 +18,7 @@ from identification.estimate.prediction_problem import INDEX, Problem, pack, sta
 from identification.estimate.rehearsed import Bias, likelihood_bias
 from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import Spread
-from identification.recording import Dataset, Model, Pendulum, Recording
+from identification.recording import Array, Dataset, Model, Pendulum, Recording
 
 from .practical import beginning, command, logged, simulated
 from .synthetic import TRUTH
@@ -129,3 +129,46 @@ def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
     assert np.diag(corrected.spread.covariance) == pytest.approx(1.01e-4)
     for name, shift in (("Ms", 6.5), ("omega_sf", 0.06)):
         assert _unbiased(found, Bias({**small.shifts, name: shift}, small.variances)) is found
+
+
+def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
+    failing = {0}
+
+    def step(_joint: Problem, _loop: object, seed: int, sign: float) -> tuple[Array, Array] | None:
+        if seed in failing and sign < 0.0:
+            return None
+        out = np.zeros(len(problem.free))
+        out[problem.free.index(INDEX["Ms"])] = 1e-3 * (seed + 2.0 * sign)
+        return out, np.ones(len(problem.free))
+
+    monkeypatch.setattr(rehearsed, "_step", step)
+    bias = likelihood_bias(problem, names)
+    assert bias is not None
+    assert bias.shifts["Ms"] == pytest.approx(1e-3 * (1 + 2 + 3) / 3)
+    assert bias.variances["Ms"] == pytest.approx(1e-6 / 3)
+    failing |= {1, 2, 4, 5}  # one pair tells no variance
+    assert likelihood_bias(problem, names) is None
+
+
+def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where it is a tenth of the value, the estimate less an eleventh is off by as much."""
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
+    place = problem.free.index(INDEX["Ms"])
+
+    def step(joint: Problem, _loop: object, _seed: int, _sign: float) -> tuple[Array, Array]:
+        out = np.zeros(len(joint.free))
+        out[place] = 0.1 * joint.origin()[place]
+        return out, np.full(len(joint.free), deviation)
+
+    monkeypatch.setattr(rehearsed, "_step", step)
+    whole = problem.origin()[place]
+    found = {}
+    for deviation in (1e-3, 1e3):
+        bias = likelihood_bias(problem, names)
+        assert bias is not None
+        found[deviation] = bias.shifts["Ms"] / whole
+    assert found[1e3] == pytest.approx(0.1)
+    assert found[1e-3] == pytest.approx(1.0 / 11.0, rel=2e-3)

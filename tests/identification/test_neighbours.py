@@ -1,0 +1,49 @@
+"""The loaded stage's search goes on from far from and near to the best end of its starts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from identification.estimate import innovations as kernel
+from identification.estimate import prediction_error
+from identification.recording import Array
+
+RUGGED = {0.5: 0.0, 0.9: -10.0, 0.97: -40.0, 1.04: -20.0, 1.2: -5.0, 2.1: -15.0}
+"""Stribeck speeds at which a search ends, and their deviances."""
+
+
+@pytest.fixture
+def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a problem whose searches end at the nearest of the rugged ends."""
+
+    def refine(p: Any, _tempering: Sequence[float]) -> Array:
+        speed = p.start[kernel.OMEGA_SL]
+        p.start[kernel.OMEGA_SL] = min(RUGGED, key=lambda end: abs(end - speed))
+        return np.empty(0)
+
+    monkeypatch.setattr(prediction_error, "refine", refine)
+    monkeypatch.setattr(prediction_error, "_deviance", lambda p: RUGGED[p.start[kernel.OMEGA_SL]])
+    monkeypatch.setattr(prediction_error, "_resolved", lambda _p: True)
+    return SimpleNamespace(free=(kernel.OMEGA_SL,), motions=(), start=np.empty(0), begins=[], ends=[])
+
+
+@pytest.mark.parametrize("speed", [1.04, 2.1, 0.5])
+def test_an_end_beside_the_likeliest_is_left(problem: Any, speed: float) -> None:
+    vector = np.ones(kernel.PARAMETERS)
+    vector[kernel.OMEGA_SL] = speed
+    _, deviance, end, _ = prediction_error._neighbours(problem, (False, RUGGED[speed], vector, []))
+    assert end[kernel.OMEGA_SL] == 0.97
+    assert deviance == -40.0
+
+
+def test_searches_stop_where_nothing_better_is_found(problem: Any) -> None:
+    vector = np.ones(kernel.PARAMETERS)
+    vector[kernel.OMEGA_SL] = 0.97
+    _, deviance, _, _ = prediction_error._neighbours(problem, (False, -40.0, vector, []))
+    assert deviance == -40.0
+    assert len(problem.ends) == 2 + 2  # far and near once; the rise is not free
