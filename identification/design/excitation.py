@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 
 from identification.recording import Array
 
-_RAMP_ACCELERATION, _LEAST_RAMP_S = 2.0, 0.05
-"""Acceleration at which a proposed sine fades in, rad/s^2, and the least time that takes, s."""
+_RAMP_ACCELERATION, _LEAST_RAMP_S, _LONGEST_RAMP = 2.0, 0.05, 0.25
+"""Acceleration at which a proposed sine fades in, rad/s^2, the least time that takes, s, and its greatest share of the
+whole: both ramps lie inside."""
 
 Tone = tuple[float, float]
 """Amplitude, rad, and frequency, Hz."""
@@ -30,7 +31,8 @@ class Excitation:
         One stretch in which the filter loses it widened the interval of omega_sL twofold.
         """
         speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
-        return round(min(max(speed / _RAMP_ACCELERATION, _LEAST_RAMP_S), 1.0), 3)
+        longest = min(1.0, _LONGEST_RAMP * self.seconds)
+        return round(min(max(speed / _RAMP_ACCELERATION, _LEAST_RAMP_S), longest), 3)
 
     def lasting(self, seconds: float) -> Excitation:
         """Return the same for as many half periods of its sine as the time has room for: it ends where it began."""

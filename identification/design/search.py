@@ -46,6 +46,8 @@ _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Of a random sine at its middle, rad/s."""
 _LEAST_ACCELERATION = 0.25
 """At its ends, rad/s^2. The less it is the longer the shaft is near rest, and the more it sticks and slips."""
+_STARTING_ACCELERATION = 0.5
+"""The same of one unloaded sine at least, rad/s^2, about what Figure 10 has: with less the inertia is not found."""
 _LEAST_ANGLE = math.radians(0.3)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _HEAVIEST = 0.25
@@ -212,13 +214,15 @@ class Search:
         return set(map(self._loaded, pool)) == kinds and (False not in kinds or any(map(self._starts, pool)))
 
     def _starts(self, candidate: Candidate) -> bool:
-        """Return whether an unloaded stage leaves the fall of friction, as identification needs one for its start.
+        """Return whether an unloaded stage leaves the fall of friction fast enough for identification to start from.
 
-        Within it the equation error takes the acceleration for friction, and finds no inertia to start from.
+        Within it the equation error takes the acceleration for friction, and where there is little acceleration it
+        finds no inertia.
         """
         ((amplitude, frequency),) = candidate.part.excitation.tones
-        speed = 2.0 * math.pi * frequency * amplitude
-        return not self._loaded(candidate) and HIGHEST_SHARE * speed >= self.nominal.values["omega_sf"]
+        pace = 2.0 * math.pi * frequency
+        leaves = HIGHEST_SHARE * pace * amplitude >= self.nominal.values["omega_sf"]
+        return not self._loaded(candidate) and leaves and pace**2 * amplitude >= _STARTING_ACCELERATION
 
     def _shares(self, pool: Sequence[Candidate]) -> Array:
         return best_shares([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))

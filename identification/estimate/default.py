@@ -302,6 +302,9 @@ def refusal(refined: Refined, before: float, after: float) -> str:
 
     ``before`` and ``after`` are typical equation errors, of the values begun from and of the refined ones.
     """
+    told = (refined.whiteness, refined.unsolved, refined.strayed, after, *refined.values.values())
+    if not np.all(np.isfinite(told)):
+        return "the search ran off to values that are no numbers"
     if abs(refined.whiteness) > WHITE:
         return (
             f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, limit {WHITE}), "

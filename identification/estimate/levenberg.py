@@ -161,6 +161,7 @@ def _descend(
                 damping *= _EASIER
                 break
             damping *= _HARDER
-        if settled(gain, cost):
+        # A cost that is no number is below nothing, and no gain settles it.
+        if not gain > 0.0 or settled(gain, cost):
             break
     return Minimum(x, cost, steps)

@@ -9,6 +9,7 @@ is searched. Instrumental variables then give the inertia, which both put far of
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -176,7 +177,9 @@ def _neighbours(problem: Problem, best: _End) -> _End:
 
 
 def _deviance(problem: Problem) -> float:
-    return deviance(*problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise))
+    """Return the deviance at a problem's start; infinite where a search ran off to what is no number."""
+    found = deviance(*problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise))
+    return found if math.isfinite(found) else math.inf
 
 
 def _resolved(problem: Problem) -> bool:
@@ -249,6 +252,8 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
         except np.linalg.LinAlgError:
             # From a start without a rise, as the equation error finds it in slips, nothing tells its speed.
             continue
+        if not math.isfinite(unsolved):
+            continue
         problem.ends.append(unsolved)
         if best is None or unsolved < best[0]:
             best = (unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise)
@@ -292,7 +297,8 @@ def refine_stages(
         second.angle_noise = first.angle_noise
         strayed = refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
         evaluations += second.evaluations
-        starts.append(Starts("loaded", "-2 log likelihood", tuple(second.ends), min(second.ends) + SAME_END))
+        ends = tuple(end for end in second.ends if math.isfinite(end))
+        starts.append(Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END))
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
         vector = second.start
     free = [*free, *inertia]

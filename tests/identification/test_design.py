@@ -285,8 +285,9 @@ def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must
     assert lasting.seconds == pytest.approx(7 / 0.7)
     assert sine.lasting(7 / 0.7).seconds == lasting.seconds
     assert sine.lasting(0.1).seconds == pytest.approx(1 / 0.7, abs=1e-3)
-    assert sine.ramp == pytest.approx(2.0 * math.pi * 0.35 * 0.1 / 2.0, abs=1e-3)
-    assert Excitation(((0.4, 2.0),), 0.0, 1.0).ramp == 1.0
+    assert lasting.ramp == pytest.approx(2.0 * math.pi * 0.35 * 0.1 / 2.0, abs=1e-3)
+    assert Excitation(((0.4, 2.0),), 0.0, 10.0).ramp == 1.0
+    assert Excitation(((0.4, 2.0),), 0.0, 1.0).ramp == 0.25  # two of them lie inside
 
 
 def test_present_pins_is_the_information_of_the_stages() -> None:

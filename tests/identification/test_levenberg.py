@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -67,3 +69,15 @@ def test_an_outlier_pulls_no_more_than_its_threshold() -> None:
         return float(found.x[0])
 
     assert centre(spoilt) - centre(data) == pytest.approx(4.0 * 0.5 / SAMPLES, rel=0.05)
+
+
+def test_a_cost_that_is_no_number_ends_the_search() -> None:
+    found = minimise(
+        lambda x: np.array([math.nan, x[0]]),
+        lambda _x, _r: np.array([[0.0], [1.0]]),
+        np.ones(1),
+        threshold=1.0,
+        tolerance=1e-4,
+    )
+    assert math.isnan(found.cost)
+    assert found.x == pytest.approx(np.ones(1))
