@@ -191,6 +191,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         (proposing, "CANDIDATES", (8, 8)),
         (proposing, "REFINEMENTS", 3),
         (proposing, "TOGETHER", 1),
+        (proposing, "NOISES", 1),
         (search, "DESIGNS", 1),
     ):
         monkeypatch.setattr(module, name, value)

@@ -29,6 +29,7 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
         (propose, "CANDIDATES", (8, 8)),
         (propose, "REFINEMENTS", 1),
         (propose, "TOGETHER", 2),
+        (propose, "NOISES", 1),
         (search, "DESIGNS", 1),
     )
     for module, name, value in few:
