@@ -130,3 +130,13 @@ class Arrow:
         """Return the sums of ``own`` times each column over every stretch, shape (m, p)."""
         sums = [np.bincount(self.owners, own * column, self.stretches) for column in columns.T]
         return np.stack(sums, axis=-1) if sums else np.zeros((self.stretches, 0))
+
+
+def equilibrated(normal: Array) -> tuple[Array, Array]:
+    """Return a normal matrix with a diagonal of ones, shape (p, p), and the scale taken out of rows and columns, (p,).
+
+    The parameters' units spread its elements over many decades. A parameter that touches nothing keeps its zero.
+    """
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    return normal / np.outer(scale, scale), scale

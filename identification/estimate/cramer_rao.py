@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.estimate.arrow import Arrow
+from identification.estimate.arrow import Arrow, equilibrated
 from identification.recording import Array
 
 _SILENT = 1e-12
@@ -35,10 +35,7 @@ def bound(jacobian: Arrow, others: Arrow, stretches: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: The unknowns are not all excited.
     """
-    normal = jacobian.mixed(1.0 / stretches, others).product()
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0.0] = 1.0
-    normal = normal / np.outer(scale, scale)
+    normal, scale = equilibrated(jacobian.mixed(1.0 / stretches, others).product())
     silent = np.flatnonzero(np.diag(normal) == 0.0)
     normal[silent, silent] = _SILENT
     return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))

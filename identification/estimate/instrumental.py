@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
+from identification.estimate.arrow import Arrow, equilibrated
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
@@ -230,11 +230,9 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
     current's noise out again, and what errs at the beginning of a stretch is made good by its end.
     """
     weight = huber_weight(residual, CLIP)
-    normal = jacobian.product(weight)
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0.0] = 1.0
+    normal, scale = equilibrated(jacobian.product(weight))
     # A stretch may say nothing of its own breakaway time.
-    inverse = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True) / scale[:, None]
+    inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
     influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
     plain, sums = np.zeros((2, jacobian.stretches, influence.shape[1]))
     np.add.at(plain, jacobian.owners, influence**2)

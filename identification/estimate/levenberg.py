@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from identification.estimate.arrow import Arrow
+from identification.estimate.arrow import Arrow, equilibrated
 from identification.recording import Array
 
 _Known = TypeVar("_Known")
@@ -148,9 +148,7 @@ def _descend(
     steps = 0
     while steps < most_steps:
         normal, gradient = linearise(x, here)
-        scale = np.sqrt(np.diag(normal))
-        scale[scale == 0.0] = 1.0
-        normal = normal / np.outer(scale, scale)
+        normal, scale = equilibrated(normal)
         gain = 0.0
         while steps < most_steps and damping < _LAST_DAMPING:
             steps += 1

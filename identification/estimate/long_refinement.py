@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identification.estimate.arrow import equilibrated
 from identification.estimate.default import refine_recordings
 from identification.estimate.information import SETTLING, Reduced, reduce, settle
 from identification.estimate.noise_level import CLIP
@@ -96,11 +97,9 @@ def refine_pieces(
 
 def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> tuple[Array, Array]:
     """Return the covariance of the named parameters, the larger of information's and sandwich's, and its bound."""
-    normal = np.sum([r.normal for r in found], axis=0)
+    normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])
-    scale = np.sqrt(np.diag(normal))
-    scale[scale == 0.0] = 1.0
-    bread = np.linalg.pinv(normal / np.outer(scale, scale), hermitian=True)
+    bread = np.linalg.pinv(normal, hermitian=True)
     scaled = scores / scale
     clusters = max(len(scores), 2)
     sandwich = bread @ (scaled.T @ scaled) @ bread * clusters / max(clusters - len(names), 1)

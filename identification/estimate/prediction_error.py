@@ -36,11 +36,13 @@ _SEEKS = 3
 _LEAST_GAIN = 0.05
 """Of the negative log likelihood, for a fit to go on."""
 _LEAST_RESOLVED = 0.05
-_FAR = ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05))
-_NEAR = ((kernel.OMEGA_SL, 1.08), (kernel.OMEGA_SL, 0.92))
-"""Where beside the best end of the loaded stage another search begins: parameter and factor."""
-_HOPS = (_FAR, _FAR, _NEAR, _NEAR)
-"""Rounds of such searches, each from the best of the one before; a second of a kind only where the first found one."""
+_BESIDE = (
+    ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05)),
+    ((kernel.OMEGA_SL, 1.08), (kernel.OMEGA_SL, 0.92)),
+)
+"""Where beside the best end of the loaded stage searches begin, far and then near: parameter and factor."""
+_ROUNDS = 2
+"""Rounds of searches of a kind, each from the best end so far; the second only where the first found a better one."""
 _End = tuple[bool, float, Array, list[Array]]
 """End of a search: whether its Stribeck speed is unresolved, deviance, kernel's vector, breakaway times."""
 SAME_END = 1.0
@@ -153,27 +155,27 @@ def _neighbours(problem: Problem, best: _End) -> _End:
 
     Parameters and breakaway times move together, so that a search ends where no single one of them is better.
     """
-    settled = None
-    for beside in _HOPS:
-        if beside is settled:
-            continue
-        begun = best
-        for place, factor in beside:
-            vector = begun[2].copy()
-            if place not in problem.free:
-                continue
-            vector[place] *= factor
-            problem.start, problem.begins = (
-                vector,
-                [m.static_crossing(static_limit(vector, m)) for m in problem.motions],
-            )
-            refine(problem, (1.0,))
-            end = (not _resolved(problem), _deviance(problem), problem.start, problem.begins)
-            problem.ends.append(end[1])
-            best = min(best, end, key=lambda e: e[:2])
-        if begun[1] - best[1] < SAME_END:
-            settled = beside
+    for beside in _BESIDE:
+        for _ in range(_ROUNDS):
+            begun = best
+            for place, factor in beside:
+                if place in problem.free:
+                    best = min(best, _searched(problem, begun, place, factor), key=lambda end: end[:2])
+            if begun[1] - best[1] < SAME_END:
+                break
     return best
+
+
+def _searched(problem: Problem, begun: _End, place: int, factor: float) -> _End:
+    """Return where a search ends that begins at an end with one parameter multiplied by a factor."""
+    vector = begun[2].copy()
+    vector[place] *= factor
+    problem.start = vector
+    problem.begins = [m.static_crossing(static_limit(vector, m)) for m in problem.motions]
+    refine(problem, (1.0,))
+    end = (not _resolved(problem), _deviance(problem), problem.start, problem.begins)
+    problem.ends.append(end[1])
+    return end
 
 
 def _deviance(problem: Problem) -> float:
