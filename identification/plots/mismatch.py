@@ -11,7 +11,18 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from identification.diagnosis.result import Curve, Effect, Map, ResidualTrace
-from identification.plots.style import BLACK, BLUE, GREY, SKY, VERMILION, figure, legend_above, thinned
+from identification.plots.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    SKY,
+    VERMILION,
+    broken,
+    continuing,
+    figure,
+    legend_above,
+    thinned,
+)
 
 _COLUMNS = 2
 _MOST_MAPS = 8
@@ -58,8 +69,9 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
     made, (axis,) = figure(1, width=9.0, height=3.2)
     few = thinned(len(one.time))
     time = one.time[few]
-    axis.plot(time, factor * one.before[few], color=VERMILION, linewidth=0.9, label="before")
-    axis.plot(time, factor * one.after[few], color=BLUE, linewidth=0.9, label="after")
+    for left_over, color, label in ((one.before, VERMILION, "before"), (one.after, BLUE, "after")):
+        shown = broken(factor * left_over[few], continuing(time))
+        axis.plot(time, shown, color=color, linewidth=0.9, label=label)
     if noise_floor is not None:
         band = factor * noise_floor
         axis.axhspan(-band, band, color=GREY, alpha=0.3, linewidth=0, zorder=3, label=f"noise floor {band:.2g} {unit}")

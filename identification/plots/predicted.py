@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identification.corrected.score import Predicted
-from identification.plots.style import BLACK, BLUE, ORANGE, VERMILION, figure, legend_above, thinned
+from identification.plots.style import BLACK, BLUE, ORANGE, VERMILION, broken, continuing, figure, legend_above, thinned
 
 
 def predicted(part: Predicted, unit: str) -> Figure:
@@ -18,12 +18,13 @@ def predicted(part: Predicted, unit: str) -> Figure:
     """
     made, (top, bottom) = figure(2, height=5.0, sharex=True)
     few = thinned(len(part.time))
-    top.plot(
-        part.time[few], part.measured[few], color=BLUE, linewidth=2.0, alpha=0.55, label="measured, where it moves"
-    )
-    top.plot(part.time[few], part.model[few], color=VERMILION, linewidth=0.9, label="model")
+    time = part.time[few]
+    joined = continuing(time)
+    measured, model = (broken(side[few], joined) for side in (part.measured, part.model))
+    top.plot(time, measured, color=BLUE, linewidth=2.0, alpha=0.55, label="measured, where it moves")
+    top.plot(time, model, color=VERMILION, linewidth=0.9, label="model")
     top.set_ylabel(f"{part.equation} ({unit})")
-    bottom.plot(part.time[few], (part.measured - part.model)[few], color=BLUE, linewidth=0.8)
+    bottom.plot(time, measured - model, color=BLUE, linewidth=0.8)
     if part.error.size:
         level = float(np.sqrt(np.mean(part.error**2)))
         bottom.axhspan(-level, level, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {level:.3g} {unit}")

@@ -30,6 +30,10 @@ CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 MAX_POINTS = 5000
 
 
+_GAP = 5.0
+"""Usual steps of time beyond which two samples are not joined."""
+
+
 def figure(
     rows: int, columns: int = 1, *, width: float = 8.0, height: float = 5.0, sharex: bool = False
 ) -> tuple[Figure, list[Axes]]:
@@ -72,6 +76,15 @@ def moving(trace: Trace) -> NDArray[np.bool_]:
 def broken(values: Array, keep: NDArray[np.bool_]) -> Array:
     """Return the values with NaN where ``keep`` is false, so that a line breaks there."""
     return np.where(keep, values, np.nan)
+
+
+def continuing(time: Array) -> NDArray[np.bool_]:
+    """Return which samples come soon after the one before, shape (n,), where some have been left out (a joint at rest).
+
+    A line broken at the others does not join what lies before such a gap to what lies after it.
+    """
+    steps = np.diff(time, prepend=time[:1])
+    return np.asarray(steps <= _GAP * np.median(steps[1:])) if time.size > 1 else np.ones(time.size, dtype=bool)
 
 
 def legend_above(axis: Axes, columns: int) -> Legend | None:

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from identification.diagnosis.result import ResidualTrace
 from identification.estimate.result import Convergence, Fit, Identification, Parameter, Profile, Starts, Trace
 from identification.plots import fit as fit_plots
+from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
-from identification.plots import signals
 from identification.plots.spread import spread
-from identification.plots.style import MAX_POINTS, png
+from identification.plots.style import MAX_POINTS, continuing, png
 from identification.recording import Bench, Recording
 
 UNIT = re.compile(r"\((deg|rad/s|N m|N|m/s|mm|s|%|1|kg|A)\)$")
@@ -93,6 +94,14 @@ def test_rest_breaks_the_fitted_line() -> None:
     bottom = signals.response(one, recording, "N m").axes[-1]
     fitted = next(line for line in bottom.lines if str(line.get_label()).startswith("model"))
     assert np.array_equal(np.isnan(np.asarray(fitted.get_ydata(), dtype=float)), one.used < 0.5)
+
+
+def test_a_gap_in_time_breaks_a_line_of_what_is_left_over() -> None:
+    time = np.concatenate([np.arange(0.0, 1.0, 0.01), np.arange(1.5, 2.0, 0.01)])
+    one = ResidualTrace("run", "fit", "torque", "N m", time, np.ones(150), np.zeros(150))
+    for line in mismatch.trace(one, 0.1).axes[0].lines[:2]:
+        assert np.flatnonzero(np.isnan(np.asarray(line.get_ydata(), dtype=float))).tolist() == [100]
+    assert continuing(time[:1]).all()
 
 
 def test_the_fitted_curve_is_the_friction_law() -> None:
