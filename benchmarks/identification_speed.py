@@ -30,6 +30,7 @@ from drivers.mock.plant.direct import simulate
 from identification.estimate import varpro
 from identification.estimate.default import identify
 from identification.estimate.levenberg import huber
+from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP, torque_noise
 from identification.estimate.paper import GENERATIONS, POPULATION
 from identification.estimate.prediction_problem import Problem, pack, static_limit
@@ -173,8 +174,8 @@ def likelihood_race(
     spent_s, spent = process_time() - began, default.evaluations
     target = _worst(default.values(), truth)
     motions = [m for m in map(motion, pair) if m is not None]
-    likelihood = Problem(motions, pack(truth), (), Model(), 0.0)
-    noise = torque_noise(motions)
+    likelihood = Problem(motions, pack(truth), (), Model(), Noise(0.0))
+    noise = Noise(torque_noise(motions))
 
     def named(x: Array) -> dict[str, float]:
         parts = zip(problems, np.split(x, [problems[0].size]), strict=True)
@@ -185,7 +186,7 @@ def likelihood_race(
         for k, x in enumerate(points):
             p = pack(named(x))
             begins = [m.static_crossing(static_limit(p, m)) for m in motions]
-            errors, deviations = likelihood.run(p, begins, noise, 0.0)
+            errors, deviations = likelihood.run(p, begins, noise)
             value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, CLIP)))
             out[k] = value if np.isfinite(value) else 1e300
         return out

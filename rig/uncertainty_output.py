@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
-from identification.estimate.result import Identification, Profile, Resampled
+from identification.estimate.result import Identification, MeasuredNoise, Profile, Resampled
 from identification.plots import profile as plots
 from rig.figures import Picture
 from rig.parameter_table import Table
@@ -31,12 +33,24 @@ def uncertainty_notes(result: Identification) -> list[str]:
         lines.append(result.least_pinned)
     hit = [p.name for p in result.parameters.values() if p.at_bound]
     lines.append(f"bounds hit: {', '.join(hit)}" if hit else "bounds hit: none")
+    if result.noise:
+        lines.append(_noise_statement(result.noise))
     lines += [
         f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
         + (f"solved its equations (defect up to {number(s.reached)})" if s.absolute else "ended at the best")
         for s in result.starts
     ]
     return [f"{result.method}: {line}" for line in lines]
+
+
+def _noise_statement(noise: MeasuredNoise) -> str:
+    """Return in words what noise the recordings were found to have."""
+    torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, white"
+    if noise.correlated:
+        over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
+        torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
+    step, beyond = (f"{number(math.degrees(1.0) * each, 3)} deg" for each in (noise.encoder_step_rad, noise.angle_rad))
+    return f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and {beyond} rms beyond it"
 
 
 def profile_table(result: Identification) -> Table:
@@ -91,6 +105,7 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
             for t in result.tradeoffs
         ],
         "least_pinned": result.least_pinned,
+        "noise": None if result.noise is None else asdict(result.noise),
         "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
         "starts": [
             {"stage": s.stage, "cost": s.cost, "ends": [finite(e) for e in s.ends], "reached_best": s.best}

@@ -20,6 +20,7 @@ from identification.estimate.arrow import Arrow
 from identification.estimate.information import settle
 from identification.estimate.instruments import instruments
 from identification.estimate.leverage import bounded
+from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
@@ -157,7 +158,8 @@ def stage_information(stage: PlannedStage, nominal: Nominal, response: Response 
         return NOTHING
     names = NAMES if stage.weight else SYSTEM_PARAMETERS
     free = [INDEX[n] for n in names]
-    problem = Problem([found], pack(nominal.values), free, Model(alpha=nominal.alpha), nominal.sensors.torque_noise)
+    noise = Noise(nominal.sensors.torque_noise)
+    problem = Problem([found], pack(nominal.values), free, Model(alpha=nominal.alpha), noise)
     problem.begins = [found.static_crossing(static_limit(problem.start, found))]
     settle(problem, CLIP)
     problem.weigh()

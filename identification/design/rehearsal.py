@@ -18,6 +18,7 @@ from identification.design.pinning import NAMES, Nominal, Pinned, PlannedStage, 
 from identification.estimate.default import WHITE, identify
 from identification.estimate.information import settle
 from identification.estimate.instrumental import covariances
+from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
 from identification.estimate.prediction_error import rise_to_static
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
@@ -65,10 +66,10 @@ def expected(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     if len(known) < len(stages):
         return nothing, math.inf
     free = [INDEX[n] for n in names]
-    problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), torque_noise(known))
+    problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), Noise(torque_noise(known)))
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
     settle(problem, CLIP)
-    problem.noise, problem.angle_noise = likeliest_noise(problem, problem.noise)
+    problem.noise = likeliest_noise(problem)
     problem.weigh()
     residual = problem.residuals(problem.origin())
     inside = residual[: len(residual) - problem.breakaways]

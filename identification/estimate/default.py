@@ -20,6 +20,7 @@ from identification.estimate.result import (
     SYSTEM_PARAMETERS,
     Convergence,
     Identification,
+    MeasuredNoise,
     Profile,
     Resampled,
     Starts,
@@ -40,6 +41,8 @@ NOISE_EXCESS = 2.0
 """Greatest torque noise, over the torque's own scatter, at which the refined values are taken."""
 STRAYED = 10.0
 """Greatest growth of the loaded stage's deviance over its search at which the refined values are taken."""
+REPEATED = 0.25
+"""Greatest share of the noise's correlated part that comes again, at which the refined values are taken."""
 NO_WORSE = 1.3
 """Greatest growth of the equation error at which the refined values are taken; the true values made it up to 1.14."""
 
@@ -105,6 +108,7 @@ def identify(
         starts=found.starts,
         tradeoffs=tradeoffs(found.spread, values, units),
         least_pinned=least_pinned(found.spread, values),
+        noise=None if found.taken is None else noise_of(found.taken, torque_unit(fitted[0])),
         profiles=curves,
         resampled=resampled,
         warnings=tuple(warnings),
@@ -174,15 +178,16 @@ def _refined(
 ) -> _Found:
     """Refine equation-error values by prediction errors, and judge whether the refined ones are to be taken."""
     plain = _Found(values, block_sandwich(active, values, names, model.alpha))
-    refined = refine_recordings(recordings, values, names, model, bandwidth_Hz)
-    kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz"
-    if isinstance(refined, str):
-        return replace(plain, warnings=(f"{kept}: {refined}",))
-    before, after = (typical_error(active, v, model.alpha) for v in (values, refined.values))
-    fault = refusal(refined, before, after)
-    stages = (joint_convergence(refined),)
-    if fault:
-        return replace(plain, starts=refined.starts, stages=stages, warnings=(f"{kept}: {fault}",))
+    refined, fault = try_refinements(
+        lambda correlated: refine_recordings(recordings, values, names, model, correlated),
+        lambda v: typical_error(active, v, model.alpha),
+        values,
+    )
+    stages = () if refined is None else (joint_convergence(refined),)
+    if refined is None or fault:
+        starts = () if refined is None else refined.starts
+        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
+        return replace(plain, starts=starts, stages=stages, warnings=(kept,))
     bias = likelihood_bias(refined.joint, refined.names)
     found = _Found(dict(refined.values), spread_of(refined), floors_of(refined), refined, refined.starts, stages)
     return found if bias is None else _unbiased(found, bias)
@@ -265,9 +270,17 @@ def refine_recordings(
     values: Mapping[str, float],
     names: Sequence[str],
     model: Model,
-    bandwidth_Hz: float,
+    correlated: bool = False,
 ) -> Refined | str:
-    """Return the refined estimate, or in words why the prediction error does not apply."""
+    """Return the refined estimate, or in words why the prediction error does not apply.
+
+    Args:
+        recordings: To fit.
+        values: Equation-error values of all parameters.
+        names: Those that are asked for.
+        model: Declared terms and fixed values.
+        correlated: Whether the torque's noise is given a correlated part.
+    """
     if not names:
         return "every parameter is fixed"
     if model.friction != NOMINAL:
@@ -292,9 +305,41 @@ def refine_recordings(
         # At the bandwidth of the equation error a rise may not show, and in the breakaways it does.
         values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
     try:
-        return prediction_error.refine_stages(unloaded, loaded, values, model)
+        return prediction_error.refine_stages(unloaded, loaded, values, model, correlated)
     except np.linalg.LinAlgError:
         return "these recordings do not pin the parameters of the prediction error"
+
+
+def try_refinements(
+    attempt: Callable[[bool], Refined | str], error: Callable[[Mapping[str, float]], float], values: Mapping[str, float]
+) -> tuple[Refined | None, str]:
+    """Refine with white noise of the torque, and where that is refused for correlation, with correlated noise.
+
+    Args:
+        attempt: Refines, with a correlated part or without; words where that does not apply.
+        error: Values to typical equation error.
+        values: Those begun from.
+
+    Returns:
+        The refinement, None where there is none, and why it is not to be taken; empty where it is.
+    """
+    refined = attempt(False)
+    if isinstance(refined, str):
+        return None, refined
+    before = error(values)
+    fault = refusal(refined, before, error(refined.values))
+    if fault and _coloured(refined):
+        # What correlates may be noise of the sensor and not physics.
+        other = attempt(True)
+        if not isinstance(other, str):
+            also = refusal(other, before, error(other.values))
+            return (refined, f"{fault}; nor is it noise of the torque: {also}") if also else (other, "")
+    return refined, fault
+
+
+def _coloured(refined: Refined) -> bool:
+    """Return whether prediction errors correlate, or ask for more noise of the torque than scatters."""
+    return abs(refined.whiteness) > WHITE or refined.noise.torque > NOISE_EXCESS * refined.torque_scatter
 
 
 def refusal(refined: Refined, before: float, after: float) -> str:
@@ -310,11 +355,16 @@ def refusal(refined: Refined, before: float, after: float) -> str:
             f"prediction errors stay correlated ({refined.whiteness:+.2f} from sample to sample, limit {WHITE}), "
             "so physics is missing that the refinement would hide in the parameters"
         )
-    if refined.torque_noise > NOISE_EXCESS * refined.torque_scatter:
+    if refined.noise.torque > NOISE_EXCESS * refined.torque_scatter:
         return (
-            f"prediction errors ask for a torque noise of {refined.torque_noise:.3g}, but the torque scatters by "
+            f"prediction errors ask for a torque noise of {refined.noise.torque:.3g}, but the torque scatters by "
             f"{refined.torque_scatter:.3g} from sample to sample, so physics is missing that the refinement would hide "
             "in the parameters"
+        )
+    if refined.repeated > REPEATED:
+        return (
+            f"{100.0 * refined.repeated:.0f} % of what correlates comes again with the motion (limit "
+            f"{100.0 * REPEATED:.0f} %), so physics is missing"
         )
     if refined.unsolved > UNSOLVED:
         return f"no start solves the estimating equations of the unloaded stage (defect {refined.unsolved:.3g})"
@@ -328,6 +378,12 @@ def refusal(refined: Refined, before: float, after: float) -> str:
 def spread_of(refined: Refined) -> Spread:
     """Return the spread of refined values."""
     return Spread(refined.names, refined.covariance, math.inf)
+
+
+def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
+    """Return the noise that refined values were found with."""
+    noise, steps = refined.noise, [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions]
+    return MeasuredNoise(noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit)
 
 
 def floors_of(refined: Refined) -> dict[str, float]:

@@ -2,7 +2,8 @@
 
 The measured torque is a noisy mean over each period and the encoder is quantised, so neither an output error (which
 drifts with the torque noise) nor an equation error (which differentiates the encoder) is the right residual. The filter
-carries both: x = (angle, speed), J domega/dt = torque - friction(omega) + noise, y = angle + noise. Its normalised
+carries both: x = (angle, speed), J domega/dt = torque - friction(omega) + noise, y = angle + noise. Where the torque's
+noise has a correlated part, that is a third state, a first-order process that is held over each period. Its normalised
 innovations are white when the model is right, and their sum of squares is the likelihood (Ljung, System
 Identification, 2nd ed., 7.3 and 10.5).
 
@@ -23,6 +24,10 @@ MC, DM, OMEGA_SF, SIGMA_2, INERTIA, MU_C, DMU, OMEGA_SL, MU_2, OFFSET, PARAMETER
 # stretch does not begin at rest.
 FIRST, LAST, SIDE, RISE = range(4)
 
+# Noise of one evaluation: of the torque, its white part, N m rms; of the angle, rad^2; of the torque, its correlated
+# part, N m rms, and the time over which that is correlated, s.
+WHITE, ANGLE, CORRELATED, CORRELATION_TIME = range(4)
+
 _LEAST_SPEED = 1e-7
 _FALLEN = 37.0
 """Exponent beyond which the falling part of friction is nothing beside the rest: exp(-37) is less than rounding."""
@@ -31,8 +36,9 @@ _SLIP = 0.7
 zero; in the unit that both have (simulated in the tests)."""
 
 
-State = tuple[float, float, float, float, float]
-"""Angle, speed, and the covariance of the two: of the angle, of both, of the speed."""
+State = tuple[float, float, float, float, float, float, float, float, float]
+"""Angle, speed, and the covariance of the two: of the angle, of both, of the speed. Then the torque that correlated
+noise hides, and its covariance: with the angle, with the speed, its own, which is zero without such noise."""
 
 
 @inlined
@@ -92,13 +98,13 @@ def _predict(
 
     Speed by the linearly implicit trapezoidal rule in ``steps`` steps.
     """
-    angle, omega, p11, p12, p22 = state
+    angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
     h = (stop - start) / steps
     now, inverse = start, 1.0 / inertia
     for _ in range(int(steps)):
         speed = max(side * omega, _LEAST_SPEED)
         force, grade = _friction(speed, moment, alpha, p22, p)
-        u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET])
+        u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET] + hidden)
         half = -0.5 * h * inverse * grade
         share = 1.0 / max(1.0 - half, 0.5)
         after = speed + h * (u - force) * inverse * share
@@ -112,8 +118,17 @@ def _predict(
         p11 += 2.0 * b * p12 + b * b * p22 + q * h * h / 3.0
         p12 = growth * (p12 + b * p22) + 0.5 * q * h
         p22 = growth * growth * p22 + q + missing * missing
+        if p33 > 0.0:
+            c = h * inverse * share
+            a = 0.5 * h * c
+            along = p13 + b * p23 + a * p33
+            p11 += 2.0 * a * (p13 + b * p23) + a * a * p33
+            p12 += growth * a * p23 + c * along
+            p22 += c * (2.0 * growth * p23 + c * p33)
+            p13 = along
+            p23 = growth * p23 + c * p33
         now += h
-    return angle, omega, p11, p12, p22
+    return angle, omega, p11, p12, p22, hidden, p13, p23, p33
 
 
 @compiled
@@ -147,8 +162,9 @@ def innovations(
     out: Array,
     spread: Array,
     speeds: Array,
+    hiddens: Array,
 ) -> None:
-    """Fill ``out`` with the innovations of every stretch, ``spread`` with their deviations, ``speeds`` with the speed.
+    """Fill ``out`` with the innovations of every stretch, ``spread`` with their deviations; also speeds and torques.
 
     Args:
         stretches: Table of stretches of motion, shape (m, 4).
@@ -160,8 +176,8 @@ def innovations(
         moment: F_P L1, N m, shape (n,).
         extra_inertia: Known inertia added to J, kg m^2.
         alpha: Stribeck exponent.
-        noise: (torque noise rms N m, angle noise variance rad^2). The torque noise stands over the inertia on trial:
-            the true torque is then an unknown of the fit, not the measured one taken for true, which would bias J.
+        noise: As the places above have it, shape (4,). The torque noise stands over the inertia on trial: the true
+            torque is then an unknown of the fit, not the measured one taken for true, which would bias J.
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
             innovations are smooth in the parameters.
         unsure: Variance that the speed gains at each sample, as the shaft all but stops there, (rad/s)^2, shape (n,).
@@ -169,8 +185,10 @@ def innovations(
         out: Innovations, rad, shape (n,); samples outside stretches are left alone.
         spread: Their standard deviations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
+        hiddens: Filtered torque that correlated noise hides, N m, shape (n,); left alone without such noise.
     """
     inertia = p[INERTIA] + extra_inertia
+    correlated = noise[CORRELATED] > 0.0
     for j in range(len(stretches)):
         first = int(stretches[j, FIRST])
         last = int(stretches[j, LAST])
@@ -178,20 +196,25 @@ def innovations(
         if stretches[j, RISE] > 0:
             begin = begins[j]
             omega = side * _LEAST_SPEED
-            p22 = _slip_variance(noise[0], time[first] - time[first - 1], stretches[j, RISE], inertia)
+            p22 = _slip_variance(noise[WHITE], time[first] - time[first - 1], stretches[j, RISE], inertia)
         else:
             begin = time[first - 1]
             omega = speeds[first - 1]
             p22 = omega * omega
-        here, p11, p12 = angle[first - 1], noise[1], 0.0
+        here, p11, p12 = angle[first - 1], noise[ANGLE], 0.0
+        hidden, p13, p23, p33 = 0.0, 0.0, 0.0, noise[CORRELATED] * noise[CORRELATED]
         for k in range(first, last):
             start = max(begin, time[k - 1])
             if start < time[k]:
                 period = time[k] - time[k - 1]
-                rate = noise[0] * noise[0] * period / (inertia * inertia)
+                rate = noise[WHITE] * noise[WHITE] * period / (inertia * inertia)
                 middle = 0.5 * (time[k] + time[k - 1])
-                here, omega, p11, p12, p22 = _predict(
-                    (here, omega, p11, p12, p22),
+                if correlated:
+                    kept = math.exp(-period / noise[CORRELATION_TIME])
+                    hidden, p13, p23 = kept * hidden, kept * p13, kept * p23
+                    p33 = kept * kept * p33 + (1.0 - kept * kept) * noise[CORRELATED] * noise[CORRELATED]
+                here, omega, p11, p12, p22, hidden, p13, p23, p33 = _predict(
+                    (here, omega, p11, p12, p22, hidden, p13, p23, p33),
                     start,
                     time[k],
                     middle,
@@ -205,7 +228,7 @@ def innovations(
                     steps[k],
                     p,
                 )
-            variance = p11 + noise[1]
+            variance = p11 + noise[ANGLE]
             error = angle[k] - here
             out[k] = error
             spread[k] = math.sqrt(variance)
@@ -216,6 +239,13 @@ def innovations(
             missing = max(_LEAST_SPEED - side * omega, 0.0)
             omega += side * missing
             p22 += missing * missing - g2 * p12 + unsure[k]
+            if correlated:
+                g3 = p13 / variance
+                hidden += g3 * error
+                p33 -= g3 * p13
+                p23 -= g3 * p12
+                p13 *= 1.0 - g1
+                hiddens[k] = hidden
             p12 *= 1.0 - g1
             p11 *= 1.0 - g1
             speeds[k] = omega

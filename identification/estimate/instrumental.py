@@ -57,7 +57,7 @@ def solve(problem: Problem) -> Array:
     """
     for turn in range(ROUNDS):
         if turn in _LEVEL_ROUNDS:
-            problem.noise, problem.angle_noise = likeliest_noise(problem, problem.noise)
+            problem.noise = likeliest_noise(problem)
         begun = problem.origin()[: len(problem.free)]
         deviation = _round(problem)
         problem.iterations += 1
@@ -136,7 +136,7 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
             problem.free = free
         if others == free:
             break
-        problem.noise, problem.angle_noise = likeliest_noise(problem, problem.noise)
+        problem.noise = likeliest_noise(problem)
         step, deviation = _inertia_step(problem)
         here = float(np.log(problem.start[kernel.INERTIA]))
         low, high = ((here, step), high) if step > 0.0 else (low, (here, step))

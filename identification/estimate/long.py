@@ -14,12 +14,12 @@ import numpy as np
 
 from identification.estimate import default
 from identification.estimate.assemble import fit_of, parameter_table, trace_of, typical_error, units_of
-from identification.estimate.default import Progress, floors_of, free_names, refusal, solve_stages, spread_of
+from identification.estimate.default import Progress, floors_of, free_names, solve_stages, spread_of
 from identification.estimate.long_refinement import refine_pieces
-from identification.estimate.result import Identification, Starts
+from identification.estimate.result import Identification, MeasuredNoise, Starts
 from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import block_sandwich
-from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare, resting
+from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare, resting, torque_unit
 from identification.recording import Dataset, Recording
 
 LONG_SAMPLES = 200_000
@@ -95,20 +95,25 @@ def identify_long(
     warnings: list[str] = []
     tell("joint", 0.0)
     every = [part for r, parts in cut if r.role == "fit" for part in parts]
-    refined = refine_pieces(heads, every, values, names, model, bandwidth_Hz, lambda share: tell("joint", share))
-    fault = refined if isinstance(refined, str) else ""
+    refined, fault = default.try_refinements(
+        lambda correlated: refine_pieces(
+            heads, every, values, names, model, lambda share: tell("joint", share), correlated
+        ),
+        lambda v: typical_error(fit, v, model.alpha),
+        values,
+    )
     floors: dict[str, float] = {}
+    noise: MeasuredNoise | None = None
     starts: tuple[Starts, ...] = ()
-    if not isinstance(refined, str):
-        before, after = (typical_error(fit, v, model.alpha) for v in (values, refined.values))
-        fault = refusal(refined, before, after)
+    if refined is not None:
         stages.append(default.joint_convergence(refined))
         starts = refined.starts
-    if fault or isinstance(refined, str):
+    if refined is None or fault:
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
     else:
         values, spread, floors = dict(refined.values), spread_of(refined), floors_of(refined)
+        noise = default.noise_of(refined, torque_unit(heads[0]))
     tell("joint", 1.0)
     return Identification(
         method="default",
@@ -122,6 +127,7 @@ def identify_long(
         starts=starts,
         tradeoffs=tradeoffs(spread, values, units_of(fit)),
         least_pinned=least_pinned(spread, values),
+        noise=noise,
         warnings=tuple(warnings),
         traces=tuple(trace_of(parts[0], values, model.alpha) for _, parts in prepared),
         fits_by_recording={r.name: fit_of(parts, values, model.alpha) for r, parts in prepared},

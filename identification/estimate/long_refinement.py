@@ -34,8 +34,8 @@ def refine_pieces(
     values: Mapping[str, float],
     names: Sequence[str],
     model: Model,
-    bandwidth_Hz: float,
     progress: Callable[[float], None],
+    correlated: bool = False,
 ) -> Refined | str:
     """Return the refined estimate over all pieces, or in words why prediction errors do not apply.
 
@@ -45,10 +45,10 @@ def refine_pieces(
         values: Equation-error values of all parameters.
         names: Those that are asked for.
         model: Declared terms and fixed values.
-        bandwidth_Hz: Of the equation error.
         progress: Called with the share of the passes done, at most.
+        correlated: Whether the torque's noise is given a correlated part.
     """
-    start = refine_recordings(heads, values, names, model, bandwidth_Hz)
+    start = refine_recordings(heads, values, names, model, correlated)
     if isinstance(start, str):
         return start
     # By least squares the inertia would take the loop's own noise for motion; the heads' instruments know better.
@@ -63,7 +63,7 @@ def refine_pieces(
             moving = motion(piece)
             if moving is None:
                 continue
-            problem = Problem([moving], vector, free, model, start.torque_noise)
+            problem = Problem([moving], vector, free, model, start.noise)
             problem.begins = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
             settle(problem, CLIP, SETTLING if number == 0 else 1)
             begins[k] = problem.begins

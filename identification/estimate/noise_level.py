@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy import optimize
 
+from identification.estimate import innovations as kernel
+from identification.estimate.noise import Noise
 from identification.estimate.prediction_problem import Problem
 from identification.estimate.stretches import Motion
 from identification.recording import Array
@@ -15,7 +18,18 @@ from identification.recording import Array
 CLIP = 4.0
 """Prediction errors beyond this many deviations count as outliers."""
 _FARTHEST_LOG = 4.0
-_SIMPLEX = [[0.0, -1.0], [0.5, -1.0], [0.0, 0.5]]
+_SIMPLEX, _MOST = ((0.0, -1.0), (0.5, -1.0), (0.0, 0.5)), 30
+_SIMPLEX_CORRELATED = (
+    (0.0, -1.0, 0.0, 0.0),
+    (0.5, -1.0, 0.0, 0.0),
+    (0.0, 0.5, 0.0, 0.0),
+    (0.0, -1.0, 0.5, 0.0),
+    (0.0, -1.0, 0.0, 0.5),
+)
+_MOST_CORRELATED = 90
+"""Where the search for the noise begins, in logarithms over its start, and runs of the filter that it takes at most."""
+_SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
+"""Correlated parts that are tried first: over the white part, and for how many periods they are correlated."""
 
 
 def torque_noise(motions: Sequence[Motion]) -> float:
@@ -25,33 +39,65 @@ def torque_noise(motions: Sequence[Motion]) -> float:
     return float(1.4826 * spread / np.sqrt(20.0))
 
 
-def likeliest_noise(problem: Problem, first: float) -> tuple[float, float]:
-    """Return the noise levels of the greatest likelihood at the problem's start.
+def likeliest_noise(problem: Problem) -> Noise:
+    """Return the likeliest noise at a problem's start, with a correlated part where its own has one.
 
     Args:
-        problem: Its parameters and breakaway times are held.
-        first: Torque noise to start from, N m rms.
-
-    Returns:
-        Torque noise, N m rms, and angle noise beyond the encoder's quantisation, rad rms.
+        problem: Its parameters and breakaway times are held; its noise is what the search starts from.
     """
-    unit = np.array([first, math.sqrt(max(m.angle_variance for m in problem.motions))])
+    first = problem.noise
+    unit = np.array([first.torque, math.sqrt(max(m.angle_variance for m in problem.motions))])
+    simplex, most = np.array(_SIMPLEX), _MOST
+    if first.correlated > 0.0:
+        unit = np.append(unit, [first.correlated, first.correlation_s])
+        simplex, most = np.array(_SIMPLEX_CORRELATED), _MOST_CORRELATED
 
-    def levels(x: Array) -> Array:
-        return np.asarray(np.exp(np.clip(x, -_FARTHEST_LOG, _FARTHEST_LOG)) * unit)
+    def levels(x: Array) -> Noise:
+        return Noise(*(np.exp(np.clip(x, -_FARTHEST_LOG, _FARTHEST_LOG)) * unit).tolist())
 
     def cost(x: Array) -> float:
-        torque, angle = levels(x)
-        return deviance(*problem.run(problem.start, problem.begins, float(torque), float(angle)))
+        return deviance(*problem.run(problem.start, problem.begins, levels(x)))
 
     found = optimize.minimize(
         cost,
-        _SIMPLEX[0],
+        simplex[0],
         method="Nelder-Mead",
-        options={"xatol": 0.03, "fatol": 2.0, "maxfev": 30, "initial_simplex": _SIMPLEX},
+        options={"xatol": 0.03, "fatol": 2.0, "maxfev": most, "initial_simplex": simplex},
     )
-    torque, angle = levels(found.x)
-    return float(torque), float(angle)
+    return levels(found.x)
+
+
+def with_correlated(problem: Problem) -> Noise:
+    """Return the likeliest of a few noises with a correlated part, to start the search for it from."""
+    period = max(m.recording.period for m in problem.motions)
+    tried = [
+        replace(problem.noise, correlated=share * problem.noise.torque, correlation_s=periods * period)
+        for share in _SHARES
+        for periods in _PERIODS
+    ]
+    return min(tried, key=lambda noise: deviance(*problem.run(problem.start, problem.begins, noise)))
+
+
+def repeated(problem: Problem) -> float:
+    """Return the share of what correlated noise hides at the problem's start that comes again in strokes alike.
+
+    Noise does not come again, and physics that the model lacks does: at each time since breakaway in strokes the same
+    way. One where a recording has no such strokes, so that nothing tells the two apart.
+    """
+    problem.run(problem.start, problem.begins, problem.noise)
+    common, power = 0.0, 0.0
+    for m, hidden in zip(problem.motions, problem.hidden, strict=True):
+        first, last = m.table[:, [kernel.FIRST, kernel.LAST]].astype(np.int64).T
+        same = m.alike & m.alike.T & np.equal.outer(m.table[:, kernel.SIDE], m.table[:, kernel.SIDE])
+        pairs = np.argwhere(np.triu(same, 1))
+        if len(pairs) == 0:
+            return 1.0
+        for i, j in pairs:
+            length = min(last[i] - first[i], last[j] - first[j])
+            one, other = hidden[first[i] : first[i] + length], hidden[first[j] : first[j] + length]
+            common += float(one @ other)
+            power += 0.5 * float(one @ one + other @ other)
+    return common / power if power > 0.0 else 1.0
 
 
 def deviance(errors: Array, deviations: Array, clip: float = CLIP) -> float:

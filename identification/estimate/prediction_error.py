@@ -18,7 +18,8 @@ import numpy as np
 from identification.estimate import innovations as kernel
 from identification.estimate import levenberg
 from identification.estimate.instrumental import SOLVED, beside_inertia, covariances, defect, solve
-from identification.estimate.noise_level import CLIP, deviance, likeliest_noise, torque_noise
+from identification.estimate.noise import Noise
+from identification.estimate.noise_level import CLIP, deviance, likeliest_noise, repeated, torque_noise, with_correlated
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.result import Starts
 from identification.estimate.stretches import Motion
@@ -62,7 +63,8 @@ class Refined:
         names: Fitted names in that order.
         innovation_rms: 1 where the noise model holds.
         whiteness: Correlation of neighbouring innovations.
-        torque_noise: Torque noise rms that the prediction errors ask for, N m.
+        noise: Of torque and angle, that the prediction errors ask for.
+        repeated: Share of the noise's correlated part that comes again in strokes alike; zero without such a part.
         torque_scatter: The torque's own scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
@@ -80,7 +82,8 @@ class Refined:
     names: tuple[str, ...]
     innovation_rms: float
     whiteness: float
-    torque_noise: float
+    noise: Noise
+    repeated: float
     torque_scatter: float
     evaluations: int
     iterations: int
@@ -122,7 +125,7 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
         for omega_s in speeds:
             p = p.copy()
             p[speed] = omega_s
-            errors, deviations = problem.run(p, times, problem.noise, problem.angle_noise)
+            errors, deviations = problem.run(p, times, problem.noise)
             cost = deviance(errors, deviations, _SEED_CLIP)
             if omega_s not in best or cost < best[omega_s][0]:
                 best[omega_s] = (cost, p, times)
@@ -180,7 +183,7 @@ def _searched(problem: Problem, begun: _End, place: int, factor: float) -> _End:
 
 def _deviance(problem: Problem) -> float:
     """Return the deviance at a problem's start; infinite where a search ran off to what is no number."""
-    found = deviance(*problem.run(problem.start, problem.begins, problem.noise, problem.angle_noise))
+    found = deviance(*problem.run(problem.start, problem.begins, problem.noise))
     return found if math.isfinite(found) else math.inf
 
 
@@ -200,7 +203,7 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
     """
     noise = problem.noise
     for factor in tempering:
-        problem.noise = noise * factor
+        problem.noise = noise.louder(factor)
         if factor > 1.0:
             problem.weigh()
             found = levenberg.minimise(
@@ -232,7 +235,7 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
     Raises:
         numpy.linalg.LinAlgError: The instruments pin the parameters from none of the starts.
     """
-    vector, begins, noise = problem.start, problem.begins, (problem.noise, problem.angle_noise)
+    vector, begins, noise = problem.start, problem.begins, problem.noise
     every = (*system, *inertia)
     problem.free = tuple(system)
     searched = breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF) if system else []
@@ -241,7 +244,7 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
     best = None
     for start, times, share in starts:
         problem.start, problem.begins = start.copy(), list(times)
-        problem.noise, problem.angle_noise = noise
+        problem.noise = noise
         problem.start[kernel.INERTIA] *= share
         problem.free = tuple(system)
         try:
@@ -258,17 +261,21 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
             continue
         problem.ends.append(unsolved)
         if best is None or unsolved < best[0]:
-            best = (unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise)
+            best = (unsolved, problem.start, problem.begins, problem.noise)
         if unsolved < SOLVED:
             break
     if best is None:
         raise np.linalg.LinAlgError("no start pins the parameters")
-    unsolved, problem.start, problem.begins, problem.noise, problem.angle_noise = best
+    unsolved, problem.start, problem.begins, problem.noise = best
     return unsolved
 
 
 def refine_stages(
-    unloaded: Sequence[Motion], loaded: Sequence[Motion], start: Mapping[str, float], model: Model
+    unloaded: Sequence[Motion],
+    loaded: Sequence[Motion],
+    start: Mapping[str, float],
+    model: Model,
+    correlated: bool = False,
 ) -> Refined:
     """Refine stage by stage, then jointly.
 
@@ -277,6 +284,7 @@ def refine_stages(
         loaded: Recordings of the second stage, may be empty.
         start: Equation-error values of all parameters.
         model: Declared terms and fixed values.
+        correlated: Whether the torque's noise is given a correlated part.
     """
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed]
@@ -284,10 +292,12 @@ def refine_stages(
         system.append(kernel.OFFSET)
     load = [k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed]
     evaluations = 0
-    first = Problem(unloaded, pack(start), system, model, torque_noise(unloaded))
+    first = Problem(unloaded, pack(start), system, model, Noise(torque_noise(unloaded)))
     # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
     first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
-    first.noise, first.angle_noise = likeliest_noise(first, first.noise)
+    if correlated:
+        first.noise = with_correlated(first)
+    first.noise = likeliest_noise(first)
     inertia = [] if kernel.INERTIA in fixed else [kernel.INERTIA]
     unsolved = solve_first_stage(first, system, inertia)
     starts = [Starts("unloaded", "defect of the estimating equations", tuple(first.ends), SOLVED, absolute=True)]
@@ -296,7 +306,6 @@ def refine_stages(
     vector = first.start
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
-        second.angle_noise = first.angle_noise
         strayed = refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
         evaluations += second.evaluations
         ends = tuple(end for end in second.ends if math.isfinite(end))
@@ -305,7 +314,7 @@ def refine_stages(
         vector = second.start
     free = [*free, *inertia]
     joint = Problem(motions, vector, free, model, noise)
-    joint.begins, joint.angle_noise = begins, first.angle_noise
+    joint.begins = begins
     residual = beside_inertia(joint, refine)
     names = tuple(n for n, k in INDEX.items() if k in free)
     achieved, floor = _named_covariances(joint, names)
@@ -317,7 +326,8 @@ def refine_stages(
         names=names,
         innovation_rms=float(np.sqrt(np.mean(inside**2))),
         whiteness=float(np.mean(inside[1:] * inside[:-1]) / np.mean(inside**2)),
-        torque_noise=joint.noise,
+        noise=joint.noise,
+        repeated=repeated(joint) if correlated else 0.0,
         torque_scatter=torque_noise(motions),
         evaluations=evaluations + joint.evaluations,
         iterations=joint.iterations,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow
 from identification.estimate.levenberg import huber
+from identification.estimate.noise import Noise
 from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
@@ -68,7 +69,7 @@ class Problem:
     """Residuals and Jacobian of one joint fit: parameters first, then the breakaway times of all stretches."""
 
     def __init__(
-        self, motions: Sequence[Motion], start: Array, free: Sequence[int], model: Model, noise: float
+        self, motions: Sequence[Motion], start: Array, free: Sequence[int], model: Model, noise: Noise
     ) -> None:
         self.motions = tuple(motions)
         self.start = start
@@ -76,7 +77,6 @@ class Problem:
         self.alpha = model.alpha
         self.statics = [(_COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in _COULOMB_OF]
         self.noise = noise
-        self.angle_noise = 0.0
         self.begins = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
         self.iterations = 0
@@ -85,6 +85,8 @@ class Problem:
         self._out = [np.zeros(len(m.time)) for m in motions]
         self._spread = [np.zeros(len(m.time)) for m in motions]
         self._speeds = [np.zeros(len(m.time)) for m in motions]
+        self.hidden = [np.zeros(len(m.time)) for m in motions]
+        """Torque that correlated noise hid at each sample of each recording in the last run, N m."""
         self.breakaways = sum(len(m.table) for m in motions)
         inside = [self._owners(m, j) for j, m in enumerate(motions)]
         self.owners = np.concatenate([*inside, np.arange(self.breakaways)])
@@ -128,28 +130,27 @@ class Problem:
             p[rise] = static - p[coulomb]
         return p
 
-    def run(self, p: Array, times: Sequence[Array], noise: float, angle_noise: float) -> tuple[Array, Array]:
+    def run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
         """Filter every recording; return the prediction errors inside stretches and their standard deviations, rad."""
         self.evaluations += 1
         one, other = self._halves
-        beside = Thread(target=self._filter, args=(other, p, times, noise, angle_noise))
+        beside = Thread(target=self._filter, args=(other, p, times, noise))
         beside.start()
-        self._filter(one, p, times, noise, angle_noise)
+        self._filter(one, p, times, noise)
         beside.join()
         errors = [out[m.inside] for m, out in zip(self.motions, self._out, strict=True)]
         deviations = [spread[m.inside] for m, spread in zip(self.motions, self._spread, strict=True)]
         return np.concatenate(errors), np.concatenate(deviations)
 
-    def _filter(
-        self, pieces: Sequence[tuple[int, slice]], p: Array, times: Sequence[Array], noise: float, angle_noise: float
-    ) -> None:
+    def _filter(self, pieces: Sequence[tuple[int, slice]], p: Array, times: Sequence[Array], noise: Noise) -> None:
         """Filter these stretches, each piece some of one recording's; the kernel lets other threads run meanwhile."""
         for j, rows in pieces:
             m, out, spread, speeds = self.motions[j], self._out[j], self._spread[j], self._speeds[j]
-            level = np.array([noise, m.angle_variance + angle_noise**2])
+            variance = m.angle_variance + noise.angle**2
+            level = np.array([noise.torque, variance, noise.correlated, noise.correlation_s])
             kernel.innovations(
                 m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, self.alpha, level, m.steps, m.unsure, p, out, spread, speeds,
+                m.extra_inertia, self.alpha, level, m.steps, m.unsure, p, out, spread, speeds, self.hidden[j],
             )  # fmt: skip
 
     @cached_property
@@ -176,12 +177,12 @@ class Problem:
 
     def weigh(self) -> None:
         """Hold the prediction errors' weights at what they are at the start."""
-        _, deviations = self.run(self.start, self.begins, self.noise, self.angle_noise)
+        _, deviations = self.run(self.start, self.begins, self.noise)
         self._deviation = self._believed(deviations)
 
     def _believed(self, deviations: Array) -> Array:
         """Return standard deviations of prediction errors, then of the ties, with the doubt in each stretch."""
-        ties = np.full(self.breakaways, self.noise)
+        ties = np.full(self.breakaways, self.noise.whole_torque)
         return np.asarray(np.concatenate([deviations, ties]) * self.doubt[self.owners])
 
     def times(self, x: Array) -> list[Array]:
@@ -194,7 +195,7 @@ class Problem:
         """Return prediction errors, rad, then torque at each breakaway less the static limit, N m; and deviations."""
         p = self.parameters(x)
         times = self.times(x)
-        errors, deviations = self.run(p, times, self.noise, self.angle_noise)
+        errors, deviations = self.run(p, times, self.noise)
         ends = [
             m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)
             for m, t in zip(self.motions, times, strict=True)

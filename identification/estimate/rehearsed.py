@@ -152,7 +152,6 @@ def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> tuple[Array, Ar
         return None
     sought = tuple(k for k in joint.free if k != kernel.INERTIA)
     problem = Problem(seen, joint.start, sought, Model(alpha=joint.alpha), joint.noise)
-    problem.angle_noise = joint.angle_noise
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
     settle(problem, CLIP)
     problem.weigh()
@@ -189,7 +188,7 @@ def _rehearsed(joint: Problem, m: Motion, loop: Loop, sign: float, rng: np.rando
     r = m.recording
     values = unpack(joint.start, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
     values["J"] += m.extra_inertia
-    noise = sign * _HALF * joint.noise * rng.standard_normal((2, len(m.time)))
+    noise = joint.noise.drawn(rng, (2, len(m.time)), r.period, sign * _HALF)
     command = np.asarray(r.channels["command"], dtype=np.float64)
     moment = float(np.median(m.moment))
     response = respond(command, r.period, values, moment, joint.alpha, loop, noise[0])

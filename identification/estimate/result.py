@@ -212,6 +212,27 @@ class Resampled:
 
 
 @dataclass(frozen=True)
+class MeasuredNoise:
+    """Noise of the measurement, as the prediction errors ask for it.
+
+    Attributes:
+        torque: White part of the measured torque's, over one period, rms in ``unit``.
+        correlated: Its correlated part, a first-order process; zero where none was needed.
+        correlation_s: Time over which that is correlated, s.
+        angle_rad: Of the joint angle, beyond its quantisation, rms.
+        encoder_step_rad: Of its quantisation, at the joint.
+        unit: Of the torque.
+    """
+
+    torque: float
+    correlated: float
+    correlation_s: float
+    angle_rad: float
+    encoder_step_rad: float
+    unit: str
+
+
+@dataclass(frozen=True)
 class Identification:
     """Result of one identification of one dataset by one method.
 
@@ -233,6 +254,7 @@ class Identification:
         starts: Where the starts of each search ended; empty where there was one start only.
         tradeoffs: Pairs that the recordings hardly tell apart.
         least_pinned: In words, what combination of parameters the recordings pin least.
+        noise: Of the measurement; None where no prediction errors were taken.
         profiles: Profile likelihoods, where asked for.
         resampled: Spread over bootstrap draws, where asked for.
     """
@@ -253,6 +275,7 @@ class Identification:
     starts: tuple[Starts, ...] = ()
     tradeoffs: tuple[Tradeoff, ...] = ()
     least_pinned: str = ""
+    noise: MeasuredNoise | None = None
     profiles: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
 

@@ -20,7 +20,7 @@ DRAWS = 60
 @pytest.fixture(scope="module")
 def refined(practical_pair: tuple[Recording, Recording]) -> Refined:
     start = {n: NOMINAL[n] for n in SYSTEM_PARAMETERS}
-    found = refine_recordings(practical_pair[:1], start, SYSTEM_PARAMETERS, Model(), 40.0)
+    found = refine_recordings(practical_pair[:1], start, SYSTEM_PARAMETERS, Model())
     assert isinstance(found, Refined)
     return found
 

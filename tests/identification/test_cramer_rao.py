@@ -13,6 +13,7 @@ from identification.compiled import compiled
 from identification.estimate.arrow import Arrow
 from identification.estimate.cramer_rao import bound
 from identification.estimate.instruments import _smoothed, instruments
+from identification.estimate.noise import Noise
 from identification.estimate.prediction_error import Refined, refine_stages
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
 from identification.estimate.stretches import motion
@@ -101,7 +102,7 @@ def test_intervals_are_as_wide_as_the_floor_where_the_noise_is_as_assumed(estima
 
 
 def test_the_noise_is_found(estimates: list[Refined]) -> None:
-    assert np.median([r.torque_noise for r in estimates]) == pytest.approx(NOISE_N_M, rel=0.1)
+    assert np.median([r.noise.torque for r in estimates]) == pytest.approx(NOISE_N_M, rel=0.1)
 
 
 def of_parameters(table: Array) -> Arrow:
@@ -146,7 +147,7 @@ def test_smoothed_curves_are_those_of_a_filter(rows: int) -> None:
 def test_instruments_hold_nothing_of_their_own_stretch() -> None:
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE_N_M)
+    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     x = problem.origin()

@@ -103,7 +103,7 @@ def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breaka
     prepared = [prepare(r, 40.0) for r in practical_pair]
     values, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
     flat = {**values, "mu_s": values["mu_c"], "omega_sL": 1.0}
-    refined = refine_recordings(practical_pair, flat, free_names(flat, Model()), Model(), 40.0)
+    refined = refine_recordings(practical_pair, flat, free_names(flat, Model()), Model())
     assert not isinstance(refined, str)
     assert refined.values["mu_s"] == pytest.approx(TRUTH["mu_s"], rel=0.004)
     assert refined.values["omega_sL"] == pytest.approx(TRUTH["omega_sL"], rel=0.03)
@@ -144,8 +144,8 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert clean is not None
     assert rippled is not None
     right, wrong = (refine_stages([m], [], TRUTH_SYSTEM, Model()) for m in (clean, rippled))
-    assert right.torque_noise < right.torque_scatter
-    assert wrong.torque_noise > 3.0 * wrong.torque_scatter
+    assert right.noise.torque < right.torque_scatter
+    assert wrong.noise.torque > 3.0 * wrong.torque_scatter
     assert abs(right.whiteness) < 0.1
     assert refusal(right, 1.0, 1.0) == ""
     assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)

@@ -9,6 +9,7 @@ import pytest
 from scipy import linalg
 
 from identification.estimate import innovations as kernel
+from identification.estimate.noise import Noise
 from identification.estimate.noise_level import deviance, likeliest_noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.stretches import Motion, motion
@@ -21,38 +22,49 @@ STEP_S = 1e-3
 TORQUE_NOISE, ANGLE_NOISE = 0.05, 4.4e-6
 
 
-def kalman(angle: np.ndarray, torque: np.ndarray, start: float) -> np.ndarray:
-    """Normalised innovations of J domega/dt = u - Mc - sigma omega, exactly discretised, from rest at ``start``."""
-    drift = np.array([[0.0, 1.0], [0.0, -VISCOUS / INERTIA]])
-    inlet = np.array([[0.0], [1.0 / INERTIA]])
-    diffusion = np.array([[0.0, 0.0], [0.0, TORQUE_NOISE**2 * STEP_S / INERTIA**2]])
-    moves = linalg.expm(np.block([[drift, inlet], [np.zeros((1, 3))]]) * STEP_S)
-    transition, gain = moves[:2, :2], moves[:2, 2]
-    loan = linalg.expm(np.block([[-drift, diffusion], [np.zeros((2, 2)), drift.T]]) * STEP_S)  # Van Loan 1978
-    process = loan[2:, 2:].T @ loan[:2, 2:]
-    state, covariance = np.array([start, 0.0]), np.diag([ANGLE_NOISE**2, 0.0])
-    observe = np.array([1.0, 0.0])
+HIDDEN, HIDDEN_S = 0.3, 0.02
+"""Correlated part of the torque's noise, N m rms, and its correlation time, s."""
+WHITE = np.array([TORQUE_NOISE, ANGLE_NOISE**2, 0.0, 0.0])
+CORRELATED = np.array([TORQUE_NOISE, ANGLE_NOISE**2, HIDDEN, HIDDEN_S])
+
+
+def kalman(angle: np.ndarray, torque: np.ndarray, start: float, hidden: float) -> np.ndarray:
+    """Normalised innovations of J domega/dt = u + d - Mc - sigma omega, exactly discretised, from rest at ``start``.
+
+    d is a first-order process of ``hidden`` rms that is held over each period.
+    """
+    drift = np.array([[0.0, 1.0, 0.0], [0.0, -VISCOUS / INERTIA, 1.0 / INERTIA], [0.0, 0.0, 0.0]])
+    diffusion = np.diag([0.0, TORQUE_NOISE**2 * STEP_S / INERTIA**2, 0.0])
+    moves = linalg.expm(np.block([[drift, np.array([[0.0], [1.0 / INERTIA], [0.0]])], [np.zeros((1, 4))]]) * STEP_S)
+    transition, gain = moves[:3, :3], moves[:3, 3]
+    loan = linalg.expm(np.block([[-drift, diffusion], [np.zeros((3, 3)), drift.T]]) * STEP_S)  # Van Loan 1978
+    process = loan[3:, 3:].T @ loan[:3, 3:]
+    kept = np.exp(-STEP_S / HIDDEN_S)
+    keep, shock = np.diag([1.0, 1.0, kept]), np.diag([0.0, 0.0, (1.0 - kept**2) * hidden**2])
+    state, covariance = np.array([start, 0.0, 0.0]), np.diag([ANGLE_NOISE**2, 0.0, hidden**2])
+    observe = np.array([1.0, 0.0, 0.0])
     out = np.empty(len(angle))
     for k, (seen, u) in enumerate(zip(angle, torque, strict=True)):
-        state = transition @ state + gain * (u - COULOMB)
-        covariance = transition @ covariance @ transition.T + process
+        state = transition @ keep @ state + gain * (u - COULOMB)
+        covariance = transition @ (keep @ covariance @ keep + shock) @ transition.T + process
         variance = observe @ covariance @ observe + ANGLE_NOISE**2
         correction = covariance @ observe / variance
         error = seen - state[0]
         out[k] = error / np.sqrt(variance)
         state = state + correction * error
-        covariance = (np.eye(2) - np.outer(correction, observe)) @ covariance
+        covariance = (np.eye(3) - np.outer(correction, observe)) @ covariance
     return out
 
 
-def run_kernel(angle: np.ndarray, torque: np.ndarray, side: float, steps: float) -> np.ndarray:
+def run_kernel(
+    angle: np.ndarray, torque: np.ndarray, side: float, steps: float, noise: np.ndarray = WHITE
+) -> np.ndarray:
     n = len(angle)
     p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
         np.array([[1.0, float(n), side, np.inf]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
-        np.zeros(n), np.zeros(n), 0.0, 2.0, np.array([TORQUE_NOISE, ANGLE_NOISE**2]), np.full(n, steps), np.zeros(n), p,
-        out, spread, speeds,
+        np.zeros(n), np.zeros(n), 0.0, 2.0, noise, np.full(n, steps), np.zeros(n), p, out, spread, speeds, np.zeros(n),
     )  # fmt: skip
     return side * out[1:] / spread[1:]
 
@@ -68,10 +80,34 @@ def test_linear_case_is_the_kalman_filter(side: float) -> None:
         speed += STEP_S / INERTIA * (torque[k] + TORQUE_NOISE * rng.normal() - COULOMB - VISCOUS * speed)
         angle[k] = angle[k - 1] + STEP_S * speed
     angle += ANGLE_NOISE * rng.normal(size=n)
-    expected = kalman(angle[1:], torque[1:], angle[0])
+    expected = kalman(angle[1:], torque[1:], angle[0], 0.0)
     found = run_kernel(angle, torque, side, 8.0)
     assert np.std(expected) > 0.5
     assert np.max(np.abs(found - expected)) < 0.02 * float(np.std(expected))
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_correlated_noise_is_a_third_state(side: float) -> None:
+    rng = np.random.default_rng(3)
+    n, fine = 2000, 20
+    time = STEP_S * np.arange(n)
+    torque = 6.0 + np.sin(12.0 * time)
+    angle, speed, hidden, kept = np.zeros(n), 0.0, HIDDEN * rng.normal(), np.exp(-STEP_S / HIDDEN_S)
+    for k in range(1, n):
+        hidden = kept * hidden + np.sqrt(1.0 - kept**2) * HIDDEN * rng.normal()
+        push = torque[k] + TORQUE_NOISE * rng.normal() + hidden - COULOMB
+        angle[k] = angle[k - 1]
+        for _ in range(fine):
+            speed += STEP_S / fine / INERTIA * (push - VISCOUS * speed)
+            angle[k] += STEP_S / fine * speed
+    angle += ANGLE_NOISE * rng.normal(size=n)
+    expected = kalman(angle[1:], torque[1:], angle[0], HIDDEN)
+    found = run_kernel(angle, torque, side, 8.0, CORRELATED)
+    assert np.max(np.abs(found - expected)) < 0.02 * float(np.std(expected))
+    as_white = run_kernel(angle, torque, side, 8.0)
+    assert np.std(found) == pytest.approx(1.0, abs=0.06)
+    assert abs(np.mean(found[1:] * found[:-1])) < 0.08
+    assert np.mean(as_white[1:] * as_white[:-1]) > 0.5 * np.mean(as_white**2)
 
 
 def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero() -> None:
@@ -104,7 +140,7 @@ def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion
 
 
 def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
-    problem = Problem([m], pack(TRUTH), free, Model(), 0.06)
+    problem = Problem([m], pack(TRUTH), free, Model(), Noise(0.06))
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     return problem
@@ -113,7 +149,7 @@ def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
 def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Motion, Motion], case: int) -> None:
     problem = at_truth(motions[case])
-    errors, deviations = problem.run(problem.start, problem.begins, *likeliest_noise(problem, 0.06))
+    errors, deviations = problem.run(problem.start, problem.begins, likeliest_noise(problem))
     found = errors / deviations
     clipped = found[np.abs(found) < 6.0]  # the encoder's noise is uniform, friction at breakaway is steep
     assert len(clipped) > 0.995 * len(found)
@@ -122,10 +158,10 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Moti
 
 
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    both = Problem(motions, pack(TRUTH), (), Model(), 0.06)
+    both = Problem(motions, pack(TRUTH), (), Model(), Noise(0.06))
     both.begins = [m.static_crossing(static_limit(both.start, m)) for m in motions]
-    found = both.run(both.start, both.begins, 0.06, 1e-6)
-    alone = [at_truth(m).run(both.start, [b], 0.06, 1e-6) for m, b in zip(motions, both.begins, strict=True)]
+    found = both.run(both.start, both.begins, Noise(0.06, 1e-6))
+    alone = [at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.begins, strict=True)]
     for k in (0, 1):
         assert found[k] == pytest.approx(np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15)
     filtered = [(j, row) for part in both._halves for j, rows in part for row in range(rows.start, rows.stop)]
@@ -149,11 +185,11 @@ def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) 
 
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1])
-    right = deviance(*problem.run(problem.start, problem.begins, 0.06, 0.0))
+    right = deviance(*problem.run(problem.start, problem.begins, Noise(0.06)))
     for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
         wrong = problem.start.copy()
         wrong[INDEX[name]] *= 1.1
-        assert deviance(*problem.run(wrong, problem.begins, 0.06, 0.0)) > right, name
+        assert deviance(*problem.run(wrong, problem.begins, Noise(0.06))) > right, name
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])

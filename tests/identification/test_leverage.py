@@ -11,6 +11,7 @@ from identification.estimate import innovations as kernel
 from identification.estimate import instrumental
 from identification.estimate.arrow import Arrow
 from identification.estimate.leverage import bounded, doubts
+from identification.estimate.noise import Noise
 from identification.estimate.prediction_problem import Problem, pack, static_limit
 from identification.estimate.stretches import motion
 from identification.recording import Array, Model, Recording
@@ -73,7 +74,7 @@ def test_stretches_are_judged_again_where_the_fit_ends(
     found = motion(beginning(practical_pair[0], 3.0))
     assert found is not None
     begun = pack(TRUTH)
-    problem = Problem([found], begun, [kernel.MC], Model(), 0.1)
+    problem = Problem([found], begun, [kernel.MC], Model(), Noise(0.1))
     problem.begins = [found.static_crossing(static_limit(begun, found))]
 
     def fit(p: Problem, _noise: Sequence[float]) -> Array:

@@ -9,6 +9,7 @@ import pytest
 
 from identification.estimate import default, long
 from identification.estimate.information import reduce, settle
+from identification.estimate.noise import Noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
 from identification.estimate.result import Identification
 from identification.estimate.stretches import motion
@@ -26,7 +27,7 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 def unloaded_problem(recording: Recording) -> Problem:
     moving = motion(recording)
     assert moving is not None
-    problem = Problem([moving], pack(TRUTH), [INDEX[n] for n in SYSTEM], Model(), 0.05)
+    problem = Problem([moving], pack(TRUTH), [INDEX[n] for n in SYSTEM], Model(), Noise(0.05))
     problem.begins = [moving.static_crossing(static_limit(problem.start, moving))]
     problem.weigh()
     return problem

@@ -52,5 +52,5 @@ def test_searches_stop_where_nothing_better_is_found(problem: Any) -> None:
 def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     problem.run = lambda *_: (np.array([np.nan]), np.ones(1))
-    problem.start, problem.noise, problem.angle_noise = np.ones(kernel.PARAMETERS), np.ones(1), np.ones(1)
+    problem.start, problem.noise = np.ones(kernel.PARAMETERS), None
     assert prediction_error._deviance(problem) == np.inf

@@ -13,6 +13,7 @@ from identification.estimate import default, rehearsed
 from identification.estimate import innovations as kernel
 from identification.estimate.default import _Found, _unbiased, identify
 from identification.estimate.levenberg import minimise_deviance
+from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.rehearsed import Bias, likelihood_bias
@@ -42,9 +43,9 @@ def sticky(seed: int) -> list[Recording]:
 def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES) -> Problem:
     """Return the joint problem at these values, its breakaways and noise levels the likeliest."""
     motions = [m for r in recordings if (m := motion(r)) is not None]
-    problem = Problem(motions, pack(values), [], Model(), torque_noise(motions))
+    problem = Problem(motions, pack(values), [], Model(), Noise(torque_noise(motions)))
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in motions]
-    problem.noise, problem.angle_noise = likeliest_noise(problem, problem.noise)
+    problem.noise = likeliest_noise(problem)
     problem.weigh()
     problem.seek_breakaways(CLIP)
     problem.free = tuple(INDEX[n] for n in names)
