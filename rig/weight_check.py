@@ -25,6 +25,11 @@ UNCERTAINTY_SHARE = 0.4
 """Share of the tolerance that one standard error may be; beyond that the check cannot decide."""
 
 
+_LEAST_FREEDOM = 0.5
+SIGMAS = 2.0
+"""Standard errors beyond the tolerance at which a finished stage contradicts the others: a doubt costs a whole run."""
+
+
 class Verdict(Enum):
     """What a weight check found."""
 
@@ -82,7 +87,7 @@ def weigh(item: LoadedLevel, reference: Reference | None, earlier: Sequence[Load
     if found is None:
         text = f"stage {item.stage}: the weight cannot be checked: the stages before it moved at other speeds"
         return Weighing(item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, text)
-    return _judge(item, found, 0.0, f"the stages {', '.join(other.stage for other in earlier)}")
+    return _judge(item, *found, f"the stages {', '.join(other.stage for other in earlier)}")
 
 
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
@@ -105,7 +110,7 @@ def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[
 
 def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence[str]) -> Weighing:
     others = [other for other in items if other is not item]
-    mass = _from_line(item.level, others)
+    mass, sigma = _from_line(item.level, others) or (None, None)
     alone = len(candidates) == 1
     words = (
         f"stage {item.stage}: its friction is that of {mass or math.nan:.3g} kg, its label says {item.weight_kg:g} kg"
@@ -113,17 +118,22 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
         else f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; one of "
         f"{', '.join(candidates)} is wrong, and an identification or one more mass would tell which"
     )
-    return Weighing(item.stage, item.weight_kg, Verdict.WRONG, mass, None, f"{words}; weigh it before using the data")
+    return Weighing(item.stage, item.weight_kg, Verdict.WRONG, mass, sigma, f"{words}; weigh it before using the data")
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the line through the others; true where there is no line."""
+    """Whether every loaded stage agrees with the line through the others; true where there is no line.
+
+    One that is measured too loosely to tell agrees with anything.
+    """
     for item in items:
         others = [other for other in items if other is not item]
         if not item.weight_kg or len({other.weight_kg for other in others}) < 2:
             continue
-        mass = _from_line(item.level, others)
-        if mass is not None and abs(mass - item.weight_kg) > tolerance_kg(item.weight_kg):
+        found, allowed = _from_line(item.level, others), tolerance_kg(item.weight_kg)
+        if found is None or found[1] > UNCERTAINTY_SHARE * allowed:
+            continue
+        if abs(found[0] - item.weight_kg) > allowed + SIGMAS * found[1]:
             return False
     return True
 
@@ -158,8 +168,11 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, yardstick: str) -> Weig
     return Weighing(item.stage, item.weight_kg, verdict, mass, sigma, f"{found}; {rest}")
 
 
-def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> float | None:
-    """Return the mass at which the straight lines through other stages' levels do the measured work, or None.
+def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[float, float] | None:
+    """Return the mass at which the straight lines through other stages' levels do the measured work, and its error.
+
+    None where there are no such lines. The standard error is that of the scatter from speed to speed, where what the
+    inertia takes at one is given back at another, and where friction is steep.
 
     One line a speed bin, least squares over the stages that have it. Bins count by the way that all of them went there:
     what one hardly went through at the end of its range is not known, however far another went.
@@ -180,12 +193,16 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> float | N
     rise = (weight * (masses[:, None] - mean_mass) * torques).sum(axis=0)
     slope = rise[shared] / spread[shared]
     unsure = np.divide(1.0, paths, out=np.zeros_like(paths), where=paths > 0.0).sum(axis=0)[shared]
-    path = 1.0 / (1.0 / level.path[shared] + unsure)
-    empty = mean_torque[shared] - slope * mean_mass[shared]
-    total = float(np.sum(path * slope))
+    weight_of = slope / (1.0 / level.path[shared] + unsure)
+    total = float(np.sum(weight_of))
     if not total > 0.0:
         return None
-    return float(np.sum(path * (level.torque[shared] - empty))) / total
+    masses_there = mean_mass[shared] + (level.torque[shared] - mean_torque[shared]) / np.where(slope, slope, np.inf)
+    mass = float(np.sum(weight_of * masses_there)) / total
+    squares = weight_of**2
+    independent = total**2 / float(np.sum(squares))
+    scatter = math.sqrt(float(np.sum(squares * (masses_there - mass) ** 2))) / total
+    return mass, scatter * math.sqrt(independent / max(independent - 1.0, _LEAST_FREEDOM))
 
 
 def _mean(weighted: Array, count: Array) -> Array:

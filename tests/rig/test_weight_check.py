@@ -144,6 +144,19 @@ def test_speeds_that_a_light_stage_hardly_reached_do_not_decide_on_a_heavy_one()
     }
 
 
+def test_friction_that_scatters_from_speed_to_speed_does_not_decide() -> None:
+    stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 22.5)]
+    assert {found.stage for found in suspects(stages, None)} == {"a", "b"}
+    seen = np.flatnonzero(stages[2].level.path)
+    torque = stages[2].level.torque.copy()
+    torque[seen] += np.where(np.arange(len(seen)) % 2, 4.0, -4.0)
+    loose = LoadedLevel("b", 20.0, dataclasses.replace(stages[2].level, torque=torque))
+    assert suspects([*stages[:2], loose], None) == []
+    found = weigh(loose, None, stages[:2])
+    assert found.verdict is Verdict.UNCHECKED
+    assert "uncertain by" in found.message
+
+
 def test_a_stage_off_its_label_is_named() -> None:
     stages = [item("empty", 0.0), item("a", 10.0), item("b", 20.0, 26.0), item("c", 30.0)]
     (found,) = suspects(stages, None)
