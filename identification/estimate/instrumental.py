@@ -79,7 +79,7 @@ def _round(problem: Problem) -> Array:
     bread = np.linalg.inv(z.product(huber_weight(residual, CLIP), jacobian))
     power = z.product()
     metric = np.linalg.pinv(power, hermitian=True)
-    deviation = np.sqrt(np.diag(bread @ power @ bread.T))[:count]
+    deviation = np.sqrt(np.abs(np.diag(bread @ power @ bread.T)))[:count]
     score = z.back(residual * huber_weight(residual, CLIP))
     for _ in range(_CHORDS):
         step = -bread @ score
