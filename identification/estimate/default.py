@@ -12,7 +12,10 @@ import numpy as np
 from identification.estimate import prediction_error, varpro
 from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, typical_error, units_of
 from identification.estimate.bootstrap import bootstrap
-from identification.estimate.prediction_error import Refined
+from identification.estimate.instrumental import covariances
+from identification.estimate.instruments import Rehearsal
+from identification.estimate.prediction_error import Refined, named_covariances
+from identification.estimate.prediction_problem import unpack
 from identification.estimate.profile import profiles
 from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
 from identification.estimate.rehearsed import Bias, likelihood_bias
@@ -190,7 +193,22 @@ def _refined(
         return replace(plain, starts=starts, stages=stages, warnings=(kept,))
     bias = likelihood_bias(refined.joint, refined.names)
     found = _Found(dict(refined.values), spread_of(refined), floors_of(refined), refined, refined.starts, stages)
-    return found if bias is None else _unbiased(found, bias)
+    if bias is None:
+        return found
+    if bias.rehearsals:
+        found = _with_instruments(found, refined, bias.rehearsals)
+    return _unbiased(found, bias)
+
+
+def _with_instruments(found: _Found, refined: Refined, rehearsals: Sequence[Rehearsal]) -> _Found:
+    """Solve the inertia's equation with the rehearsals' instruments too; the others follow."""
+    joint, names = refined.joint, refined.names
+    solved = covariances(joint, rehearsals)
+    x = joint.origin()
+    x[: len(solved.step)] += solved.step
+    values = {**found.values, **unpack(joint.parameters(x), names)}
+    achieved, _ = named_covariances(solved, joint, names)
+    return replace(found, values=values, spread=replace(found.spread, covariance=achieved))
 
 
 def _unbiased(found: _Found, bias: Bias) -> _Found:

@@ -16,7 +16,7 @@ import numpy as np
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow, equilibrated
 from identification.estimate.cramer_rao import bound
-from identification.estimate.instruments import instruments
+from identification.estimate.instruments import Rehearsal, instruments, rehearsed_instruments
 from identification.estimate.levenberg import huber_weight
 from identification.estimate.leverage import doubts
 from identification.estimate.noise_level import CLIP, likeliest_noise
@@ -43,10 +43,30 @@ _CHORD_SETTLED = 0.02
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariance of the free parameters as estimated, and the least possible, in their own units, shape (p, p)."""
+    """Covariance of the free parameters as estimated, and the least possible, in their own units, shape (p, p).
+
+    Attributes:
+        achieved: With the inertia where its equation is solved.
+        floor: The bound.
+        step: Of the free vector's parameters, to there, all else following the inertia, shape (p,).
+    """
 
     achieved: Array
     floor: Array
+    step: Array
+
+
+@dataclass(frozen=True)
+class _Equation:
+    """The inertia's own estimating equation, all else eliminated.
+
+    Attributes:
+        influence: What a unit of each residual takes off the logarithm of the inertia, shape (r,).
+        parts: What each residual takes off it, by itself and by its part in others' instruments, shape (r,).
+    """
+
+    influence: Array
+    parts: Array
 
 
 def solve(problem: Problem) -> Array:
@@ -181,12 +201,16 @@ def _mixture(z: Arrow, j: int) -> Array:
     return np.insert(-taken, j, 1.0)
 
 
-def covariances(problem: Problem) -> Covariances:
+def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covariances:
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
     The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
     known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
     what its error does to them. The inertia's variance is not lowered by its scores' scatter.
+
+    Args:
+        problem: At the estimate.
+        rehearsals: Of its experiment there, for instruments of the inertia beside those of strokes alike.
     """
     x = problem.origin()
     problem.weigh()
@@ -197,17 +221,24 @@ def covariances(problem: Problem) -> Covariances:
     floor = bound(jacobian, z, problem.siblings)[:count, :count]
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
+    step = np.zeros(count)
     if kernel.INERTIA not in problem.free:
         spread, achieved = _scatter(jacobian, residual), floor
     else:
         j = problem.free.index(kernel.INERTIA)
-        influence = influence_on_inertia(problem, z, jacobian, residual)
+        equation = _equation_of_strokes(problem, z, jacobian, residual)
+        if rehearsals:
+            other = rehearsed_instruments(problem, z, rehearsals)
+            equation = _best(equation, _equation(problem, other, jacobian, residual))
+        influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
+        step = -float(influence @ weighted) * floor[:, j] / floor[j, j]
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(floor, j, variance)
         others = jacobian.without(j)
         spread = _scatter(others, residual)
-        spread = np.insert(spread, j, max(_scatter_of_inertia(problem, z, jacobian, residual), 1.0))
-    return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale)
+        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
+        spread = np.insert(spread, j, max(float(scatter), 1.0))
+    return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
 
 
 def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
@@ -257,20 +288,35 @@ def doubted(problem: Problem) -> Array:
     return doubts(told, problem.lengths, recordings, _MOST)
 
 
-def _scatter_of_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> float:
-    """Return the same ratio for the inertia, whose sum is one over pairs of stretches.
+def _equation(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> _Equation:
+    """Return the inertia's equation by instruments that nothing of the residuals is in."""
+    influence = influence_on_inertia(problem, z, jacobian, residual)
+    return _Equation(influence, influence * residual * huber_weight(residual, CLIP))
+
+
+def _equation_of_strokes(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> _Equation:
+    """Return the inertia's equation by instruments of strokes alike, whose sum is one over pairs of stretches.
 
     A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
     Ann. Math. Statist. 19 (1948) 293).
     """
     j = problem.free.index(kernel.INERTIA)
+    first = _equation(problem, z, jacobian, residual)
     weighted = residual * huber_weight(residual, CLIP)
     mixed = _mixture(z, j)
-    first = z.along(mixed) * weighted
+    alone = z.along(mixed)
+    slope = float(alone @ (jacobian.parameters[:, j] * huber_weight(residual, CLIP)))
     columns = np.zeros_like(jacobian.parameters)
     columns[:, j] = weighted
     carrier = replace(jacobian, parameters=columns, own=np.zeros_like(weighted))
     second = jacobian.along(mixed) * instruments(problem, carrier).parameters[:, j]
     second[len(second) - problem.breakaways :] = 0.0
-    sums = np.bincount(problem.owners, first + second)
-    return float(np.linalg.norm(sums) / np.linalg.norm(first))
+    return replace(first, parts=first.parts + second / slope)
+
+
+def _best(one: _Equation, other: _Equation) -> _Equation:
+    """Return the mean of two equations for one unknown that has the least variance, neither counted against."""
+    a, b = one.influence, other.influence
+    away = a - b
+    share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
+    return _Equation(b + share * away, other.parts + share * (one.parts - other.parts))

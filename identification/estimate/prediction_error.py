@@ -17,7 +17,7 @@ import numpy as np
 
 from identification.estimate import innovations as kernel
 from identification.estimate import levenberg
-from identification.estimate.instrumental import SOLVED, beside_inertia, covariances, defect, solve
+from identification.estimate.instrumental import SOLVED, Covariances, beside_inertia, covariances, defect, solve
 from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP, deviance, likeliest_noise, repeated, torque_noise, with_correlated
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
@@ -48,6 +48,10 @@ _End = tuple[bool, float, Array, list[Array]]
 """End of a search: whether its Stribeck speed is unresolved, deviance, kernel's vector, breakaway times."""
 SAME_END = 1.0
 """-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
+_Solved = tuple[float, Array, list[Array], Noise]
+"""End of a solution of the unloaded stage: defect, kernel's vector, breakaway times, noise."""
+_AGAIN = 2
+"""Solutions begun from the best end where none of the starts is solved, as with an inertia that starts far off."""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 """Inertias tried, over the equation error's; it errs upward under noise."""
 
@@ -236,38 +240,64 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
         numpy.linalg.LinAlgError: The instruments pin the parameters from none of the starts.
     """
     vector, begins, noise = problem.start, problem.begins, problem.noise
-    every = (*system, *inertia)
     problem.free = tuple(system)
     searched = breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF) if system else []
     starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
     starts += [(p, times, share) for p, times in searched for share in _INERTIAS[: len(inertia) * 3]]
-    best = None
-    for start, times, share in starts:
-        problem.start, problem.begins = start.copy(), list(times)
-        problem.noise = noise
-        problem.start[kernel.INERTIA] *= share
-        problem.free = tuple(system)
-        try:
-            if system:
-                refine(problem, (1.0,))
-            problem.free = every
-            if every:
-                solve(problem)
-            unsolved = defect(problem) if every else 0.0
-        except np.linalg.LinAlgError:
-            # From a start without a rise, as the equation error finds it in slips, nothing tells its speed.
-            continue
-        if not math.isfinite(unsolved):
-            continue
-        problem.ends.append(unsolved)
-        if best is None or unsolved < best[0]:
-            best = (unsolved, problem.start, problem.begins, problem.noise)
-        if unsolved < SOLVED:
+    best: _Solved | None = None
+    again = _AGAIN if system and inertia else 0
+    while starts:
+        start, times, share = starts.pop(0)
+        found = _solved_from(problem, start, times, share, noise, (system, inertia))
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+        if best is not None and best[0] < SOLVED:
             break
+        if best is not None and not starts and again:
+            again -= 1
+            starts.append((best[1], best[2], 1.0))
     if best is None:
         raise np.linalg.LinAlgError("no start pins the parameters")
     unsolved, problem.start, problem.begins, problem.noise = best
     return unsolved
+
+
+def _solved_from(
+    problem: Problem,
+    start: Array,
+    times: Sequence[Array],
+    share: float,
+    noise: Noise,
+    free: tuple[Sequence[int], Sequence[int]],
+) -> _Solved | None:
+    """Solve the unloaded stage from one start; None where that leads nowhere.
+
+    Args:
+        problem: Left at the end.
+        start: Kernel's vector.
+        times: Breakaway times.
+        share: Inertia begun with, over that of the start.
+        noise: Begun with.
+        free: Parameters that least squares find first, then the inertia.
+    """
+    system, inertia = free
+    problem.start, problem.begins, problem.noise = start.copy(), list(times), noise
+    problem.start[kernel.INERTIA] *= share
+    problem.free = tuple(system)
+    try:
+        if system:
+            refine(problem, (1.0,))
+        problem.free = (*system, *inertia)
+        if problem.free:
+            solve(problem)
+        unsolved = defect(problem) if problem.free else 0.0
+    except np.linalg.LinAlgError:
+        # From a start without a rise, as the equation error finds it in slips, nothing tells its speed.
+        return None
+    if not math.isfinite(unsolved):
+        return None
+    problem.ends.append(unsolved)
+    return unsolved, problem.start, problem.begins, problem.noise
 
 
 def refine_stages(
@@ -317,7 +347,7 @@ def refine_stages(
     joint.begins = begins
     residual = beside_inertia(joint, refine)
     names = tuple(n for n, k in INDEX.items() if k in free)
-    achieved, floor = _named_covariances(joint, names)
+    achieved, floor = named_covariances(covariances(joint), joint, names)
     inside = residual[: len(residual) - joint.breakaways]
     return Refined(
         values={**start, **unpack(joint.start, [n for n in INDEX if n in start])},
@@ -339,9 +369,9 @@ def refine_stages(
     )
 
 
-def _named_covariances(joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:
+def named_covariances(found: Covariances, joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:
     """Return the covariance achieved and the least possible in the order of ``names``, by static limits, (p, p)."""
-    found, order = covariances(joint), [joint.free.index(INDEX[n]) for n in names]
+    order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)
     achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
     return achieved, floor

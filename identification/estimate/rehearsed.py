@@ -1,4 +1,4 @@
-"""What the likelihood of the prediction errors puts off, found by rehearsal.
+"""What the likelihood of the prediction errors puts off, found by rehearsal, and the inertia with its instruments.
 
 Right after a breakaway friction falls steeply, and the filter is linear (to second order) about its prediction: it
 takes noise there to speed the onset up more than it does. And within the period of a breakaway the torque is no
@@ -7,6 +7,9 @@ high. The experiment is simulated at the estimate, under its own commands and by
 it, and what one step of the likelihood makes of the values simulated is the bias there (indirect inference: Gourieroux,
 Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise is used twice, the second time with its sign
 turned, so that what is odd in it cancels and few rehearsals are enough.
+
+Their sensitivities are instruments too: the recording has few strokes alike, and a rehearsal is the same motion with
+another noise.
 """
 
 from __future__ import annotations
@@ -14,13 +17,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from identification.estimate import innovations as kernel
 from identification.estimate.information import settle
 from identification.estimate.instrumental import doubted
+from identification.estimate.instruments import Rehearsal
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import Problem, static_limit, unpack
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
@@ -31,7 +35,6 @@ from identification.simulate.servo_loop import Loop, respond
 
 PAIRS = 3
 """Noises, each taken both ways."""
-_WAYS = 2
 _TRIED, _ENOUGH = 6, 2
 """Pairs tried where rehearsals fail, as one in which a shaft that all but stops is lost; and those that are enough."""
 _LARGE, _TURNS = 2.0, 3
@@ -52,10 +55,12 @@ class Bias:
     Attributes:
         shifts: Name to what it adds to the true value, SI.
         variances: The square of the error of that, by which so few rehearsals leave it uncertain.
+        rehearsals: That it was found by.
     """
 
     shifts: Mapping[str, float]
     variances: Mapping[str, float]
+    rehearsals: tuple[Rehearsal, ...] = field(default=(), compare=False, repr=False)
 
 
 def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
@@ -72,13 +77,15 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     if loop is None or kernel.OFFSET in joint.free:
         return None
     start, found = joint.start, None
+    played: tuple[Rehearsal, ...] = ()
     for _ in range(_TURNS):
-        steps = _rehearsals(joint, start, loop)
-        if steps is None:
+        pairs = _rehearsals(joint, start, loop)
+        if not pairs:
             break
-        found = steps[0]
+        found = np.array([0.5 * (one.step + other.step) for one, other in pairs])
+        played = tuple(r.rehearsal for pair in pairs for r in pair)
         mean = np.mean(found, axis=0)
-        if np.max(np.abs(mean) / steps[1]) < _LARGE:
+        if np.max(np.abs(mean) / np.median([r.deviation for pair in pairs for r in pair], axis=0)) < _LARGE:
             break
         # What the estimate is off by is what values that far from it are put off by.
         start = joint.parameters(_away(joint, mean))
@@ -86,11 +93,26 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
         return None
     moved = np.array([_named(joint, pair, names) for pair in found])
     mean, spread = _named(joint, np.mean(found, axis=0), names), np.var(moved, axis=0, ddof=1) / len(moved)
-    return Bias(dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)))
+    return Bias(dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)), played)
 
 
-def _rehearsals(joint: Problem, start: Array, loop: Loop) -> tuple[Array, Array] | None:
-    """Return the mean step of each pair, shape (pairs, p), and its deviations, shape (p,); None where too few work.
+@dataclass(frozen=True)
+class _Scored:
+    """A rehearsal and what one step of the likelihood makes of it.
+
+    Attributes:
+        step: From the values that are simulated, shape (p,).
+        deviation: Of that; infinite, and no step, where a parameter is not found by likelihood, shape (p,).
+        rehearsal: What was simulated.
+    """
+
+    step: Array
+    deviation: Array
+    rehearsal: Rehearsal
+
+
+def _rehearsals(joint: Problem, start: Array, loop: Loop) -> list[tuple[_Scored, _Scored]]:
+    """Return pairs of rehearsals with one noise taken both ways; none where too few work.
 
     Args:
         joint: The problem whose experiment is simulated.
@@ -99,18 +121,14 @@ def _rehearsals(joint: Problem, start: Array, loop: Loop) -> tuple[Array, Array]
     """
     there = copy(joint)
     there.start = start
-    steps: list[Array] = []
-    deviations: list[Array] = []
+    pairs: list[tuple[_Scored, _Scored]] = []
     for seed in range(_TRIED):
-        both = [step for step in (_step(there, loop, seed, sign) for sign in (1.0, -1.0)) if step is not None]
-        if len(both) == _WAYS:
-            steps.append(np.mean([step for step, _ in both], axis=0))
-            deviations += [deviation for _, deviation in both]
-        if len(steps) == PAIRS:
+        one, other = (_step(there, loop, seed, sign) for sign in (1.0, -1.0))
+        if one is not None and other is not None:
+            pairs.append((one, other))
+        if len(pairs) == PAIRS:
             break
-    if len(steps) < _ENOUGH:
-        return None
-    return np.array(steps), np.median(deviations, axis=0)
+    return pairs if len(pairs) >= _ENOUGH else []
 
 
 def _away(joint: Problem, step: Array) -> Array:
@@ -140,47 +158,49 @@ def _step_of_encoder(m: Motion) -> float:
     return math.sqrt(12.0 * m.angle_variance)
 
 
-def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> tuple[Array, Array] | None:
-    """Return one step of the likelihood from the values that are simulated, and its deviations, shape (p,) each.
-
-    No step, of infinite deviation, where a parameter is not found by likelihood; None where the filter does not follow.
-    """
+def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> _Scored | None:
+    """Rehearse once and return one step of the likelihood; None where the filter does not follow."""
     rng = np.random.default_rng(seed)
     motions = [_rehearsed(joint, m, loop, sign, rng) for m in joint.motions]
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
-    sought = tuple(k for k in joint.free if k != kernel.INERTIA)
-    problem = Problem(seen, joint.start, sought, Model(alpha=joint.alpha), joint.noise)
+    problem = Problem(seen, joint.start, [], Model(alpha=joint.alpha), joint.noise)
+    problem.free = tuple(k for k in joint.free if k != kernel.INERTIA)
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
     settle(problem, CLIP)
     problem.weigh()
     if problem.seek_breakaways(CLIP):
         settle(problem, CLIP)
     problem.doubt = doubted(problem)
-    scored = _scored(problem)
-    if scored is None:
-        return None
-    step, deviation = np.zeros(len(joint.free)), np.full(len(joint.free), np.inf)
-    places = [joint.free.index(k) for k in sought]
-    step[places], deviation[places] = scored
-    return step, deviation
+    problem.free = joint.free
+    return _scored(problem)
 
 
-def _scored(problem: Problem) -> tuple[Array, Array] | None:
-    """Return the parameters' part of a step of Fisher scoring on them and breakaway times, and its deviations."""
+def _scored(problem: Problem) -> _Scored | None:
+    """Return the parameters' part of a step of Fisher scoring on them and breakaway times, the inertia held."""
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
-    jacobian, widening = problem.derivatives(x, errors, deviations)
+    every, widening = problem.derivatives(x, errors, deviations)
+    rehearsal = Rehearsal(problem, every.scaled(problem.doubt[problem.owners]))
+    held = [j for j, k in enumerate(problem.free) if k == kernel.INERTIA]
+    jacobian = every
+    for j in held:
+        jacobian, widening = jacobian.without(j), widening.without(j)
     residual = np.clip(errors / deviations, -CLIP, CLIP)
     score = jacobian.back(residual) + widening.back(1.0 - residual**2)
     known = jacobian.product() + 2.0 * widening.product()
+    sought = count - len(held)
     try:
         inverse = np.linalg.inv(known)
     except np.linalg.LinAlgError:
         return None
-    step, deviation = -(inverse @ score)[:count], np.sqrt(np.diag(inverse)[:count])
-    return None if np.any(np.abs(step) > _FARTHEST * deviation) else (step, deviation)
+    step, deviation = -(inverse @ score)[:sought], np.sqrt(np.diag(inverse)[:sought])
+    if np.any(np.abs(step) > _FARTHEST * deviation):
+        return None
+    for j in held:
+        step, deviation = np.insert(step, j, 0.0), np.insert(deviation, j, np.inf)
+    return _Scored(step, deviation, rehearsal)
 
 
 def _rehearsed(joint: Problem, m: Motion, loop: Loop, sign: float, rng: np.random.Generator) -> Motion | None:

@@ -54,3 +54,29 @@ def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: 
     problem.run = lambda *_: (np.array([np.nan]), np.ones(1))
     problem.start, problem.noise = np.ones(kernel.PARAMETERS), None
     assert prediction_error._deviance(problem) == np.inf
+
+
+def test_where_no_start_is_solved_the_best_end_is_begun_from_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[tuple[float, float]] = []
+
+    def solved(_p: Any, start: Array, _times: Any, share: float, _noise: Any, _free: Any) -> Any:
+        begun.append((float(start[kernel.INERTIA]), share))
+        if share == 0.8:
+            return None
+        end = start.copy()
+        end[kernel.INERTIA] = 2.0 if share > 1.0 else 0.5 * (start[kernel.INERTIA] + 2.0)
+        return abs(end[kernel.INERTIA] - 2.2) * 30.0, end, [], None
+
+    monkeypatch.setattr(prediction_error, "_solved_from", solved)
+    monkeypatch.setattr(prediction_error, "breakaway_starts", lambda *_: [])
+    problem: Any = SimpleNamespace(free=(), start=np.ones(kernel.PARAMETERS), begins=[], noise=None)
+    # Nothing is solved: from the end next to it (6.0 off) again, which is no better, so twice and no more.
+    unsolved = prediction_error.solve_first_stage(problem, [kernel.MC], [kernel.INERTIA])
+    assert unsolved == pytest.approx(6.0)
+    assert problem.start[kernel.INERTIA] == 2.0
+    assert begun == [*((1.0, share) for share in (1.0, 0.8, 0.6, 1.25)), (2.0, 1.0), (2.0, 1.0)]
+    # An inertia that is known is not searched.
+    begun.clear()
+    problem.start = np.ones(kernel.PARAMETERS)
+    prediction_error.solve_first_stage(problem, [kernel.MC], [])
+    assert len(begun) == 1

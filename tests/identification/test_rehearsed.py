@@ -7,16 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.constants import Joint, Machine, Sensing
 from identification.estimate import default, rehearsed
 from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Arrow
 from identification.estimate.default import _Found, _unbiased, identify
+from identification.estimate.instrumental import _best, _Equation, covariances
+from identification.estimate.instruments import Rehearsal, instruments, rehearsed_instruments
 from identification.estimate.levenberg import minimise_deviance
 from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
-from identification.estimate.rehearsed import Bias, likelihood_bias
+from identification.estimate.rehearsed import Bias, _Scored, likelihood_bias
 from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import Spread
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
@@ -50,6 +56,19 @@ def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, 
     problem.seek_breakaways(CLIP)
     problem.free = tuple(INDEX[n] for n in names)
     return problem
+
+
+def silent(problem: Problem) -> Rehearsal:
+    """Return a rehearsal that says nothing."""
+    rows = len(problem.owners)
+    return Rehearsal(
+        problem, Arrow(np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways)
+    )
+
+
+def slopes(problem: Problem) -> Arrow:
+    problem.weigh()
+    return problem.jacobian(problem.origin(), problem.residuals(problem.origin()))
 
 
 def likeliest(problem: Problem) -> dict[str, float]:
@@ -138,12 +157,12 @@ def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.Monk
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     failing = {0}
 
-    def step(_joint: Problem, _loop: object, seed: int, sign: float) -> tuple[Array, Array] | None:
+    def step(_joint: Problem, _loop: object, seed: int, sign: float) -> _Scored | None:
         if seed in failing and sign < 0.0:
             return None
         out = np.zeros(len(problem.free))
         out[problem.free.index(INDEX["Ms"])] = 1e-3 * (seed + 2.0 * sign)
-        return out, np.ones(len(problem.free))
+        return _Scored(out, np.ones(len(problem.free)), silent(problem))
 
     monkeypatch.setattr(rehearsed, "_step", step)
     bias = likelihood_bias(problem, names)
@@ -160,10 +179,10 @@ def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(monkeypatch: py
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     place = problem.free.index(INDEX["Ms"])
 
-    def step(joint: Problem, _loop: object, _seed: int, _sign: float) -> tuple[Array, Array]:
+    def step(joint: Problem, _loop: object, _seed: int, _sign: float) -> _Scored:
         out = np.zeros(len(joint.free))
         out[place] = 0.1 * joint.origin()[place]
-        return out, np.full(len(joint.free), deviation)
+        return _Scored(out, np.full(len(joint.free), deviation), silent(joint))
 
     monkeypatch.setattr(rehearsed, "_step", step)
     whole = problem.origin()[place]
@@ -174,3 +193,59 @@ def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(monkeypatch: py
         found[deviation] = bias.shifts["Ms"] / whole
     assert found[1e3] == pytest.approx(0.1)
     assert found[1e-3] == pytest.approx(1.0 / 11.0, rel=2e-3)
+
+
+def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
+    jacobian = slopes(problem)
+    every = instruments(problem, jacobian)
+    problem.doubt[1] = 2.0
+    level = 2.5 / problem.doubt[problem.owners]
+    plain = replace(every, parameters=np.repeat(level[:, None], len(names), axis=1), own=level)
+    marked = [replace(jacobian, parameters=np.full_like(every.parameters, k)) for k in (1.0, 4.0)]
+    found = rehearsed_instruments(problem, plain, [Rehearsal(problem, m) for m in marked])
+    ties = len(plain.own) - problem.breakaways
+    assert np.array_equal(found.parameters[ties:], plain.parameters[ties:])
+    assert np.array_equal(found.own[ties:], plain.own[ties:])
+    for j, doubt in enumerate(problem.doubt):
+        assert np.allclose(found.parameters[:ties][problem.owners[:ties] == j], 2.5 / doubt)
+    # What goes the other way is no rehearsal of a stretch.
+    other = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
+    other.motions[0].table[:2, kernel.SIDE] *= -1.0
+    plain = replace(plain, parameters=np.full_like(plain.parameters, 7.0))
+    found = rehearsed_instruments(problem, plain, [Rehearsal(other, marked[0])])
+    for j in range(problem.breakaways):
+        rows = np.flatnonzero(problem.owners[:ties] == j)[:100]
+        assert np.allclose(found.parameters[rows], 7.0 if j < 2 else 1.0)
+
+
+@given(
+    arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
+    arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
+)
+def test_the_mean_of_two_equations_has_no_more_variance_than_either(one: Array, other: Array) -> None:
+    found = _best(_Equation(one, 2.0 * one), _Equation(other, 2.0 * other))
+    assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
+    assert np.allclose(found.parts, 2.0 * found.influence)
+
+
+def test_two_equations_that_err_apart_count_by_their_variances() -> None:
+    one, other = np.array([2.0, 0.0]), np.array([0.0, 1.0])
+    assert _best(_Equation(one, one), _Equation(other, other)).influence == pytest.approx([0.4, 0.8])
+
+
+def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> None:
+    recordings = sticky(0)
+    problem = at(STICKY, recordings)
+    bias = likelihood_bias(problem, NAMES)
+    assert bias is not None
+    assert len(bias.rehearsals) == 6
+    j = problem.free.index(kernel.INERTIA)
+    plain, found = covariances(problem), covariances(problem, bias.rehearsals)
+    assert found.achieved[j, j] < plain.achieved[j, j]
+    assert np.array_equal(found.floor, plain.floor)
+    x = problem.origin()
+    x[: len(found.step)] += found.step
+    problem.keep(x)
+    assert abs(covariances(problem, bias.rehearsals).step[j]) < 0.1 * abs(found.step[j])
