@@ -15,12 +15,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.design.pinning import NAMES, Nominal, Pinned, PlannedStage, likelihood_slope, stage_response
-from identification.estimate.default import WHITE, identify
+from identification.estimate.acceptance import WHITE
+from identification.estimate.covariance import covariances, rise_to_static
+from identification.estimate.default import identify
 from identification.estimate.information import settle
-from identification.estimate.instrumental import covariances
 from identification.estimate.noise import Noise
 from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction_error import rise_to_static
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.estimate.stretches import motion

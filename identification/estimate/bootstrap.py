@@ -15,7 +15,7 @@ import numpy as np
 
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow
-from identification.estimate.instrumental import influence_on_inertia
+from identification.estimate.inertia import influence_on_inertia
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
 from identification.estimate.noise_level import CLIP

@@ -9,14 +9,12 @@ instruments that hold nothing of a stretch's own noise the errors need only have
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow, equilibrated
-from identification.estimate.cramer_rao import bound
-from identification.estimate.instruments import Rehearsal, instruments, rehearsed_instruments
+from identification.estimate.inertia import influence_on_inertia
+from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
 from identification.estimate.leverage import doubts
 from identification.estimate.noise_level import CLIP, likeliest_noise
@@ -34,39 +32,9 @@ _LONGEST_LOG = 0.4
 _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
-_PRIOR = 1.0
-"""Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch."""
 _MOST = 3.0
 """Median stretches of its recording that one is believed as at most: where friction is regular none counts as much."""
 _CHORD_SETTLED = 0.02
-
-
-@dataclass(frozen=True)
-class Covariances:
-    """Covariance of the free parameters as estimated, and the least possible, in their own units, shape (p, p).
-
-    Attributes:
-        achieved: With the inertia where its equation is solved.
-        floor: The bound.
-        step: Of the free vector's parameters, to there, all else following the inertia, shape (p,).
-    """
-
-    achieved: Array
-    floor: Array
-    step: Array
-
-
-@dataclass(frozen=True)
-class _Equation:
-    """The inertia's own estimating equation, all else eliminated.
-
-    Attributes:
-        influence: What a unit of each residual takes off the logarithm of the inertia, shape (r,).
-        parts: What each residual takes off it, by itself and by its part in others' instruments, shape (r,).
-    """
-
-    influence: Array
-    parts: Array
 
 
 def solve(problem: Problem) -> Array:
@@ -186,94 +154,6 @@ def _inertia_step(problem: Problem) -> tuple[float, float]:
     return -float(influence @ (residual * huber_weight(residual, CLIP))), float(np.linalg.norm(influence))
 
 
-def influence_on_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Array:
-    """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
-    j = problem.free.index(kernel.INERTIA)
-    alone = z.along(_mixture(z, j))
-    return np.asarray(alone / float(alone @ (jacobian.parameters[:, j] * huber_weight(residual, CLIP))))
-
-
-def _mixture(z: Arrow, j: int) -> Array:
-    """Return the mixture of the instruments that makes the ``j``-th orthogonal to the others, shape (p,)."""
-    power = z.product()
-    others = np.delete(power, j, axis=0)
-    taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
-    return np.insert(-taken, j, 1.0)
-
-
-def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covariances:
-    """Return the achieved covariance of the free parameters and its floor at the problem's start.
-
-    The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
-    known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
-    what its error does to them. The inertia's variance is not lowered by its scores' scatter.
-
-    Args:
-        problem: At the estimate.
-        rehearsals: Of its experiment there, for instruments of the inertia beside those of strokes alike.
-    """
-    x = problem.origin()
-    problem.weigh()
-    residual = problem.residuals(x)
-    jacobian = problem.jacobian(x, residual)
-    z = instruments(problem, jacobian)
-    count = len(problem.free)
-    floor = bound(jacobian, z, problem.siblings)[:count, :count]
-    units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
-    scale = np.outer(units, units)
-    step = np.zeros(count)
-    if kernel.INERTIA not in problem.free:
-        spread, achieved = _scatter(jacobian, residual), floor
-    else:
-        j = problem.free.index(kernel.INERTIA)
-        equation = _equation_of_strokes(problem, z, jacobian, residual)
-        if rehearsals:
-            other = rehearsed_instruments(problem, z, rehearsals)
-            equation = _best(equation, _equation(problem, other, jacobian, residual))
-        influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
-        step = -float(influence @ weighted) * floor[:, j] / floor[j, j]
-        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
-        achieved = _beside_inertia(floor, j, variance)
-        others = jacobian.without(j)
-        spread = _scatter(others, residual)
-        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
-        spread = np.insert(spread, j, max(float(scatter), 1.0))
-    return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
-
-
-def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
-    """Return the covariance of least squares beside the ``j``-th, an inertia found with this variance."""
-    others = [k for k in range(len(floor)) if k != j]
-    known = np.ix_(others, others)
-    follow = floor[others, j] / floor[j, j]
-    out = np.empty_like(floor)
-    out[known] = floor[known] + np.outer(follow, follow) * (variance - floor[j, j])
-    out[others, j] = out[j, others] = follow * variance
-    out[j, j] = variance
-    return out
-
-
-def _scatter(jacobian: Arrow, residual: Array) -> Array:
-    """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
-
-    Ratio of the clustered to the plain standard deviation of each parameter of least squares, drawn toward one as by
-    :data:`_PRIOR` stretch that scatters as it should. It may be below one: the drive's loop takes a part of the
-    current's noise out again, and what errs at the beginning of a stretch is made good by its end.
-    """
-    weight = huber_weight(residual, CLIP)
-    normal, scale = equilibrated(jacobian.product(weight))
-    # A stretch may say nothing of its own breakaway time.
-    inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
-    influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
-    plain, sums = np.zeros((2, jacobian.stretches, influence.shape[1]))
-    np.add.at(plain, jacobian.owners, influence**2)
-    np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
-    total = np.maximum(np.sum(plain, axis=0), 1e-300)
-    stretches = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
-    squared = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
-    return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
-
-
 def doubted(problem: Problem) -> Array:
     """Return by how much each stretch's noise is taken to be larger, so that no single one carries the estimate.
 
@@ -286,37 +166,3 @@ def doubted(problem: Problem) -> Array:
     numbers = np.arange(len(problem.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
     return doubts(told, problem.lengths, recordings, _MOST)
-
-
-def _equation(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> _Equation:
-    """Return the inertia's equation by instruments that nothing of the residuals is in."""
-    influence = influence_on_inertia(problem, z, jacobian, residual)
-    return _Equation(influence, influence * residual * huber_weight(residual, CLIP))
-
-
-def _equation_of_strokes(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> _Equation:
-    """Return the inertia's equation by instruments of strokes alike, whose sum is one over pairs of stretches.
-
-    A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
-    Ann. Math. Statist. 19 (1948) 293).
-    """
-    j = problem.free.index(kernel.INERTIA)
-    first = _equation(problem, z, jacobian, residual)
-    weighted = residual * huber_weight(residual, CLIP)
-    mixed = _mixture(z, j)
-    alone = z.along(mixed)
-    slope = float(alone @ (jacobian.parameters[:, j] * huber_weight(residual, CLIP)))
-    columns = np.zeros_like(jacobian.parameters)
-    columns[:, j] = weighted
-    carrier = replace(jacobian, parameters=columns, own=np.zeros_like(weighted))
-    second = jacobian.along(mixed) * instruments(problem, carrier).parameters[:, j]
-    second[len(second) - problem.breakaways :] = 0.0
-    return replace(first, parts=first.parts + second / slope)
-
-
-def _best(one: _Equation, other: _Equation) -> _Equation:
-    """Return the mean of two equations for one unknown that has the least variance, neither counted against."""
-    a, b = one.influence, other.influence
-    away = a - b
-    share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
-    return _Equation(b + share * away, other.parts + share * (one.parts - other.parts))

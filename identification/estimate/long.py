@@ -12,7 +12,7 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.estimate import default
+from identification.estimate import acceptance, default
 from identification.estimate.assemble import fit_of, parameter_table, trace_of, typical_error, units_of
 from identification.estimate.default import Progress, floors_of, free_names, solve_stages, spread_of
 from identification.estimate.long_refinement import refine_pieces
@@ -95,7 +95,7 @@ def identify_long(
     warnings: list[str] = []
     tell("joint", 0.0)
     every = [part for r, parts in cut if r.role == "fit" for part in parts]
-    refined, fault = default.try_refinements(
+    refined, fault = acceptance.try_refinements(
         lambda correlated: refine_pieces(
             heads, every, values, names, model, lambda share: tell("joint", share), correlated
         ),

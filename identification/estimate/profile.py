@@ -19,11 +19,12 @@ from scipy import stats
 
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Eliminated
-from identification.estimate.instrumental import influence_on_inertia
+from identification.estimate.covariance import rise_to_static
+from identification.estimate.inertia import influence_on_inertia
 from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_cost, huber_weight
 from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_error import Refined, rise_to_static
+from identification.estimate.prediction_error import Refined
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, unpack
 from identification.estimate.result import Profile
 from identification.estimate.uncertainty import CONFIDENCE

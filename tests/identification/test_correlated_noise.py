@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.default import identify, refine_recordings, refusal
+from identification.estimate.acceptance import refusal
+from identification.estimate.default import identify, refine_recordings
 from identification.estimate.noise import Noise
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.model.nominal import NOMINAL

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from identification.estimate.acceptance import refusal
 from identification.estimate.assemble import typical_error
-from identification.estimate.default import free_names, identify, refine_recordings, refusal, solve_stages
+from identification.estimate.default import free_names, identify, refine_recordings, solve_stages
 from identification.estimate.paper import identify_paper
 from identification.estimate.prediction_error import refine_stages
 from identification.estimate.result import Identification
@@ -134,7 +135,7 @@ def test_strong_hidden_ripple_does_not_break_the_search(practical_pair: tuple[Re
     result = identify(Dataset((with_ripple(beginning(practical_pair[0], FEW_S), 2.0, 40.0),)))
     assert "physics is missing" in result.warnings[0]
     (unloaded,) = result.starts
-    assert len(unloaded.ends) == 13
+    assert len(unloaded.ends) == 14  # the best end is begun from again, and leads to nothing better
     assert min(unloaded.ends) > unloaded.reached
 
 

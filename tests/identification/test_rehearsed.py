@@ -15,8 +15,9 @@ from drivers.mock.plant.constants import Joint, Machine, Sensing
 from identification.estimate import default, rehearsed
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow
+from identification.estimate.covariance import covariances
 from identification.estimate.default import _Found, _unbiased, identify
-from identification.estimate.instrumental import _best, _Equation, covariances
+from identification.estimate.inertia import Equation, best
 from identification.estimate.instruments import Rehearsal, instruments, rehearsed_instruments
 from identification.estimate.levenberg import minimise_deviance
 from identification.estimate.noise import Noise
@@ -225,14 +226,14 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
 )
 def test_the_mean_of_two_equations_has_no_more_variance_than_either(one: Array, other: Array) -> None:
-    found = _best(_Equation(one, 2.0 * one), _Equation(other, 2.0 * other))
+    found = best(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
     assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
     assert np.allclose(found.parts, 2.0 * found.influence)
 
 
 def test_two_equations_that_err_apart_count_by_their_variances() -> None:
     one, other = np.array([2.0, 0.0]), np.array([0.0, 1.0])
-    assert _best(_Equation(one, one), _Equation(other, other)).influence == pytest.approx([0.4, 0.8])
+    assert best(Equation(one, one), Equation(other, other)).influence == pytest.approx([0.4, 0.8])
 
 
 def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> None:

@@ -1,0 +1,126 @@
+"""How sure the refined estimate is: its covariance, the bound's, and where the inertia's equation is solved."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.estimate import inertia
+from identification.estimate import innovations as kernel
+from identification.estimate.arrow import Arrow, equilibrated
+from identification.estimate.cramer_rao import bound
+from identification.estimate.instruments import Rehearsal, instruments, rehearsed_instruments
+from identification.estimate.levenberg import huber_weight
+from identification.estimate.noise_level import CLIP
+from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem
+from identification.recording import Array
+
+_PRIOR = 1.0
+"""Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch."""
+
+
+@dataclass(frozen=True)
+class Covariances:
+    """Covariance of the free parameters as estimated, and the least possible, in their own units, shape (p, p).
+
+    Attributes:
+        achieved: With the inertia where its equation is solved.
+        floor: The bound.
+        step: Of the free vector's parameters, to there, all else following the inertia, shape (p,).
+    """
+
+    achieved: Array
+    floor: Array
+    step: Array
+
+
+def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covariances:
+    """Return the achieved covariance of the free parameters and its floor at the problem's start.
+
+    The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
+    known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
+    what its error does to them. The inertia's variance is not lowered by its scores' scatter.
+
+    Args:
+        problem: At the estimate.
+        rehearsals: Of its experiment there, for instruments of the inertia beside those of strokes alike.
+    """
+    x = problem.origin()
+    problem.weigh()
+    residual = problem.residuals(x)
+    jacobian = problem.jacobian(x, residual)
+    z = instruments(problem, jacobian)
+    count = len(problem.free)
+    floor = bound(jacobian, z, problem.siblings)[:count, :count]
+    units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
+    scale = np.outer(units, units)
+    step = np.zeros(count)
+    if kernel.INERTIA not in problem.free:
+        spread, achieved = _scatter(jacobian, residual), floor
+    else:
+        j = problem.free.index(kernel.INERTIA)
+        equation = inertia.equation_of_strokes(problem, z, jacobian, residual)
+        if rehearsals:
+            other = rehearsed_instruments(problem, z, rehearsals)
+            equation = inertia.best(equation, inertia.equation(problem, other, jacobian, residual))
+        influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
+        step = -float(influence @ weighted) * floor[:, j] / floor[j, j]
+        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
+        achieved = _beside_inertia(floor, j, variance)
+        others = jacobian.without(j)
+        spread = _scatter(others, residual)
+        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
+        spread = np.insert(spread, j, max(float(scatter), 1.0))
+    return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
+
+
+def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
+    """Return the covariance of least squares beside the ``j``-th, an inertia found with this variance."""
+    others = [k for k in range(len(floor)) if k != j]
+    known = np.ix_(others, others)
+    follow = floor[others, j] / floor[j, j]
+    out = np.empty_like(floor)
+    out[known] = floor[known] + np.outer(follow, follow) * (variance - floor[j, j])
+    out[others, j] = out[j, others] = follow * variance
+    out[j, j] = variance
+    return out
+
+
+def _scatter(jacobian: Arrow, residual: Array) -> Array:
+    """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
+
+    Ratio of the clustered to the plain standard deviation of each parameter of least squares, drawn toward one as by
+    :data:`_PRIOR` stretch that scatters as it should. It may be below one: the drive's loop takes a part of the
+    current's noise out again, and what errs at the beginning of a stretch is made good by its end.
+    """
+    weight = huber_weight(residual, CLIP)
+    normal, scale = equilibrated(jacobian.product(weight))
+    # A stretch may say nothing of its own breakaway time.
+    inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
+    influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
+    plain, sums = np.zeros((2, jacobian.stretches, influence.shape[1]))
+    np.add.at(plain, jacobian.owners, influence**2)
+    np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
+    total = np.maximum(np.sum(plain, axis=0), 1e-300)
+    stretches = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
+    squared = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
+    return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
+
+
+def named_covariances(found: Covariances, joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return the covariance achieved and the least possible in the order of ``names``, by static limits, (p, p)."""
+    order = [joint.free.index(INDEX[n]) for n in names]
+    turn = rise_to_static(names)
+    achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
+    return achieved, floor
+
+
+def rise_to_static(names: Sequence[str]) -> Array:
+    """Return the map from (Coulomb level, rise) to (Coulomb level, static limit)."""
+    turn = np.eye(len(names))
+    for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
+        if coulomb in names and static in names:
+            turn[names.index(static), names.index(coulomb)] = 1.0
+    return turn
