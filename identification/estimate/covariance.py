@@ -10,11 +10,12 @@ import numpy as np
 from identification.estimate import inertia
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow, equilibrated
-from identification.estimate.cramer_rao import bound
-from identification.estimate.instruments import Rehearsal, instruments, rehearsed_instruments
+from identification.estimate.cramer_rao import bound, means_alike, rehearsed_bound
+from identification.estimate.instruments import instruments, rehearsed_instruments
 from identification.estimate.levenberg import huber_weight
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem
+from identification.estimate.stroke_curves import Rehearsal
 from identification.recording import Array
 
 _PRIOR = 1.0
@@ -40,12 +41,12 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
     The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
-    known, at the floor, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika 73 (1986) 13), and
-    what its error does to them. The inertia's variance is not lowered by its scores' scatter.
+    known, at the bound by strokes alike, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika
+    73 (1986) 13), and what its error does to them. The inertia's variance is not lowered by its scores' scatter.
 
     Args:
         problem: At the estimate.
-        rehearsals: Of its experiment there, for instruments of the inertia beside those of strokes alike.
+        rehearsals: Of its experiment there, for the bound, and for instruments of the inertia beside strokes alike.
     """
     x = problem.origin()
     problem.weigh()
@@ -53,12 +54,14 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     jacobian = problem.jacobian(x, residual)
     z = instruments(problem, jacobian)
     count = len(problem.free)
-    floor = bound(jacobian, z, problem.siblings)[:count, :count]
+    alike = means_alike(jacobian, z, problem.siblings)
+    least = bound(alike)[:count, :count]
+    floor = rehearsed_bound(problem, alike, rehearsals) if rehearsals else None
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     step = np.zeros(count)
     if kernel.INERTIA not in problem.free:
-        spread, achieved = _scatter(jacobian, residual), floor
+        spread, achieved = _scatter(jacobian, residual), least
     else:
         j = problem.free.index(kernel.INERTIA)
         equation = inertia.equation_of_strokes(problem, z, jacobian, residual)
@@ -66,13 +69,14 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
             other = rehearsed_instruments(problem, z, rehearsals)
             equation = inertia.best(equation, inertia.equation(problem, other, jacobian, residual))
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
-        step = -float(influence @ weighted) * floor[:, j] / floor[j, j]
+        step = -float(influence @ weighted) * least[:, j] / least[j, j]
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
-        achieved = _beside_inertia(floor, j, variance)
+        achieved = _beside_inertia(least, j, variance)
         others = jacobian.without(j)
         spread = _scatter(others, residual)
         scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
         spread = np.insert(spread, j, max(float(scatter), 1.0))
+    floor = least if floor is None else floor
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
 
 

@@ -5,29 +5,45 @@ foretold; the encoder is quantised; and when each stretch breaks away is unknown
 the prediction errors' mean: sensitivities over standard deviations, products summed over all samples (Ljung, System
 Identification, 2nd ed., 7.4), with the breakaway times eliminated.
 
-A stretch's own sensitivities hold the current's noise, whose square would pass for excitation. They are replaced by the
-mean over the stretches of the recording that make the same motion, as long after their breakaway, in which its share
-falls with their number.
+A stretch's own sensitivities hold the current's noise, whose square would pass for excitation. Where the experiment was
+rehearsed, they are those of rehearsals of the very stretch, in products of two different noises, so that no noise is
+squared. Else they are replaced by the mean over the stretches of the recording that make the same motion, as long
+after their breakaway: the noise's share falls with their number, and what distinguishes them is lost, so that this
+bound is up to a quarter too high.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from identification.estimate.arrow import Arrow, equilibrated
+from identification.estimate.prediction_problem import Problem
+from identification.estimate.stroke_curves import PlayedStretch, Rehearsal, played
 from identification.recording import Array
 
 _SILENT = 1e-12
 """Information on an unknown that touches no residual."""
 
 
-def bound(jacobian: Arrow, others: Arrow, stretches: Array) -> Array:
-    """Return the smallest covariance that an unbiased estimate can have.
+def means_alike(jacobian: Arrow, others: Arrow, stretches: Array) -> Arrow:
+    """Return the mean of sensitivities over the stretches that make the same motion.
 
     Args:
-        jacobian: d residuals / d unknowns, residuals over their standard deviations, of r rows and p columns.
-        others: The mean of the same over the other stretches.
-        stretches: How many stretches each residual's mean is over, its own among them, shape (r,).
+        jacobian: A stretch's own, of r rows.
+        others: The mean over the other stretches.
+        stretches: How many stretches each row's mean is over, its own among them, shape (r,).
+    """
+    return jacobian.mixed(1.0 / stretches, others)
+
+
+def bound(alike: Arrow) -> Array:
+    """Return the smallest covariance that an unbiased estimate can have, by strokes alike.
+
+    Args:
+        alike: d residuals / d unknowns, residuals over their standard deviations, of r rows and p columns; the mean
+            over stretches that make the same motion (:func:`means_alike`).
 
     Returns:
         Shape (p, p).
@@ -35,7 +51,57 @@ def bound(jacobian: Arrow, others: Arrow, stretches: Array) -> Array:
     Raises:
         numpy.linalg.LinAlgError: The unknowns are not all excited.
     """
-    normal, scale = equilibrated(jacobian.mixed(1.0 / stretches, others).product())
+    normal, scale = equilibrated(alike.product())
     silent = np.flatnonzero(np.diag(normal) == 0.0)
     normal[silent, silent] = _SILENT
     return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))
+
+
+def rehearsed_bound(problem: Problem, alike: Arrow, rehearsals: Sequence[Rehearsal]) -> Array | None:
+    """Return the smallest covariance that an unbiased estimate can have, from rehearsals of the experiment.
+
+    What the estimate doubts of single stretches (bounded influence) is the estimate's own affair, and not in the bound.
+
+    Args:
+        problem: At its start.
+        alike: d residuals / d x there by strokes alike, for samples that fewer than two noises show, and for the ties.
+        rehearsals: With two noises at least.
+
+    Returns:
+        Of the free parameters, shape (p, p); None where so few noises leave the information without an inverse.
+    """
+    count = len(problem.free)
+    undoubted = alike.scaled(problem.doubt[problem.owners])
+    rows = np.column_stack([undoubted.parameters, undoubted.own])
+    ties = rows[len(rows) - problem.breakaways :]
+    information = np.zeros((count, count))
+    for stretch in played(problem, rehearsals):
+        tie = ties[stretch.number]
+        told = _products(stretch, rows[stretch.rows]) + np.outer(tie, tie)
+        information += told[:count, :count]
+        if told[count, count] > 0.0:
+            information -= np.outer(told[:count, count], told[count, :count]) / told[count, count]
+    if np.any(np.diag(information) <= 0.0):
+        return None
+    normal, scale = equilibrated(information)
+    if np.linalg.eigvalsh(normal)[0] <= 0.0:
+        return None
+    return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))
+
+
+def _products(stretch: PlayedStretch, alike: Array) -> Array:
+    """Return the sum over a stretch's samples of the expected products of its sensitivities, shape (p + 1, p + 1).
+
+    The mean of products over all pairs of different noises (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
+    """
+    noises = {curve.noise for curve in stretch.curves}
+    total, squares, seen = np.zeros_like(alike), np.zeros((alike.shape[1],) * 2), np.zeros((len(alike), 1))
+    shown = [stretch.mean([c for c in stretch.curves if c.noise == noise]) for noise in sorted(noises)]
+    for mean, number in shown:
+        total += mean
+        seen += number > 0.0
+    pairs = np.where(seen > 1.0, seen * (seen - 1.0), np.inf)
+    for mean, _ in shown:
+        squares += (mean / pairs).T @ mean
+    left = alike[seen[:, 0] < 2.0]
+    return np.asarray((total / pairs).T @ total - squares + left.T @ left)

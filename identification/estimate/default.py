@@ -14,7 +14,6 @@ from identification.estimate.acceptance import try_refinements
 from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, typical_error, units_of
 from identification.estimate.bootstrap import bootstrap
 from identification.estimate.covariance import covariances, named_covariances
-from identification.estimate.instruments import Rehearsal
 from identification.estimate.prediction_error import Refined
 from identification.estimate.prediction_problem import unpack
 from identification.estimate.profile import profiles
@@ -30,11 +29,12 @@ from identification.estimate.result import (
     Starts,
 )
 from identification.estimate.stretches import motion
+from identification.estimate.stroke_curves import Rehearsal
 from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import Spread, block_sandwich
 from identification.model.ladder import NOMINAL
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
-from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.recording import Array, Dataset, Model, Recording, RecordingError
 
 Progress = Callable[[str, float], None]
 
@@ -181,7 +181,14 @@ def _refined(
         kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
         return replace(plain, starts=starts, stages=stages, warnings=(kept,))
     bias = likelihood_bias(refined.joint, refined.names)
-    found = _Found(dict(refined.values), spread_of(refined), floors_of(refined), refined, refined.starts, stages)
+    found = _Found(
+        dict(refined.values),
+        spread_of(refined),
+        floors_of(refined.names, refined.floor),
+        refined,
+        refined.starts,
+        stages,
+    )
     if bias is None:
         return found
     if bias.rehearsals:
@@ -190,14 +197,15 @@ def _refined(
 
 
 def _with_instruments(found: _Found, refined: Refined, rehearsals: Sequence[Rehearsal]) -> _Found:
-    """Solve the inertia's equation with the rehearsals' instruments too; the others follow."""
+    """Solve the inertia's equation with the rehearsals' instruments too; the others follow. The floor is theirs."""
     joint, names = refined.joint, refined.names
     solved = covariances(joint, rehearsals)
     x = joint.origin()
     x[: len(solved.step)] += solved.step
     values = {**found.values, **unpack(joint.parameters(x), names)}
-    achieved, _ = named_covariances(solved, joint, names)
-    return replace(found, values=values, spread=replace(found.spread, covariance=achieved))
+    achieved, floor = named_covariances(solved, joint, names)
+    spread = replace(found.spread, covariance=achieved)
+    return replace(found, values=values, spread=spread, floors=floors_of(names, floor))
 
 
 def _unbiased(found: _Found, bias: Bias) -> _Found:
@@ -328,10 +336,10 @@ def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
     return MeasuredNoise(noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit)
 
 
-def floors_of(refined: Refined) -> dict[str, float]:
-    """Return name to the half width of the 90 % interval of an estimate at the Cramer-Rao bound."""
-    exact = Spread(refined.names, refined.floor, math.inf)
-    return {name: exact.half_width(name) for name in refined.names}
+def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
+    """Return name to the half width of the 90 % interval of an estimate at the Cramer-Rao bound ``floor``, (p, p)."""
+    exact = Spread(names, floor, math.inf)
+    return {name: exact.half_width(name) for name in names}
 
 
 def joint_convergence(refined: Refined) -> Convergence:

@@ -10,7 +10,7 @@ there are as many as are simulated.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy import fft
 from identification.estimate import innovations as kernel
 from identification.estimate.arrow import Arrow
 from identification.estimate.prediction_problem import Problem
-from identification.estimate.stretches import Motion
+from identification.estimate.stroke_curves import Rehearsal, mean_curve, onsets_of, played
 from identification.recording import Array
 
 _WIDENING = 0.2
@@ -52,10 +52,10 @@ def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
             here = slice(starts[j], starts[j + 1])
             curves.append(np.column_stack([jacobian.parameters[here], jacobian.own[here]]) * sides[j])
         ties = jacobian.own[tie + stretch : tie + stretch + len(lengths)]
-        onsets, alike = _onsets(m, begins), m.alike
+        onsets, alike = onsets_of(m, begins), m.alike
         for j, side in enumerate(sides):
             others = np.flatnonzero(alike[j] & (np.arange(len(curves)) != j))
-            mean, _ = _mean([curves[i] for i in others], onsets[others].tolist(), len(curves[j]), onsets[j])
+            mean, _ = mean_curve([curves[i] for i in others], onsets[others].tolist(), len(curves[j]), onsets[j])
             mean = _smooth(mean, onsets[j]) * side
             parameters[starts[j] : starts[j + 1]] = mean[:, :count]
             own[starts[j] : starts[j + 1]] = mean[:, count]
@@ -64,19 +64,6 @@ def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
         row = int(starts[-1])
         stretch += len(lengths)
     return replace(jacobian, parameters=parameters, own=own)
-
-
-@dataclass(frozen=True)
-class Rehearsal:
-    """What a simulation of the same experiment says of every parameter.
-
-    Attributes:
-        problem: The simulated recordings, in the order of the real ones, at the values that were simulated.
-        sensitivities: d prediction errors over their deviations / d x there, of the real problem's free parameters.
-    """
-
-    problem: Problem
-    sensitivities: Arrow
 
 
 def rehearsed_instruments(problem: Problem, plain: Arrow, rehearsals: Sequence[Rehearsal]) -> Arrow:
@@ -90,72 +77,15 @@ def rehearsed_instruments(problem: Problem, plain: Arrow, rehearsals: Sequence[R
         rehearsals: At least one.
     """
     parameters, own = plain.parameters.copy(), plain.own.copy()
-    played = [_stretches(r) for r in rehearsals]
-    row, stretch = 0, 0
-    for number, (m, begins) in enumerate(zip(problem.motions, problem.begins, strict=True)):
-        for bounds, onset in zip(m.table, _onsets(m, begins), strict=True):
-            length = int(bounds[kernel.LAST] - bounds[kernel.FIRST])
-            found = [curve for one in played if (curve := _same(one[number], bounds)) is not None]
-            if found:
-                here, doubt = slice(row, row + length), problem.doubt[stretch]
-                mean, seen = _mean([c for c, _ in found], [o for _, o in found], length, float(onset))
-                alike = np.column_stack([parameters[here], own[here]])
-                mean = _smooth(np.where(seen > 0.0, mean, alike * doubt), float(onset)) / doubt
-                parameters[here], own[here] = mean[:, :-1], mean[:, -1]
-            row += length
-            stretch += 1
+    for stretch in played(problem, rehearsals):
+        if not stretch.curves:
+            continue
+        here, doubt = stretch.rows, problem.doubt[stretch.number]
+        mean, seen = stretch.mean(stretch.curves)
+        alike = np.column_stack([parameters[here], own[here]])
+        mean = _smooth(np.where(seen > 0.0, mean, alike * doubt), stretch.onset) / doubt
+        parameters[here], own[here] = mean[:, :-1], mean[:, -1]
     return replace(plain, parameters=parameters, own=own)
-
-
-def _stretches(rehearsal: Rehearsal) -> list[list[tuple[Array, Array, float]]]:
-    """Return, by recording, the stretches of a rehearsal: row of the table, curves of shape (n, p + 1), onset."""
-    problem, slopes = rehearsal.problem, rehearsal.sensitivities
-    curves = np.column_stack([slopes.parameters, slopes.own])
-    out, row = [], 0
-    for m, begins in zip(problem.motions, problem.begins, strict=True):
-        stretches = []
-        for bounds, onset in zip(m.table, _onsets(m, begins), strict=True):
-            length = int(bounds[kernel.LAST] - bounds[kernel.FIRST])
-            stretches.append((bounds, curves[row : row + length], float(onset)))
-            row += length
-        out.append(stretches)
-    return out
-
-
-def _same(played: Sequence[tuple[Array, Array, float]], bounds: Array) -> tuple[Array, float] | None:
-    """Return curve and onset of the stretch that goes the same way over most of the same samples, None if none does."""
-    best, least = None, 0.5 * (bounds[kernel.LAST] - bounds[kernel.FIRST])
-    for other, curve, onset in played:
-        common = min(other[kernel.LAST], bounds[kernel.LAST]) - max(other[kernel.FIRST], bounds[kernel.FIRST])
-        if other[kernel.SIDE] == bounds[kernel.SIDE] and common > least:
-            best, least = (curve, onset), common
-    return best
-
-
-def _onsets(m: Motion, begins: Array) -> Array:
-    """Return when each stretch breaks away, in samples after its first, shape (m,)."""
-    first = m.table[:, kernel.FIRST].astype(np.int64)
-    return np.asarray((begins - m.time[first]) / m.recording.period)
-
-
-def _mean(curves: Sequence[Array], onsets: Sequence[float], length: int, onset: float) -> tuple[Array, Array]:
-    """Return the mean of curves shifted to one ``onset``, shape (length, p), and how many there are, (length, 1).
-
-    Args:
-        curves: Each of its own length, at least one.
-        onsets: When each breaks away, samples after its first.
-        length: Of the mean.
-        onset: When that breaks away.
-    """
-    total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
-    for curve, begun in zip(curves, onsets, strict=True):
-        at = np.arange(length) + begun - onset
-        low = np.floor(at).astype(np.int64)
-        inside = (low >= 0) & (low < len(curve) - 1)
-        low, share = low[inside], (at - np.floor(at))[inside][:, None]
-        total[inside] += (1.0 - share) * curve[low] + share * curve[low + 1]
-        seen[inside] += 1.0
-    return total / np.maximum(seen, 1.0), seen
 
 
 def _smooth(curve: Array, onset: float) -> Array:

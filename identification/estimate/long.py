@@ -112,7 +112,7 @@ def identify_long(
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
     else:
-        values, spread, floors = dict(refined.values), spread_of(refined), floors_of(refined)
+        values, spread, floors = dict(refined.values), spread_of(refined), floors_of(refined.names, refined.floor)
         noise = default.noise_of(refined, torque_unit(heads[0]))
     tell("joint", 1.0)
     return Identification(

@@ -8,8 +8,8 @@ it, and what one step of the likelihood makes of the values simulated is the bia
 Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise is used twice, the second time with its sign
 turned, so that what is odd in it cancels and few rehearsals are enough.
 
-Their sensitivities are instruments too: the recording has few strokes alike, and a rehearsal is the same motion with
-another noise.
+Their sensitivities are instruments too, and those of two noises together the Cramer-Rao bound: the recording has few
+strokes alike, and a rehearsal is the same motion with another noise.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ import numpy as np
 from identification.estimate import innovations as kernel
 from identification.estimate.information import settle
 from identification.estimate.instrumental import doubted
-from identification.estimate.instruments import Rehearsal
 from identification.estimate.noise_level import CLIP
 from identification.estimate.prediction_problem import Problem, static_limit, unpack
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.stretches import Motion, motion
+from identification.estimate.stroke_curves import Rehearsal
 from identification.recording import Array, Model
 from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import Loop, respond
@@ -174,15 +174,18 @@ def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> _Scored | None:
         settle(problem, CLIP)
     problem.doubt = doubted(problem)
     problem.free = joint.free
-    return _scored(problem)
+    return _scored(problem, seed)
 
 
-def _scored(problem: Problem) -> _Scored | None:
-    """Return the parameters' part of a step of Fisher scoring on them and breakaway times, the inertia held."""
+def _scored(problem: Problem, noise: int) -> _Scored | None:
+    """Return the parameters' part of a step of Fisher scoring on them and breakaway times, the inertia held.
+
+    ``noise`` is the number of that which the problem's recordings were simulated with.
+    """
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
     every, widening = problem.derivatives(x, errors, deviations)
-    rehearsal = Rehearsal(problem, every.scaled(problem.doubt[problem.owners]))
+    rehearsal = Rehearsal(problem, every.scaled(problem.doubt[problem.owners]), noise)
     held = [j for j, k in enumerate(problem.free) if k == kernel.INERTIA]
     jacobian = every
     for j in held:

@@ -11,12 +11,13 @@ from scipy import ndimage
 
 from identification.compiled import compiled
 from identification.estimate.arrow import Arrow
-from identification.estimate.cramer_rao import bound
+from identification.estimate.cramer_rao import bound, means_alike, rehearsed_bound
 from identification.estimate.instruments import _smoothed, instruments
 from identification.estimate.noise import Noise
 from identification.estimate.prediction_error import Refined, refine_stages
 from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
 from identification.estimate.stretches import motion
+from identification.estimate.stroke_curves import Rehearsal
 from identification.recording import Array, Bench, Model, Recording
 
 from .synthetic import TRUTH
@@ -113,14 +114,14 @@ def of_parameters(table: Array) -> Arrow:
 def test_bound_of_a_regression() -> None:
     rng = np.random.default_rng(4)
     table: Array = rng.normal(size=(500, 3)) * (1.0, 1e3, 1e-6)
-    found = bound(of_parameters(table), of_parameters(table), np.full(500, 4.0))[:3, :3]
+    found = bound(of_parameters(table))[:3, :3]
     assert found == pytest.approx(np.linalg.inv(table.T @ table), rel=1e-9)
 
 
 def test_an_unknown_that_touches_no_residual_is_all_but_unbounded() -> None:
     table: Array = np.random.default_rng(6).normal(size=(200, 3))
     table[:, 1] = 0.0
-    found = bound(of_parameters(table), of_parameters(table), np.full(200, 4.0))
+    found = bound(of_parameters(table))
     known = table[:, [0, 2]]
     assert found[1, 1] > 1e9 * max(found[0, 0], found[2, 2])
     assert found[np.ix_([0, 2], [0, 2])] == pytest.approx(np.linalg.inv(known.T @ known), rel=1e-9)
@@ -132,9 +133,67 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     own = signal + rng.normal(size=(4000, 1))
     others = signal + rng.normal(size=(4000, 1)) / math.sqrt(15.0)
     right = 1.0 / float(np.sum(signal**2))
-    found = bound(of_parameters(own), of_parameters(others), np.full(4000, 16.0))
+    found = bound(means_alike(of_parameters(own), of_parameters(others), np.full(4000, 16.0)))
     assert float(found[0, 0]) == pytest.approx(right, rel=0.15)
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
+
+
+def slopes_at_the_truth(seed: int) -> tuple[Problem, Arrow]:
+    """Return the problem of a recording of the fitted model at its true values, and its Jacobian there."""
+    m = motion(from_the_model(seed, 5.0))
+    assert m is not None
+    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
+    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
+    problem.weigh()
+    x = problem.origin()
+    return problem, problem.jacobian(x, problem.residuals(x))
+
+
+def shaken(problem: Problem, jacobian: Arrow, noise: int, level: float) -> Rehearsal:
+    """Return a rehearsal whose sensitivities have noise of a level over their own rms."""
+    rng = np.random.default_rng(noise)
+    rms = np.sqrt(np.mean(jacobian.parameters**2, axis=0))
+    parameters = jacobian.parameters + level * rms * rng.standard_normal(jacobian.parameters.shape)
+    return Rehearsal(problem, replace(jacobian, parameters=parameters), noise)
+
+
+def test_noise_of_rehearsals_is_no_excitation() -> None:
+    problem, jacobian = slopes_at_the_truth(1)
+    count = len(SYSTEM)
+    right = np.diag(bound(jacobian))[:count]
+    found = rehearsed_bound(problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)])
+    assert found is not None
+    assert np.diag(found) == pytest.approx(right, rel=0.15)
+    # One noise twice would count its power.
+    twice = [replace(shaken(problem, jacobian, 0, 0.5), noise=k) for k in range(2)]
+    low = rehearsed_bound(problem, jacobian, twice)
+    assert low is not None
+    assert np.all(np.diag(low) < 0.85 * right)
+
+
+def test_doubt_of_the_estimate_is_not_in_the_bound() -> None:
+    problem, jacobian = slopes_at_the_truth(1)
+    plain = rehearsed_bound(problem, jacobian, [Rehearsal(problem, jacobian, k) for k in range(2)])
+    assert plain is not None
+    assert np.diag(plain) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
+    problem.doubt[0] = 5.0
+    doubted = jacobian.scaled(1.0 / problem.doubt[problem.owners])
+    assert rehearsed_bound(problem, doubted, [Rehearsal(problem, jacobian, k) for k in range(2)]) == pytest.approx(
+        plain
+    )
+
+
+def test_too_few_noises_leave_no_bound() -> None:
+    problem, jacobian = slopes_at_the_truth(1)
+    opposed = replace(jacobian, parameters=-jacobian.parameters)
+    assert rehearsed_bound(problem, jacobian, [Rehearsal(problem, jacobian, 0), Rehearsal(problem, opposed, 1)]) is None
+
+
+def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:
+    problem, jacobian = slopes_at_the_truth(1)
+    one = shaken(problem, jacobian, 0, 3.0)
+    found = rehearsed_bound(problem, jacobian, [one, replace(one, sensitivities=jacobian)])
+    assert found == pytest.approx(bound(jacobian)[: len(SYSTEM), : len(SYSTEM)])
 
 
 @pytest.mark.parametrize("rows", [1, 40, 900])
@@ -145,13 +204,7 @@ def test_smoothed_curves_are_those_of_a_filter(rows: int) -> None:
 
 
 def test_instruments_hold_nothing_of_their_own_stretch() -> None:
-    m = motion(from_the_model(1, 5.0))
-    assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
-    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
-    problem.weigh()
-    x = problem.origin()
-    jacobian = problem.jacobian(x, problem.residuals(x))
+    problem, jacobian = slopes_at_the_truth(1)
     slopes, z = jacobian.parameters, instruments(problem, jacobian).parameters
     mine = problem.owners == 1
     inside = mine.copy()
