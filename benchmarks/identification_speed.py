@@ -30,12 +30,12 @@ from drivers.mock.plant.direct import simulate
 from identification.estimate import varpro
 from identification.estimate.default import identify
 from identification.estimate.levenberg import huber
-from identification.estimate.noise import Noise
-from identification.estimate.noise_level import CLIP, torque_noise
 from identification.estimate.paper import GENERATIONS, POPULATION
-from identification.estimate.prediction_problem import Problem, pack, static_limit
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import CLIP, torque_noise
+from identification.estimate.prediction.problem import Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
 from identification.estimate.stage_problem import StageProblem
-from identification.estimate.stretches import motion
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
 from rig.tables import table

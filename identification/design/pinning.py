@@ -16,15 +16,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.estimate.arrow import Arrow
-from identification.estimate.information import settle
-from identification.estimate.instruments import instruments
-from identification.estimate.leverage import bounded
-from identification.estimate.noise import Noise
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.instruments import instruments
+from identification.estimate.prediction.leverage import bounded
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import CONFIDENCE
 from identification.recording import Array, Bench, Model, Recording
 from identification.simulate.servo_loop import Loop, Response, respond, usual_loop

@@ -15,15 +15,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.design.pinning import NAMES, Nominal, Pinned, PlannedStage, likelihood_slope, stage_response
-from identification.estimate.acceptance import WHITE
-from identification.estimate.covariance import covariances, rise_to_static
 from identification.estimate.default import identify
-from identification.estimate.information import settle
-from identification.estimate.noise import Noise
-from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.acceptance import WHITE
+from identification.estimate.prediction.covariance import covariances, rise_to_static
+from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import SYSTEM_PARAMETERS
-from identification.estimate.stretches import motion
 from identification.estimate.uncertainty import Spread
 from identification.recording import Dataset, Model, Recording, RecordingError
 

@@ -13,7 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from identification.estimate.arrow import Arrow, equilibrated
+from identification.estimate.prediction.arrow import Arrow, equilibrated
 from identification.recording import Array
 
 _Known = TypeVar("_Known")

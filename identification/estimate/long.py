@@ -1,7 +1,7 @@
 """The default method on recordings too long for memory: the same two steps, piece by piece.
 
 The equation error is decimated to 2.5 times its bandwidth as ever, which keeps all it uses; only the velocity stays at
-the full rate. The prediction errors pass over the pieces (:mod:`identification.estimate.long_refinement`).
+the full rate. The prediction errors pass over the pieces (:mod:`identification.estimate.prediction.long_refinement`).
 """
 
 from __future__ import annotations
@@ -12,10 +12,12 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.estimate import acceptance, default
+from identification.estimate import default
 from identification.estimate.assemble import fit_of, parameter_table, trace_of, typical_error, units_of
-from identification.estimate.default import Progress, floors_of, free_names, solve_stages, spread_of
-from identification.estimate.long_refinement import refine_pieces
+from identification.estimate.default import Progress, free_names, solve_stages
+from identification.estimate.prediction import acceptance
+from identification.estimate.prediction.long_refinement import refine_pieces
+from identification.estimate.prediction.refinement import floors_of, joint_convergence, noise_of, spread_of
 from identification.estimate.result import Identification, MeasuredNoise, Starts
 from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import block_sandwich
@@ -106,14 +108,14 @@ def identify_long(
     noise: MeasuredNoise | None = None
     starts: tuple[Starts, ...] = ()
     if refined is not None:
-        stages.append(default.joint_convergence(refined))
+        stages.append(joint_convergence(refined))
         starts = refined.starts
     if refined is None or fault:
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
     else:
         values, spread, floors = dict(refined.values), spread_of(refined), floors_of(refined.names, refined.floor)
-        noise = default.noise_of(refined, torque_unit(heads[0]))
+        noise = noise_of(refined, torque_unit(heads[0]))
     tell("joint", 1.0)
     return Identification(
         method="default",

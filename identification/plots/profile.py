@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.profile import LEVEL
+from identification.estimate.prediction.profile import LEVEL
 from identification.estimate.result import Parameter, Profile, Starts
 from identification.plots.fit import LABELS
 from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure

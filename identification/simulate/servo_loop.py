@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.compiled import compiled
-from identification.estimate.prediction_problem import pack
+from identification.estimate.prediction.problem import pack
 from identification.recording import Array
 
 STEPS = 20
 """Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
 _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
-_MC, _DM, _OMEGA_SF, _SIGMA_2, _INERTIA, _MU_C, _DMU, _OMEGA_SL, _MU_2 = range(9)  # as in estimate.innovations
+_MC, _DM, _OMEGA_SF, _SIGMA_2, _INERTIA, _MU_C, _DMU, _OMEGA_SL, _MU_2 = range(9)  # as in innovations
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identification.estimate.arrow import Arrow
+from identification.estimate.prediction.arrow import Arrow
 
 
 def arrow(seed: int, rows: int, parameters: int, stretches: int) -> Arrow:

@@ -3,10 +3,11 @@
 import numpy as np
 import pytest
 
-from identification.estimate.bootstrap import bootstrap
-from identification.estimate.default import identify, refine_recordings
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_error import Refined
+from identification.estimate.default import identify
+from identification.estimate.prediction.bootstrap import bootstrap
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.refinement import refine_recordings
+from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.model.nominal import NOMINAL
 from identification.recording import Dataset, Model, Recording

@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.acceptance import refusal
-from identification.estimate.default import identify, refine_recordings
-from identification.estimate.noise import Noise
+from identification.estimate.default import identify
+from identification.estimate.prediction.acceptance import refusal
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.refinement import refine_recordings
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.model.nominal import NOMINAL
 from identification.recording import Bench, Dataset, Model, Recording

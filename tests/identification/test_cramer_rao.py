@@ -10,14 +10,14 @@ import pytest
 from scipy import ndimage
 
 from identification.compiled import compiled
-from identification.estimate.arrow import Arrow
-from identification.estimate.cramer_rao import bound, means_alike, rehearsed_bound
-from identification.estimate.instruments import _smoothed, instruments
-from identification.estimate.noise import Noise
-from identification.estimate.prediction_error import Refined, refine_stages
-from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
-from identification.estimate.stretches import motion
-from identification.estimate.stroke_curves import Rehearsal
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound
+from identification.estimate.prediction.instruments import _smoothed, instruments
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.stages import Refined, refine_stages
+from identification.estimate.prediction.stretches import motion
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.recording import Array, Bench, Model, Recording
 
 from .synthetic import TRUTH

@@ -9,13 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.acceptance import refusal
 from identification.estimate.assemble import typical_error
-from identification.estimate.default import free_names, identify, refine_recordings, solve_stages
+from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.paper import identify_paper
-from identification.estimate.prediction_error import refine_stages
+from identification.estimate.prediction.acceptance import refusal
+from identification.estimate.prediction.refinement import refine_recordings
+from identification.estimate.prediction.stages import refine_stages
+from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
-from identification.estimate.stretches import motion
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from identification.estimate import innovations as kernel
-from identification.estimate.noise import Noise
-from identification.estimate.noise_level import deviance, likeliest_noise
-from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
-from identification.estimate.stretches import Motion, motion
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import deviance, likeliest_noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.stretches import Motion, motion
 from identification.recording import Model, Recording
 
 from .synthetic import TRUTH

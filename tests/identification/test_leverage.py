@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from identification.estimate import innovations as kernel
-from identification.estimate import instrumental
-from identification.estimate.arrow import Arrow
-from identification.estimate.leverage import bounded, doubts
-from identification.estimate.noise import Noise
-from identification.estimate.prediction_problem import Problem, pack, static_limit
-from identification.estimate.stretches import motion
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction import instrumental
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.leverage import bounded, doubts
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.problem import Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
 from identification.recording import Array, Model, Recording
 
 from .practical import beginning

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from identification.estimate import default, long
-from identification.estimate.information import reduce, settle
-from identification.estimate.noise import Noise
-from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.information import reduce, settle
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
-from identification.estimate.stretches import motion
 from identification.prepare import resting
 from identification.recording import Dataset, Model, Recording
 

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.estimate import innovations as kernel
-from identification.estimate import prediction_error, searches
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction import searches, stages
 from identification.recording import Array
 
 RUGGED = {0.5: 0.0, 0.9: -10.0, 0.97: -40.0, 1.04: -20.0, 1.2: -5.0, 2.1: -15.0}
@@ -67,16 +67,16 @@ def test_where_no_start_is_solved_the_best_end_is_begun_from_again(monkeypatch: 
         end[kernel.INERTIA] = 2.0 if share > 1.0 else 0.5 * (start[kernel.INERTIA] + 2.0)
         return abs(end[kernel.INERTIA] - 2.2) * 30.0, end, [], None
 
-    monkeypatch.setattr(prediction_error, "_solved_from", solved)
-    monkeypatch.setattr(prediction_error, "breakaway_starts", lambda *_: [])
+    monkeypatch.setattr(stages, "_solved_from", solved)
+    monkeypatch.setattr(stages, "breakaway_starts", lambda *_: [])
     problem: Any = SimpleNamespace(free=(), start=np.ones(kernel.PARAMETERS), begins=[], noise=None)
     # Nothing is solved: from the best end (6.0 off) again, which is no better, so once and no more.
-    unsolved = prediction_error.solve_first_stage(problem, [kernel.MC], [kernel.INERTIA])
+    unsolved = stages.solve_first_stage(problem, [kernel.MC], [kernel.INERTIA])
     assert unsolved == pytest.approx(6.0)
     assert problem.start[kernel.INERTIA] == 2.0
     assert begun == [*((1.0, share) for share in (1.0, 0.8, 0.6, 1.25)), (2.0, 1.0)]
     # An inertia that is known is not searched.
     begun.clear()
     problem.start = np.ones(kernel.PARAMETERS)
-    prediction_error.solve_first_stage(problem, [kernel.MC], [])
+    stages.solve_first_stage(problem, [kernel.MC], [])
     assert len(begun) == 1

@@ -14,7 +14,7 @@ from drivers.mock.plant.constants import Joint, Machine
 from drivers.mock.plant.friction import friction
 from drivers.mock.plant.gas_direct import burn, throat_area
 from drivers.mock.plant.machine import friction_vector
-from identification.estimate import innovations
+from identification.estimate.prediction import innovations
 from identification.model import gas_kernel as kernel
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.gas_generator import GasGenerator, constants, pressure_history, throat_derivatives

@@ -7,12 +7,12 @@ import pytest
 
 from identification.estimate import levenberg
 from identification.estimate.default import identify
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_error import Refined, refine_stages
-from identification.estimate.prediction_problem import INDEX
-from identification.estimate.profile import LEVEL, crossings, profiles
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import INDEX
+from identification.estimate.prediction.profile import LEVEL, crossings, profiles
+from identification.estimate.prediction.stages import Refined, refine_stages
+from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
-from identification.estimate.stretches import motion
 from identification.recording import Array, Dataset, Model, Recording
 
 from .synthetic import SYSTEM, TRUTH, sine

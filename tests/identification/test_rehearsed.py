@@ -12,21 +12,22 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.constants import Joint, Machine, Sensing
-from identification.estimate import default, rehearsed
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
-from identification.estimate.covariance import covariances
-from identification.estimate.cramer_rao import bound
-from identification.estimate.default import _Found, _unbiased, identify
-from identification.estimate.inertia import Equation, best
-from identification.estimate.instruments import instruments, rehearsed_instruments
+from identification.estimate.default import identify
 from identification.estimate.levenberg import minimise_deviance
-from identification.estimate.noise import Noise
-from identification.estimate.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
-from identification.estimate.rehearsed import Bias, _Scored, likelihood_bias
-from identification.estimate.stretches import motion
-from identification.estimate.stroke_curves import Rehearsal
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction import refinement, rehearsed
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.covariance import covariances
+from identification.estimate.prediction.cramer_rao import bound
+from identification.estimate.prediction.inertia import Equation, best
+from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.refinement import Found, _unbiased
+from identification.estimate.prediction.rehearsed import Bias, _Scored, likelihood_bias
+from identification.estimate.prediction.stretches import motion
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.uncertainty import Spread
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
 
@@ -117,7 +118,7 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(monkeypatch: p
     likely = identify(dataset, profile=True, draws=20)
     shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
     bias = Bias(shifts, {**dict.fromkeys(shifts, 0.0), "Ms": 1e-4})
-    monkeypatch.setattr(default, "likelihood_bias", lambda _joint, _names: bias)
+    monkeypatch.setattr(refinement, "likelihood_bias", lambda _joint, _names: bias)
     moved = identify(dataset, profile=True, draws=20)
     for name, shift in shifts.items():
         assert moved.values()[name] == pytest.approx(likely.values()[name] - shift)
@@ -146,7 +147,7 @@ def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
 
 def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
     names = ("Mc", "Ms", "omega_sf")
-    found = _Found({"Mc": 6.0, "Ms": 12.0, "omega_sf": 0.05}, Spread(names, 1e-4 * np.eye(3), np.inf))
+    found = Found({"Mc": 6.0, "Ms": 12.0, "omega_sf": 0.05}, Spread(names, 1e-4 * np.eye(3), np.inf))
     small = Bias({"Mc": 0.1, "Ms": -0.1, "omega_sf": 0.001}, dict.fromkeys(names, 1e-6))
     corrected = _unbiased(found, small)
     assert corrected.values == pytest.approx({"Mc": 5.9, "Ms": 12.1, "omega_sf": 0.049})

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.floor import command_period, noise_floor
+from identification.estimate.noise_floor import command_period, noise_floor
 from identification.estimate.result import Parameter
 from identification.estimate.transfer import moved, transfer
 from identification.prepare import prepare

@@ -21,14 +21,14 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
-from identification.estimate.information import settle
-from identification.estimate.instrumental import doubted
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_problem import Problem, static_limit, unpack
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.instrumental import doubted
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import Problem, static_limit, unpack
+from identification.estimate.prediction.stretches import Motion, motion
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.estimate.stretches import Motion, motion
-from identification.estimate.stroke_curves import Rehearsal
 from identification.recording import Array, Model
 from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import Loop, respond

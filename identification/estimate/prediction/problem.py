@@ -9,11 +9,11 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
 from identification.estimate.levenberg import huber
-from identification.estimate.noise import Noise
-from identification.estimate.stretches import Motion
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.stretches import Motion
 from identification.recording import Array, Model
 
 INDEX = {

@@ -1,7 +1,7 @@
 """Profile likelihood of every parameter: how the refinement's criterion grows as one value is moved by hand.
 
 All other parameters and all breakaway times are optimised anew at each point. Two things are not those of a plain
-likelihood, since the estimate is not where one is greatest (:mod:`identification.estimate.instrumental`):
+likelihood, since the estimate is not where one is greatest (:mod:`identification.estimate.prediction.instrumental`):
 
 - Given the inertia the others are least squares, and the inertia is what solves its estimating equation. So the
   deviance is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared estimating equation over its
@@ -17,15 +17,15 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import stats
 
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Eliminated
-from identification.estimate.covariance import rise_to_static
-from identification.estimate.inertia import influence_on_inertia
-from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_cost, huber_weight
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_error import Refined
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, unpack
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Eliminated
+from identification.estimate.prediction.covariance import rise_to_static
+from identification.estimate.prediction.inertia import influence_on_inertia
+from identification.estimate.prediction.instruments import instruments
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, unpack
+from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import Profile
 from identification.estimate.uncertainty import CONFIDENCE
 from identification.recording import Array

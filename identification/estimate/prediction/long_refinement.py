@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate.arrow import equilibrated
-from identification.estimate.covariance import rise_to_static
-from identification.estimate.default import refine_recordings
-from identification.estimate.information import SETTLING, Reduced, reduce, settle
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_error import Refined
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
-from identification.estimate.stretches import motion
+from identification.estimate.prediction.arrow import equilibrated
+from identification.estimate.prediction.covariance import rise_to_static
+from identification.estimate.prediction.information import SETTLING, Reduced, reduce, settle
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.refinement import refine_recordings
+from identification.estimate.prediction.stages import Refined
+from identification.estimate.prediction.stretches import motion
 from identification.recording import Array, Model, Recording
 
 PASSES = 3

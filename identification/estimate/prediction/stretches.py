@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.estimate import innovations as kernel
+from identification.estimate.prediction import innovations as kernel
 from identification.even import evened
 from identification.prepare import drive_torque, joint_angle, resting
 from identification.recording import Array, Recording

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 from scipy import optimize
 
-from identification.estimate import innovations as kernel
-from identification.estimate.noise import Noise
-from identification.estimate.prediction_problem import Problem
-from identification.estimate.stretches import Motion
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.problem import Problem
+from identification.estimate.prediction.stretches import Motion
 from identification.recording import Array
 
 CLIP = 4.0

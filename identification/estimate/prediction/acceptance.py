@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from identification.estimate.prediction_error import Refined
+from identification.estimate.prediction.stages import Refined
 
 WHITE = 0.15
 """Greatest correlation of neighbouring innovations at which the refined values are taken."""

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
-from identification.estimate.prediction_problem import Problem
-from identification.estimate.stretches import Motion
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.problem import Problem
+from identification.estimate.prediction.stretches import Motion
 from identification.recording import Array
 
 

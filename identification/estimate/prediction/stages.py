@@ -4,7 +4,7 @@ Unknown beside the parameters is when each stretch breaks away. Each such time i
 measured then. Least squares leads into the right basin, with the inertia held: the torque noise is first assumed large
 and then lowered, as a filter that trusts the encoder more has a smoother cost. At the noise's own level the likelihood
 is searched. Instrumental variables then give the inertia, which both put far off, and the likelihood the rest beside it
-(:mod:`identification.estimate.instrumental`).
+(:mod:`identification.estimate.prediction.instrumental`).
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
-from identification.estimate.covariance import covariances, named_covariances
-from identification.estimate.instrumental import SOLVED, beside_inertia, defect, solve
-from identification.estimate.noise import Noise
-from identification.estimate.noise_level import likeliest_noise, repeated, torque_noise, with_correlated
-from identification.estimate.prediction_problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.covariance import covariances, named_covariances
+from identification.estimate.prediction.instrumental import SOLVED, beside_inertia, defect, solve
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import likeliest_noise, repeated, torque_noise, with_correlated
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.searches import SAME_END, breakaway_starts, refine, refine_from
+from identification.estimate.prediction.stretches import Motion
 from identification.estimate.result import Starts
-from identification.estimate.searches import SAME_END, breakaway_starts, refine, refine_from
-from identification.estimate.stretches import Motion
 from identification.recording import Array, Model
 
 _Solved = tuple[float, Array, list[Array], Noise]
@@ -42,7 +42,7 @@ class Refined:
     Attributes:
         values: Name to value.
         covariance: Of the fitted ``names``, shape (p, p), in the values' own units.
-        floor: The least covariance possible (:mod:`identification.estimate.cramer_rao`), of the same shape.
+        floor: The least covariance possible (:mod:`identification.estimate.prediction.cramer_rao`), of the same shape.
         names: Fitted names in that order.
         innovation_rms: 1 where the noise model holds.
         whiteness: Correlation of neighbouring innovations.

@@ -18,9 +18,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.arrow import Arrow, equilibrated
-from identification.estimate.prediction_problem import Problem
-from identification.estimate.stroke_curves import PlayedStretch, Rehearsal, played
+from identification.estimate.prediction.arrow import Arrow, equilibrated
+from identification.estimate.prediction.problem import Problem
+from identification.estimate.prediction.stroke_curves import PlayedStretch, Rehearsal, played
 from identification.recording import Array
 
 _SILENT = 1e-12

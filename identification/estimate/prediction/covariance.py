@@ -7,15 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate import inertia
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow, equilibrated
-from identification.estimate.cramer_rao import bound, means_alike, rehearsed_bound
-from identification.estimate.instruments import instruments, rehearsed_instruments
 from identification.estimate.levenberg import huber_weight
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem
-from identification.estimate.stroke_curves import Rehearsal
+from identification.estimate.prediction import inertia
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow, equilibrated
+from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound
+from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.recording import Array
 
 _PRIOR = 1.0

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
-from identification.estimate.prediction_problem import Problem
-from identification.estimate.stroke_curves import Rehearsal, mean_curve, onsets_of, played
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.problem import Problem
+from identification.estimate.prediction.stroke_curves import Rehearsal, mean_curve, onsets_of, played
 from identification.recording import Array
 
 _WIDENING = 0.2

@@ -12,13 +12,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
-from identification.estimate.inertia import influence_on_inertia
-from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
-from identification.estimate.leverage import doubts
-from identification.estimate.noise_level import CLIP, likeliest_noise
-from identification.estimate.prediction_problem import LOGARITHMIC, Problem
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.inertia import influence_on_inertia
+from identification.estimate.prediction.instruments import instruments
+from identification.estimate.prediction.leverage import doubts
+from identification.estimate.prediction.noise_level import CLIP, likeliest_noise
+from identification.estimate.prediction.problem import LOGARITHMIC, Problem
 from identification.recording import Array
 
 SOLVED = 3.0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.estimate.levenberg import huber, huber_weight
-from identification.estimate.prediction_problem import Problem
+from identification.estimate.prediction.problem import Problem
 from identification.recording import Array
 
 SETTLING = 4

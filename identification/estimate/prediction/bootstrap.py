@@ -2,8 +2,8 @@
 
 It asks nothing of the noise but that stretches err independently of one another, so that it bears out, or not, the
 intervals that rest on a noise model (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw
-solves the estimating equations of :mod:`identification.estimate.instrumental` with every stretch counted as often as it
-was drawn; weights, noise levels and the inertia's instrument are those of the estimate.
+solves the estimating equations of :mod:`identification.estimate.prediction.instrumental` with every stretch counted
+as often as it was drawn; weights, noise levels and the inertia's instrument are those of the estimate.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
-from identification.estimate.inertia import influence_on_inertia
-from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_error import Refined
-from identification.estimate.prediction_problem import INDEX, LOGARITHMIC, Problem, unpack
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.inertia import influence_on_inertia
+from identification.estimate.prediction.instruments import instruments
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, unpack
+from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import Resampled
 from identification.estimate.uncertainty import CONFIDENCE
 from identification.recording import Array

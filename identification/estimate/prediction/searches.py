@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
 from identification.estimate import levenberg
-from identification.estimate.noise_level import CLIP, deviance
-from identification.estimate.prediction_problem import Problem, static_limit
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.noise_level import CLIP, deviance
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.recording import Array
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate import innovations as kernel
-from identification.estimate.arrow import Arrow
-from identification.estimate.instruments import instruments
 from identification.estimate.levenberg import huber_weight
-from identification.estimate.noise_level import CLIP
-from identification.estimate.prediction_problem import Problem
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.instruments import instruments
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import Problem
 from identification.recording import Array
 
 
