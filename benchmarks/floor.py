@@ -7,6 +7,7 @@ Rows are kept as they come, and a study that was stopped goes on where it was.
 
     python benchmarks/floor.py --benches 200 --first 5000 --out out/floor
     python benchmarks/floor.py --practical --benches 50     # the practical bench itself, seeds of noise only
+    python benchmarks/floor.py --model --benches 50         # the fitted model's own data: the floor's code on trial
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any
 
 import numpy as np
 import yaml
-from floor_benches import random_bench, record
+from floor_benches import of_the_model, random_bench, record
 
 import rig.bench
 from identification.estimate.default import identify, solve_stages
@@ -43,29 +44,41 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--paper", type=int, default=0, help="benches that the genetic algorithm gets as well")
     parser.add_argument("--practical", action="store_true", help="the practical bench as it is, over seeds of noise")
+    parser.add_argument(
+        "--model", action="store_true", help="data of the fitted model itself, not of the simulated bench"
+    )
     parser.add_argument("--out", type=Path, default=Path("out/floor"))
     arguments = parser.parse_args()
     template = (Path(rig.bench.__file__).parent / "benches" / "practical.yaml").read_text(encoding="utf-8")
+    kind = "practical" if arguments.practical else "model" if arguments.model else "row"
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.benches):
-        file = arguments.out / f"{'practical' if arguments.practical else 'row'}{seed}.json"
+        file = arguments.out / f"{kind}{seed}.json"
         wanted = seed < arguments.first + arguments.paper
         row = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
         if row is None or (wanted and "paper" not in row):
             bench = yaml.safe_load(template) if arguments.practical else random_bench(template, seed)
-            row = study(record(bench, seed, arguments.out), wanted, seed)
+            truth, dataset = (
+                of_the_model(bench, seed) if arguments.model else of_a_run(record(bench, seed, arguments.out))
+            )
+            row = study(truth, dataset, wanted, seed)
             row["seed"] = seed
+            file.parent.mkdir(parents=True, exist_ok=True)
             file.write_text(json.dumps(row), encoding="utf-8")
             print(f"bench {seed}: {row['seconds']:.1f} s {'; '.join(row['warnings'])}", flush=True)
         rows.append(row)
     print(summary(rows))
 
 
-def study(run: Path, with_paper: bool, seed: int) -> dict[str, Any]:
-    """Return truth, estimates, intervals and floors of one run; ``seed`` is the genetic algorithm's."""
-    dataset = load_run(run)
+def of_a_run(run: Path) -> tuple[dict[str, float], Dataset]:
+    """Return the true values and the recordings of a run on the simulated bench."""
     truth = truth_of(run)
     assert truth is not None
+    return truth, load_run(run)
+
+
+def study(truth: dict[str, float], dataset: Dataset, with_paper: bool, seed: int) -> dict[str, Any]:
+    """Return truth, estimates, intervals and floors of one experiment; ``seed`` is the genetic algorithm's."""
     found = identify(dataset)
     row: dict[str, Any] = {
         "truth": truth,

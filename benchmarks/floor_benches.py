@@ -1,4 +1,4 @@
-"""Random practical benches of the floor study: their files, and the Figure 10 run on each."""
+"""Random practical benches of the floor study: their files, and Figure 10 run on each or made of the fitted model."""
 
 from __future__ import annotations
 
@@ -11,6 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
+from identification.recording import Array, Bench, Dataset, Recording
+from identification.simulate.servo_loop import respond, usual_loop
 from rig import cli
 from rig.run import RECORDING_FILE
 from rig.truth import JOINT_FIELDS
@@ -24,6 +26,9 @@ FULL_SCALE_A = 25.0
 NOISE_SHARE = (0.002, 0.01)
 """Rms noise of the logged current over full scale."""
 _STREAM = 20261120
+WEIGHTS_KG = (0.0, 30.6)
+PERIOD_S, STAGE_S, RAMP_S = 1e-3, 20.0, 1.0
+_BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
 
 
 def random_bench(template: str, seed: int) -> dict[str, Any]:
@@ -65,3 +70,45 @@ def record(bench: Mapping[str, Any], seed: int, folder: Path) -> Path:
         raise SystemExit(f"bench {seed}: rig run ended with status {status}:\n{said.getvalue()}")
     (run / "done").touch()
     return run
+
+
+def figure10_command() -> Array:
+    """20 deg at 0.2 Hz with a second to fade in and out, rad."""
+    time = PERIOD_S * np.arange(round(STAGE_S / PERIOD_S))
+    fade = 0.5 - 0.5 * np.cos(np.pi * np.clip(np.minimum(time, STAGE_S - time) / RAMP_S, 0.0, 1.0))
+    return np.asarray(np.deg2rad(20.0) * np.sin(0.4 * np.pi * time) * fade)
+
+
+def of_the_model(bench: Mapping[str, Any], seed: int) -> tuple[dict[str, float], Dataset]:
+    """Return the true values and Figure 10 as the fitted model itself makes it, under a usual drive's loop.
+
+    Half of the current noise's power is in the torque itself, half in its measurement.
+    """
+    rng = np.random.default_rng([seed, _STREAM, 1])
+    joint, sensing = bench["mock"]["joint"], bench["mock"]["sensing"]
+    truth = {name: float(joint[field]) for name, field in JOINT_FIELDS.items()}
+    ampere = _BENCH.torque_constant * _BENCH.gear_ratio if _BENCH.torque_constant else 1.0
+    count = 2.0 * np.pi / (sensing["motor_counts_per_turn"] * _BENCH.gear_ratio)
+    command, recordings = figure10_command(), []
+    for weight in WEIGHTS_KG:
+        noise = ampere * sensing["current_noise_A"] * 0.5**0.5 * rng.standard_normal((2, len(command)))
+        moment = _BENCH.contact_force(weight) * (_BENCH.moment_arm or 0.0)
+        loop = usual_loop(truth["J"], ampere * FULL_SCALE_A, count)
+        out = respond(command, PERIOD_S, truth, moment, 2.0, loop, noise[0])
+        channels = {
+            "time": PERIOD_S * np.arange(len(command)),
+            "command": command,
+            "motor_angle": np.floor(out.angle / count + rng.uniform()) * count * _BENCH.gear_ratio,
+            "current": (out.torque + noise[1]) / ampere,
+        }
+        recordings.append(
+            Recording(
+                name=f"{weight:g} kg",
+                channels=channels,
+                bench=_BENCH,
+                stage="loaded" if weight else "unloaded",
+                weight_mass=weight,
+                averaged=frozenset({"current"}),
+            )
+        )
+    return truth, Dataset(tuple(recordings))
