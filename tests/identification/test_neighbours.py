@@ -80,3 +80,24 @@ def test_where_no_start_is_solved_the_best_end_is_begun_from_again(monkeypatch: 
     problem.start = np.ones(kernel.PARAMETERS)
     stages.solve_first_stage(problem, [kernel.MC], [])
     assert len(begun) == 1
+
+
+def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[float] = []
+
+    def solved(_p: Any, start: Array, _times: Any, share: float, _noise: Any, _free: Any) -> Any:
+        begun.append(float(start[kernel.INERTIA]) * share)
+        return 1.0 if 15.0 < begun[-1] < 60.0 else 40.0, start, [], None
+
+    monkeypatch.setattr(stages, "_solved_from", solved)
+    monkeypatch.setattr(stages, "breakaway_starts", lambda p, *_: [(p.start.copy(), [])] * 2)
+    problem: Any = SimpleNamespace(free=(), start=np.ones(kernel.PARAMETERS), begins=[], noise=None)
+    assert stages.solve_first_stage(problem, [kernel.MC], [kernel.INERTIA]) == 1.0
+    assert problem.start[kernel.INERTIA] == 30.0
+    near = [1.0, 0.8, 0.6, 1.25, *([1.0, 0.8, 0.6] * 2), 1.0]
+    assert begun == pytest.approx([*near, 3.0, 10.0, 30.0])
+    # A known inertia is not looked for.
+    begun.clear()
+    problem.start = np.ones(kernel.PARAMETERS)
+    assert stages.solve_first_stage(problem, [kernel.MC], []) == 40.0
+    assert set(begun) == {1.0}

@@ -10,7 +10,7 @@ is searched. Instrumental variables then give the inertia, which both put far of
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -26,6 +26,8 @@ from identification.estimate.prediction.stretches import Motion
 from identification.estimate.result import Starts
 from identification.recording import Array, Model
 
+_Start = tuple[Array, Sequence[Array], float]
+"""Begin of a solution of the unloaded stage: kernel's vector, breakaway times, inertia over the vector's."""
 _Solved = tuple[float, Array, list[Array], Noise]
 """End of a solution of the unloaded stage: defect, kernel's vector, breakaway times, noise."""
 _AGAIN = 2
@@ -33,6 +35,9 @@ _AGAIN = 2
 that leads to nothing better is the last."""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 """Inertias tried, over the equation error's; it errs upward under noise."""
+_FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
+"""Those tried where none of these leads anywhere: of a shaft that slips through the fall of friction, short and fast,
+the equation error may leave a fiftieth."""
 
 
 @dataclass(frozen=True)
@@ -81,33 +86,57 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
     """Solve the unloaded stage from one start after the other, until the estimating equations are solved.
 
     Least squares with the inertia held lead into the basin of the inertia they are given; the equation error's may be
-    off by half. Leaves the problem at the best end; returns its defect.
+    off by half, and at times by far more. Leaves the problem at the best end; returns its defect.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments pin the parameters from none of the starts.
     """
     vector, begins, noise = problem.start, problem.begins, problem.noise
+    free = system, inertia
+    both = bool(system) and bool(inertia)
     problem.free = tuple(system)
     searched = breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF) if system else []
     starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
     starts += [(p, times, share) for p, times in searched for share in _INERTIAS[: len(inertia) * 3]]
-    best: _Solved | None = None
+    best = _best_of(problem, starts, noise, free, None)
     last: _Solved | None = None
-    again = _AGAIN if system and inertia else 0
-    while starts:
-        start, times, share = starts.pop(0)
-        found = _solved_from(problem, start, times, share, noise, (system, inertia))
-        if found is not None and (best is None or found[0] < best[0]):
-            best = found
-        if best is not None and best[0] < SOLVED:
+    for _ in range(_AGAIN if both else 0):
+        if best is None or best is last or best[0] < SOLVED:
             break
-        if best is not None and not starts and again and best is not last:
-            again, last = again - 1, best
-            starts.append((best[1], best[2], 1.0))
+        last = best
+        best = _best_of(problem, [(best[1], best[2], 1.0)], noise, free, best)
+    if both and (best is None or not best[0] < SOLVED):
+        best = _best_of(problem, _far(problem, vector, noise, system), noise, free, best)
     if best is None:
         raise np.linalg.LinAlgError("no start pins the parameters")
     unsolved, problem.start, problem.begins, problem.noise = best
     return unsolved
+
+
+def _far(problem: Problem, vector: Array, noise: Noise, system: Sequence[int]) -> Iterator[_Start]:
+    """Yield starts at inertias far from the equation error's, each with the breakaways that are likeliest with it."""
+    for share in _FAR:
+        problem.start, problem.noise, problem.free = vector.copy(), noise, tuple(system)
+        problem.start[kernel.INERTIA] *= share
+        for p, times in breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF)[:1]:
+            yield p, times, 1.0
+
+
+def _best_of(
+    problem: Problem,
+    starts: Iterable[_Start],
+    noise: Noise,
+    free: tuple[Sequence[int], Sequence[int]],
+    best: _Solved | None,
+) -> _Solved | None:
+    """Solve from one start after the other until the equations are solved; return the best end, ``best`` among them."""
+    for start, times, share in starts:
+        found = _solved_from(problem, start, times, share, noise, free)
+        if found is not None and (best is None or found[0] < best[0]):
+            best = found
+        if best is not None and best[0] < SOLVED:
+            break
+    return best
 
 
 def _solved_from(
