@@ -149,12 +149,17 @@ def slopes_at_the_truth(seed: int) -> tuple[Problem, Arrow]:
     return problem, problem.jacobian(x, problem.residuals(x))
 
 
+def rehearsal(problem: Problem, sensitivities: Arrow, noise: int) -> Rehearsal:
+    """Return a rehearsal that goes as foretold."""
+    return Rehearsal(problem, sensitivities, np.zeros(len(problem.owners)), noise)
+
+
 def shaken(problem: Problem, jacobian: Arrow, noise: int, level: float) -> Rehearsal:
     """Return a rehearsal whose sensitivities have noise of a level over their own rms."""
     rng = np.random.default_rng(noise)
     rms = np.sqrt(np.mean(jacobian.parameters**2, axis=0))
     parameters = jacobian.parameters + level * rms * rng.standard_normal(jacobian.parameters.shape)
-    return Rehearsal(problem, replace(jacobian, parameters=parameters), noise)
+    return rehearsal(problem, replace(jacobian, parameters=parameters), noise)
 
 
 def test_noise_of_rehearsals_is_no_excitation() -> None:
@@ -173,12 +178,12 @@ def test_noise_of_rehearsals_is_no_excitation() -> None:
 
 def test_doubt_of_the_estimate_is_not_in_the_bound() -> None:
     problem, jacobian = slopes_at_the_truth(1)
-    plain = rehearsed_bound(problem, jacobian, [Rehearsal(problem, jacobian, k) for k in range(2)])
+    plain = rehearsed_bound(problem, jacobian, [rehearsal(problem, jacobian, k) for k in range(2)])
     assert plain is not None
     assert np.diag(plain) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
     problem.doubt[0] = 5.0
     doubted = jacobian.scaled(1.0 / problem.doubt[problem.owners])
-    assert rehearsed_bound(problem, doubted, [Rehearsal(problem, jacobian, k) for k in range(2)]) == pytest.approx(
+    assert rehearsed_bound(problem, doubted, [rehearsal(problem, jacobian, k) for k in range(2)]) == pytest.approx(
         plain
     )
 
@@ -186,7 +191,7 @@ def test_doubt_of_the_estimate_is_not_in_the_bound() -> None:
 def test_too_few_noises_leave_no_bound() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     opposed = replace(jacobian, parameters=-jacobian.parameters)
-    assert rehearsed_bound(problem, jacobian, [Rehearsal(problem, jacobian, 0), Rehearsal(problem, opposed, 1)]) is None
+    assert rehearsed_bound(problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)]) is None
 
 
 def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:

@@ -12,7 +12,7 @@ from identification.estimate.prediction import inertia
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.arrow import Arrow, equilibrated
 from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound
-from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
+from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
@@ -29,7 +29,7 @@ class Covariances:
     Attributes:
         achieved: With the inertia where its equation is solved.
         floor: The bound.
-        step: Of the free vector's parameters, to there, all else following the inertia, shape (p,).
+        step: Of the free vector's parameters, to there less the equation's bias, all else following the inertia, (p,).
     """
 
     achieved: Array
@@ -64,13 +64,11 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
         spread, achieved = _scatter(jacobian, residual), least
     else:
         j = problem.free.index(kernel.INERTIA)
-        equation = inertia.equation_of_strokes(problem, z, jacobian, residual)
-        if rehearsals:
-            other = rehearsed_instruments(problem, z, rehearsals)
-            equation = inertia.best(equation, inertia.equation(problem, other, jacobian, residual))
+        equation = inertia.with_rehearsals(problem, z, jacobian, residual, rehearsals)
+        bias, doubt = inertia.equation_bias(rehearsals) if rehearsals else (0.0, 0.0)
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
-        step = -float(influence @ weighted) * least[:, j] / least[j, j]
-        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
+        step = -(float(influence @ weighted) + bias) * least[:, j] / least[j, j]
+        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0) + doubt
         achieved = _beside_inertia(least, j, variance)
         others = jacobian.without(j)
         spread = _scatter(others, residual)

@@ -1,11 +1,14 @@
 """The inertia's own estimating equation, all else eliminated.
 
 An instrument of the inertia less what those of all else can say of it: to first order the solution is untouched by what
-the others are off by.
+the others are off by. What is left is that prediction errors right after a breakaway do not have mean zero, as the
+filter foretells the onset to second order only; rehearsals show what that does to the solution.
 """
 
 from __future__ import annotations
 
+from collections import defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +16,10 @@ import numpy as np
 from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.instruments import instruments
+from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import Problem
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.recording import Array
 
 
@@ -77,3 +81,42 @@ def best(one: Equation, other: Equation) -> Equation:
     away = a - b
     share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
     return Equation(b + share * away, other.parts + share * (one.parts - other.parts))
+
+
+def with_rehearsals(
+    problem: Problem, z: Arrow, jacobian: Arrow, residual: Array, rehearsals: Sequence[Rehearsal]
+) -> Equation:
+    """Return the mean of the equations by strokes alike and by rehearsals that has the least variance.
+
+    Args:
+        problem: At its start.
+        z: Its instruments by strokes alike.
+        jacobian: d residuals / d x there.
+        residual: There.
+        rehearsals: None for the strokes' alone.
+    """
+    strokes = equation_of_strokes(problem, z, jacobian, residual)
+    if not rehearsals:
+        return strokes
+    other = rehearsed_instruments(problem, z, rehearsals)
+    return best(strokes, equation(problem, other, jacobian, residual))
+
+
+def equation_bias(rehearsals: Sequence[Rehearsal]) -> tuple[float, float]:
+    """Return by how much the equation puts the logarithm of the inertia off, and the variance of that.
+
+    In each rehearsal the equation is solved as in the recording, with those of other noises for instruments.
+
+    Args:
+        rehearsals: With two noises at least, each taken both ways.
+    """
+    steps: dict[int, list[float]] = defaultdict(list)
+    for r in rehearsals:
+        believed = 1.0 / r.problem.doubt[r.problem.owners]
+        jacobian, residual = r.sensitivities.scaled(believed), r.residuals * believed
+        z = instruments(r.problem, jacobian)
+        others = [other for other in rehearsals if other.noise != r.noise]
+        influence = with_rehearsals(r.problem, z, jacobian, residual, others).influence
+        steps[r.noise].append(-float(influence @ (residual * huber_weight(residual, CLIP))))
+    means = np.array([np.mean(both) for both in steps.values()])
+    return float(np.mean(means)), float(np.var(means, ddof=1) / len(means))

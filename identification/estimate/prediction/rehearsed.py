@@ -15,9 +15,10 @@ strokes alike, and a rehearsal is the same motion with another noise.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 
@@ -33,9 +34,11 @@ from identification.recording import Array, Model
 from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import Loop, respond
 
-PAIRS = 3
-"""Noises, each taken both ways."""
-_TRIED, _ENOUGH = 6, 2
+PAIRS, MOST_PAIRS = 3, 6
+"""Noises, each taken both ways: at first, and where these leave the bias too uncertain."""
+_UNCERTAIN = 0.15
+"""Error of the bias, in deviations of the estimate, up to which no more noises are taken."""
+_TRIED, _ENOUGH = 9, 2
 """Pairs tried where rehearsals fail, as one in which a shaft that all but stops is lost; and those that are enough."""
 _LARGE, _TURNS = 2.0, 3
 """Deviations of a bias beyond which values nearer to the true ones are rehearsed in turn, and how often at most."""
@@ -66,7 +69,8 @@ class Bias:
 def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     """Return by how much the likelihood puts parameters off at a problem's start.
 
-    The inertia, which is not found by likelihood, has no bias of it. None where that cannot be rehearsed: the
+    The inertia, which is not found by likelihood, has no bias of it; its equation has its own
+    (:func:`identification.estimate.prediction.inertia.equation_bias`). None where that cannot be rehearsed: the
     recordings do not show the drive's loop, hold loads that a weight does not make, or the filter does not follow.
 
     Args:
@@ -78,14 +82,23 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
         return None
     start, found = joint.start, None
     played: tuple[Rehearsal, ...] = ()
-    for _ in range(_TURNS):
-        pairs = _rehearsals(joint, start, loop)
-        if not pairs:
+    for turn in range(1, _TURNS + 1):
+        there = copy(joint)
+        there.start = start
+        noises = iter(range(_TRIED))
+        pairs = list(islice(_pairs(there, loop, noises), PAIRS))
+        if len(pairs) < _ENOUGH:
             break
-        found = np.array([0.5 * (one.step + other.step) for one, other in pairs])
+        mean = np.mean(_even(pairs), axis=0)
+        last = turn == _TURNS or float(np.max(np.abs(mean) / _deviation(pairs))) < _LARGE
+        while last and len(pairs) < MOST_PAIRS and _uncertain(pairs):
+            more = next(_pairs(there, loop, noises), None)
+            if more is None:
+                break
+            pairs.append(more)
+        found = _even(pairs)
         played = tuple(r.rehearsal for pair in pairs for r in pair)
-        mean = np.mean(found, axis=0)
-        if np.max(np.abs(mean) / np.median([r.deviation for pair in pairs for r in pair], axis=0)) < _LARGE:
+        if last:
             break
         # What the estimate is off by is what values that far from it are put off by.
         start = joint.parameters(_away(joint, mean))
@@ -111,24 +124,38 @@ class _Scored:
     rehearsal: Rehearsal
 
 
-def _rehearsals(joint: Problem, start: Array, loop: Loop) -> list[tuple[_Scored, _Scored]]:
-    """Return pairs of rehearsals with one noise taken both ways; none where too few work.
+_Pair = tuple[_Scored, _Scored]
+"""Rehearsals with one noise, and with its sign turned."""
+
+
+def _pairs(there: Problem, loop: Loop, noises: Iterator[int]) -> Iterator[_Pair]:
+    """Yield pairs of rehearsals that both work, until the noises are used up.
 
     Args:
-        joint: The problem whose experiment is simulated.
-        start: The values that are simulated.
+        there: The problem whose experiment is simulated, at the values that are simulated.
         loop: The drive's.
+        noises: Their numbers.
     """
-    there = copy(joint)
-    there.start = start
-    pairs: list[tuple[_Scored, _Scored]] = []
-    for seed in range(_TRIED):
-        one, other = (_step(there, loop, seed, sign) for sign in (1.0, -1.0))
+    for noise in noises:
+        one, other = (_step(there, loop, noise, sign) for sign in (1.0, -1.0))
         if one is not None and other is not None:
-            pairs.append((one, other))
-        if len(pairs) == PAIRS:
-            break
-    return pairs if len(pairs) >= _ENOUGH else []
+            yield one, other
+
+
+def _even(pairs: Sequence[_Pair]) -> Array:
+    """Return each pair's mean step, in which what is odd in the noise cancels, shape (n, p)."""
+    return np.array([0.5 * (one.step + other.step) for one, other in pairs])
+
+
+def _deviation(pairs: Sequence[_Pair]) -> Array:
+    """Return the median deviation of a step, shape (p,)."""
+    return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
+
+
+def _uncertain(pairs: Sequence[_Pair]) -> bool:
+    """Return whether so few pairs leave the bias of some parameter uncertain beside what the estimate is."""
+    error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
+    return bool(np.max(error / _deviation(pairs)) > _UNCERTAIN)
 
 
 def _away(joint: Problem, step: Array) -> Array:
@@ -185,7 +212,8 @@ def _scored(problem: Problem, noise: int) -> _Scored | None:
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
     every, widening = problem.derivatives(x, errors, deviations)
-    rehearsal = Rehearsal(problem, every.scaled(problem.doubt[problem.owners]), noise)
+    doubt = problem.doubt[problem.owners]
+    rehearsal = Rehearsal(problem, every.scaled(doubt), errors / deviations * doubt, noise)
     held = [j for j, k in enumerate(problem.free) if k == kernel.INERTIA]
     jacobian = every
     for j in held:

@@ -25,11 +25,13 @@ class Rehearsal:
     Attributes:
         problem: The simulated recordings, in the order of the real ones, at the values that were simulated.
         sensitivities: d prediction errors over their deviations / d x there, of the real problem's free parameters.
+        residuals: Those errors over their deviations, shape (r,).
         noise: Which noise it was drawn with; that with its sign turned is the same one.
     """
 
     problem: Problem
     sensitivities: Arrow
+    residuals: Array
     noise: int
 
 
