@@ -65,10 +65,10 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     else:
         j = problem.free.index(kernel.INERTIA)
         equation = inertia.with_rehearsals(problem, z, jacobian, residual, rehearsals)
-        bias, doubt = inertia.equation_bias(rehearsals) if rehearsals else (0.0, 0.0)
+        bias, uncertain = inertia.equation_bias(rehearsals) if rehearsals else (0.0, 0.0)
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
         step = -(float(influence @ weighted) + bias) * least[:, j] / least[j, j]
-        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0) + doubt
+        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0) + uncertain
         achieved = _beside_inertia(least, j, variance)
         others = jacobian.without(j)
         spread = _scatter(others, residual)
