@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -111,7 +112,9 @@ def _asked(
     # Both are about the likeliest values: they move with what the estimate was moved by.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        walked = profiles(found.taken, units, lambda share: tell("profiles", share))
+        # As wide as the intervals are: rehearsals tell the inertia better, and leave something of each bias open.
+        stated = replace(found.taken, covariance=found.spread.covariance)
+        walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
     if draws:
         rng = rng or np.random.default_rng(0)
