@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from identification.compiled import compiled
 from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound
+from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound, rehearsed_information
 from identification.estimate.prediction.instruments import _smoothed, instruments
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
@@ -166,38 +166,41 @@ def test_noise_of_rehearsals_is_no_excitation() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     count = len(SYSTEM)
     right = np.diag(bound(jacobian))[:count]
-    found = rehearsed_bound(problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)])
+    found = rehearsed_bound(
+        rehearsed_information(problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)])
+    )
     assert found is not None
     assert np.diag(found) == pytest.approx(right, rel=0.15)
     # One noise twice would count its power.
     twice = [replace(shaken(problem, jacobian, 0, 0.5), noise=k) for k in range(2)]
-    low = rehearsed_bound(problem, jacobian, twice)
+    low = rehearsed_bound(rehearsed_information(problem, jacobian, twice))
     assert low is not None
     assert np.all(np.diag(low) < 0.85 * right)
 
 
-def test_doubt_of_the_estimate_is_not_in_the_bound() -> None:
+def test_rehearsals_that_go_as_foretold_give_the_bound_itself() -> None:
     problem, jacobian = slopes_at_the_truth(1)
-    plain = rehearsed_bound(problem, jacobian, [rehearsal(problem, jacobian, k) for k in range(2)])
-    assert plain is not None
-    assert np.diag(plain) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
-    problem.doubt[0] = 5.0
-    doubted = jacobian.scaled(1.0 / problem.doubt[problem.owners])
-    assert rehearsed_bound(problem, doubted, [rehearsal(problem, jacobian, k) for k in range(2)]) == pytest.approx(
-        plain
-    )
+    alike = [rehearsal(problem, jacobian, k) for k in range(2)]
+    found = rehearsed_bound(rehearsed_information(problem, jacobian, alike))
+    assert found is not None
+    assert np.diag(found) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
 
 
 def test_too_few_noises_leave_no_bound() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     opposed = replace(jacobian, parameters=-jacobian.parameters)
-    assert rehearsed_bound(problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)]) is None
+    assert (
+        rehearsed_bound(
+            rehearsed_information(problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)])
+        )
+        is None
+    )
 
 
 def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     one = shaken(problem, jacobian, 0, 3.0)
-    found = rehearsed_bound(problem, jacobian, [one, replace(one, sensitivities=jacobian)])
+    found = rehearsed_bound(rehearsed_information(problem, jacobian, [one, replace(one, sensitivities=jacobian)]))
     assert found == pytest.approx(bound(jacobian)[: len(SYSTEM), : len(SYSTEM)])
 
 

@@ -11,15 +11,20 @@ from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import inertia
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.arrow import Arrow, equilibrated
-from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound
+from identification.estimate.prediction.cramer_rao import (
+    bound,
+    means_alike,
+    rehearsed_bound,
+    rehearsed_information,
+)
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.recording import Array
 
-_PRIOR = 1.0
-"""Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch."""
+_PRIOR, _REHEARSED_PRIOR = 1.0, 16.0
+"""Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch, and rehearsals."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +46,14 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
     The inertia has the variance of the estimating equation. The others have what least squares reach with the inertia
-    known, at the bound by strokes alike, as their scores scatter from stretch to stretch (Liang and Zeger, Biometrika
-    73 (1986) 13), and what its error does to them. The inertia's variance is not lowered by its scores' scatter.
+    known, at the bound for single stretches doubted as they are, as their scores scatter from stretch to stretch (Liang
+    and Zeger, Biometrika 73 (1986) 13), and what its error does to them. The inertia's variance is not lowered by its
+    scores' scatter.
 
     Args:
         problem: At the estimate.
-        rehearsals: Of its experiment there, for the bound, and for instruments of the inertia beside strokes alike.
+        rehearsals: Of its experiment there, for the bound, for how scores are to scatter, and for instruments of the
+            inertia beside strokes alike.
     """
     x = problem.origin()
     problem.weigh()
@@ -54,14 +61,13 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     jacobian = problem.jacobian(x, residual)
     z = instruments(problem, jacobian)
     count = len(problem.free)
-    alike = means_alike(jacobian, z, problem.siblings)
-    least = bound(alike)[:count, :count]
-    floor = rehearsed_bound(problem, alike, rehearsals) if rehearsals else None
+    least = bound(means_alike(jacobian, z, problem.siblings))[:count, :count]
+    reached, floor = _rehearsed_bounds(problem, jacobian, rehearsals) or (least, least)
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     step = np.zeros(count)
     if kernel.INERTIA not in problem.free:
-        spread, achieved = _scatter(jacobian, residual), least
+        spread, achieved = _spread(jacobian, residual, [r.believed() for r in rehearsals]), reached
     else:
         j = problem.free.index(kernel.INERTIA)
         equation = inertia.with_rehearsals(problem, z, jacobian, residual, rehearsals)
@@ -69,13 +75,26 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
         step = -(float(influence @ weighted) + bias) * least[:, j] / least[j, j]
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0) + uncertain
-        achieved = _beside_inertia(least, j, variance)
-        others = jacobian.without(j)
-        spread = _scatter(others, residual)
+        achieved = _beside_inertia(reached, j, variance)
+        believed = [(slopes.without(j), errors) for slopes, errors in (r.believed() for r in rehearsals)]
+        spread = _spread(jacobian.without(j), residual, believed)
         scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
         spread = np.insert(spread, j, max(float(scatter), 1.0))
-    floor = least if floor is None else floor
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
+
+
+def _rehearsed_bounds(problem: Problem, jacobian: Arrow, rehearsals: Sequence[Rehearsal]) -> tuple[Array, Array] | None:
+    """Return the bound with single stretches doubted, and without, (p, p) each; None where nothing tells them.
+
+    The doubt (bounded influence) is the estimate's own affair: it is no part of the floor.
+    """
+    if not rehearsals:
+        return None
+    believed = jacobian.scaled(problem.doubt[problem.owners])
+    alike = means_alike(believed, instruments(problem, believed), problem.siblings)
+    told = rehearsed_information(problem, alike, rehearsals)
+    doubted, plain = (rehearsed_bound(told / d[:, None, None] ** 2) for d in (problem.doubt, np.ones(len(told))))
+    return None if doubted is None or plain is None else (doubted, plain)
 
 
 def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
@@ -90,12 +109,25 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
     return out
 
 
-def _scatter(jacobian: Arrow, residual: Array) -> Array:
+def _spread(jacobian: Arrow, residual: Array, rehearsals: Sequence[tuple[Arrow, Array]]) -> Array:
     """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
 
-    Ratio of the clustered to the plain standard deviation of each parameter of least squares, drawn toward one as by
-    :data:`_PRIOR` stretch that scatters as it should. It may be below one: the drive's loop takes a part of the
-    current's noise out again, and what errs at the beginning of a stretch is made good by its end.
+    A recording has some ten strokes a stage, whose scatter is hardly known. So it is drawn toward that of the
+    rehearsals, slopes and residuals each, and where there are none toward one. It may be below one: the drive's loop
+    takes a part of the current's noise out again, and what errs at the beginning of a stretch is made good by its end.
+    """
+    ratio, stretches = _scatter(jacobian, residual)
+    prior, worth = np.ones_like(ratio), _PRIOR
+    if rehearsals:
+        prior, worth = np.mean([_scatter(*r)[0] for r in rehearsals], axis=0), _REHEARSED_PRIOR
+    return np.asarray(np.sqrt((worth * prior + stretches * ratio) / (worth + stretches)))
+
+
+def _scatter(jacobian: Arrow, residual: Array) -> tuple[Array, Array]:
+    """Return the ratio of the clustered to the plain variance of each parameter of least squares, shape (p,).
+
+    And the stretches that it rests on, as many alike as would scatter so, shape (p,). Scores are taken about their
+    mean, so that an estimate beside the least squares' own does not count as scatter.
     """
     weight = huber_weight(residual, CLIP)
     normal, scale = equilibrated(jacobian.product(weight))
@@ -106,9 +138,10 @@ def _scatter(jacobian: Arrow, residual: Array) -> Array:
     np.add.at(plain, jacobian.owners, influence**2)
     np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
     total = np.maximum(np.sum(plain, axis=0), 1e-300)
+    sums -= plain / total * np.sum(sums, axis=0)
     stretches = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
-    squared = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
-    return np.asarray(np.sqrt((_PRIOR + stretches * squared) / (_PRIOR + stretches)))
+    ratio = np.sum(sums**2, axis=0) / total * stretches / np.maximum(stretches - 1.0, 1.0)
+    return ratio, stretches
 
 
 def named_covariances(found: Covariances, joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:

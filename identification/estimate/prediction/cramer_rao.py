@@ -57,30 +57,41 @@ def bound(alike: Arrow) -> Array:
     return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))
 
 
-def rehearsed_bound(problem: Problem, alike: Arrow, rehearsals: Sequence[Rehearsal]) -> Array | None:
-    """Return the smallest covariance that an unbiased estimate can have, from rehearsals of the experiment.
-
-    What the estimate doubts of single stretches (bounded influence) is the estimate's own affair, and not in the bound.
+def rehearsed_information(problem: Problem, alike: Arrow, rehearsals: Sequence[Rehearsal]) -> Array:
+    """Return what each stretch tells of the free parameters by rehearsals of it, its breakaway time eliminated.
 
     Args:
         problem: At its start.
-        alike: d residuals / d x there by strokes alike, for samples that fewer than two noises show, and for the ties.
+        alike: d residuals / d x there by strokes alike, for samples that fewer than two noises show, and for the ties;
+            no stretch doubted.
         rehearsals: With two noises at least.
+
+    Returns:
+        Shape (m, p, p); a stretch that is doubted tells less by the square of that.
+    """
+    count = len(problem.free)
+    rows = np.column_stack([alike.parameters, alike.own])
+    ties = rows[len(rows) - problem.breakaways :]
+    out = np.zeros((problem.breakaways, count, count))
+    for stretch in played(problem, rehearsals):
+        tie = ties[stretch.number]
+        told = _products(stretch, rows[stretch.rows]) + np.outer(tie, tie)
+        out[stretch.number] = told[:count, :count]
+        if told[count, count] > 0.0:
+            out[stretch.number] -= np.outer(told[:count, count], told[count, :count]) / told[count, count]
+    return out
+
+
+def rehearsed_bound(told: Array) -> Array | None:
+    """Return the smallest covariance that an unbiased estimate can have, from rehearsals of the experiment.
+
+    Args:
+        told: By each stretch (:func:`rehearsed_information`), shape (m, p, p).
 
     Returns:
         Of the free parameters, shape (p, p); None where so few noises leave the information without an inverse.
     """
-    count = len(problem.free)
-    undoubted = alike.scaled(problem.doubt[problem.owners])
-    rows = np.column_stack([undoubted.parameters, undoubted.own])
-    ties = rows[len(rows) - problem.breakaways :]
-    information = np.zeros((count, count))
-    for stretch in played(problem, rehearsals):
-        tie = ties[stretch.number]
-        told = _products(stretch, rows[stretch.rows]) + np.outer(tie, tie)
-        information += told[:count, :count]
-        if told[count, count] > 0.0:
-            information -= np.outer(told[:count, count], told[count, :count]) / told[count, count]
+    information = np.sum(told, axis=0)
     if np.any(np.diag(information) <= 0.0):
         return None
     normal, scale = equilibrated(information)

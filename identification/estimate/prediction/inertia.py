@@ -112,8 +112,7 @@ def equation_bias(rehearsals: Sequence[Rehearsal]) -> tuple[float, float]:
     """
     steps: dict[int, list[float]] = defaultdict(list)
     for r in rehearsals:
-        believed = 1.0 / r.problem.doubt[r.problem.owners]
-        jacobian, residual = r.sensitivities.scaled(believed), r.residuals * believed
+        jacobian, residual = r.believed()
         z = instruments(r.problem, jacobian)
         others = [other for other in rehearsals if other.noise != r.noise]
         influence = with_rehearsals(r.problem, z, jacobian, residual, others).influence

@@ -34,6 +34,11 @@ class Rehearsal:
     residuals: Array
     noise: int
 
+    def believed(self) -> tuple[Arrow, Array]:
+        """Return sensitivities and residuals with the doubt in single stretches, as in the estimate."""
+        share = 1.0 / self.problem.doubt[self.problem.owners]
+        return self.sensitivities.scaled(share), self.residuals * share
+
 
 @dataclass(frozen=True)
 class Curve:

@@ -1,0 +1,91 @@
+"""How sure an estimate is said to be: scores that scatter from stretch to stretch, in the recording and rehearsed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from identification.estimate.prediction.arrow import Arrow
+from identification.estimate.prediction.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
+from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.recording import Array, Model
+
+from .test_cramer_rao import NOISE_N_M, SYSTEM, VALUES, from_the_model
+
+STRETCHES, ROWS = 12, 60
+
+
+def strokes(seed: int = 0) -> Arrow:
+    """Return slopes of two parameters over strokes that all make the same motion."""
+    table = np.tile(np.random.default_rng(seed).normal(size=(ROWS, 2)), (STRETCHES, 1))
+    owners = np.repeat(np.arange(STRETCHES), ROWS)
+    return Arrow(table, np.zeros(len(table)), owners, STRETCHES)
+
+
+def pulled(jacobian: Arrow, pulls: Array) -> Array:
+    """Return the residuals of strokes that each pull at the first parameter."""
+    return 1e-3 * jacobian.parameters[:, 0] * pulls[jacobian.owners]
+
+
+def test_scores_of_white_noise_scatter_as_foretold() -> None:
+    jacobian = strokes()
+    ratios = [_scatter(jacobian, np.random.default_rng(k).normal(size=STRETCHES * ROWS))[0] for k in range(200)]
+    assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.07)  # a fifth of it were the residuals' own clipping
+    assert _scatter(jacobian, np.zeros(STRETCHES * ROWS))[1] == pytest.approx(STRETCHES)
+
+
+def test_strokes_that_pull_apart_scatter_more() -> None:
+    jacobian = strokes()
+    pulls = np.random.default_rng(1).normal(size=STRETCHES)
+    one = jacobian.parameters[:ROWS]
+    told = 1.0 / float(np.linalg.inv(one.T @ one)[0, 0])
+    found, _ = _scatter(jacobian, pulled(jacobian, pulls))
+    # What a stroke would step by itself, over the deviation of that.
+    assert found[0] == pytest.approx(1e-6 * float(np.var(pulls, ddof=1)) * told, rel=1e-9)
+
+
+def test_an_estimate_beside_the_likeliest_is_no_scatter() -> None:
+    jacobian = strokes()
+    residual = pulled(jacobian, np.random.default_rng(2).normal(size=STRETCHES))
+    beside = residual + jacobian.along(np.concatenate([[3e-3, -2e-3], np.zeros(STRETCHES)]))
+    assert _scatter(jacobian, beside)[0] == pytest.approx(_scatter(jacobian, residual)[0], rel=1e-9)
+
+
+def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
+    jacobian = strokes()
+    calm = np.zeros(STRETCHES * ROWS)
+    pulls = np.random.default_rng(3).normal(size=(2, STRETCHES))
+    played = [(jacobian, pulled(jacobian, p)) for p in 1e3 * pulls / np.sqrt(ROWS)]
+    foretold = np.mean([_scatter(*r)[0] for r in played], axis=0)
+    share = _REHEARSED_PRIOR / (_REHEARSED_PRIOR + STRETCHES)
+    assert _spread(jacobian, calm, played) == pytest.approx(np.sqrt(share * foretold))
+    assert _spread(jacobian, calm, []) == pytest.approx(np.sqrt(1.0 / (1.0 + STRETCHES)))
+
+
+def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
+    m = motion(from_the_model(1, 5.0))
+    assert m is not None
+    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
+    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
+    problem.weigh()
+    x = problem.origin()
+    residual = problem.residuals(x)
+    jacobian = problem.jacobian(x, residual)
+    sure = replace_problem(problem)
+    played = [Rehearsal(sure, jacobian, residual, k) for k in range(2)]
+    plain = covariances(problem, played)
+    problem.doubt[: problem.breakaways // 2] = 30.0
+    doubted = covariances(problem, played)
+    assert doubted.floor == pytest.approx(plain.floor, rel=1e-6)
+    ratio = np.diag(doubted.achieved) / np.diag(plain.achieved)
+    assert np.all(ratio[: SYSTEM.index("J")] > 1.3)  # half of the stretches are all but lost
+
+
+def replace_problem(problem: Problem) -> Problem:
+    """Return the same problem with doubts of its own."""
+    other = Problem(list(problem.motions), problem.start, problem.free, Model(), problem.noise)
+    other.begins = list(problem.begins)
+    return other
