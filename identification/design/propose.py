@@ -10,7 +10,6 @@ the default method identifies is proposed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -143,15 +142,7 @@ def _stages(frames: Sequence[Frame], parts: Sequence[Part]) -> list[PlannedStage
 def _expected(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> tuple[Pinned, float]:
     """Return what one design would give, and how steep the likelihood is at the values simulated.
 
-    Medians over drives, each with another noise; where one fails, nothing.
+    Over drives, each with another noise; where one fails, nothing.
     """
-    runs = [
-        expected(_stages(frames, parts), replace(nominal, stiffness=stiffness), np.random.default_rng(k))
-        for k, stiffness in enumerate((nominal.stiffness, *drives(nominal)))
-    ]
-    widths = [pins.half_widths for pins, _ in runs]
-    half_widths = {
-        name: math.inf if math.isinf(max(w[name] for w in widths)) else float(np.median([w[name] for w in widths]))
-        for name in widths[0]
-    }
-    return Pinned(half_widths), float(np.median([steepness for _, steepness in runs]))
+    stiffnesses = (nominal.stiffness, *drives(nominal))
+    return expected(_stages(frames, parts), [replace(nominal, stiffness=stiffness) for stiffness in stiffnesses])

@@ -2,9 +2,9 @@
 
 Fisher information on the filter's residuals looks at one point and in a straight line; under a heavy weight the shaft
 breaks away within one sample, and there it has promised ten times what came out. So the best few designs, the present
-one among them, are simulated with noise and get the intervals that the default method would state at the values
-simulated, with the scatter from stretch to stretch. What is proposed has gone through the whole method, whose searches
-take most of the time.
+one among them, are simulated with a few noises, which are rehearsals of one another, and get the intervals that the
+default method would state at the values simulated, with the scatter from stretch to stretch. What is proposed has gone
+through the whole method, whose searches take most of the time.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
 from identification.estimate.prediction.stretches import motion
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.estimate.uncertainty import Spread
 from identification.recording import Dataset, Model, Recording, RecordingError
@@ -51,38 +52,59 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     return Pinned(widths)
 
 
-def expected(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> tuple[Pinned, float]:
+def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tuple[Pinned, float]:
     """Return the relative half widths that the joint fit would state if it ended at the values simulated.
 
     And how much steeper the likelihood is there than noise makes it, 1 or more: by about so many of its deviations the
-    fit would end elsewhere.
+    fit would end elsewhere. Medians over the runs; infinite throughout where the filter does not follow in one.
 
-    Infinite throughout where the filter does not follow.
+    Args:
+        stages: The design.
+        nominals: Of each run, three at least, with a noise of its own.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
-    nothing = Pinned(dict.fromkeys(names, math.inf))
+    nothing = Pinned(dict.fromkeys(names, math.inf)), math.inf
+    runs = []
+    for number, nominal in enumerate(nominals):
+        run = _at_the_truth(stages, nominal, names, number)
+        if run is None:
+            return nothing
+        runs.append(run)
+    turn = rise_to_static(names)
+    found = []
+    for run in runs:
+        try:
+            achieved = covariances(run.problem, [other for other in runs if other is not run]).achieved
+        except np.linalg.LinAlgError:
+            return nothing
+        spread = Spread(names, turn @ achieved @ turn.T, math.inf)
+        found.append([spread.half_width(n) / nominals[0].values[n] for n in names])
+    widths = np.where(np.all(np.isfinite(found), axis=0), np.median(found, axis=0), np.inf)
+    slopes = [math.sqrt(max(likelihood_slope(run.problem)[1], 1.0)) for run in runs]
+    return Pinned(dict(zip(names, widths.tolist(), strict=True))), float(np.median(slopes))
+
+
+def _at_the_truth(
+    stages: Sequence[PlannedStage], nominal: Nominal, names: Sequence[str], noise: int
+) -> Rehearsal | None:
+    """Return a simulated run at the values simulated, None where the filter does not follow."""
+    rng = np.random.default_rng(noise)
     motions = [motion(_recording(k, s, nominal, rng)) for k, s in enumerate(stages)]
     known = [m for m in motions if m is not None]
     if len(known) < len(stages):
-        return nothing, math.inf
+        return None
     free = [INDEX[n] for n in names]
     problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), Noise(torque_noise(known)))
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
     settle(problem, CLIP)
     problem.noise = likeliest_noise(problem)
     problem.weigh()
-    residual = problem.residuals(problem.origin())
+    x = problem.origin()
+    residual = problem.residuals(x)
     inside = residual[: len(residual) - problem.breakaways]
     if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
-        return nothing, math.inf
-    try:
-        achieved = covariances(problem).achieved
-    except np.linalg.LinAlgError:
-        return nothing, math.inf
-    turn = rise_to_static(names)
-    spread = Spread(names, turn @ achieved @ turn.T, math.inf)
-    steepness = math.sqrt(max(likelihood_slope(problem)[1], 1.0))
-    return Pinned({n: spread.half_width(n) / nominal.values[n] for n in names}), steepness
+        return None
+    return Rehearsal(problem, problem.jacobian(x, residual), residual, noise)
 
 
 def _recording(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator) -> Recording:

@@ -313,12 +313,11 @@ def test_a_stage_under_which_other_values_are_likelier_says_less(monkeypatch: py
 
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
-    chance = [np.random.default_rng(2) for _ in range(2)]
-    (there, steepness), whole = expected(stages, nominal(), chance[0]), rehearse(stages, nominal(), chance[1])
+    (there, steepness), whole = expected(stages, [nominal()] * 3), rehearse(stages, nominal(), np.random.default_rng(2))
     assert 1.0 <= steepness < 2.0
     for name, width in whole.half_widths.items():
         assert there.half_widths[name] == pytest.approx(width, rel=0.6)
-    still, _ = expected([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
+    still, _ = expected([PlannedStage(np.zeros(4000), 0.0)], [nominal()] * 3)
     assert math.isinf(still.worst)
 
 

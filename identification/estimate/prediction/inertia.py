@@ -7,7 +7,7 @@ filter foretells the onset to second order only; rehearsals show what that does 
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -105,11 +105,15 @@ def with_rehearsals(
 def equation_bias(rehearsals: Sequence[Rehearsal]) -> tuple[float, float]:
     """Return by how much the equation puts the logarithm of the inertia off, and the variance of that.
 
-    In each rehearsal the equation is solved as in the recording, with those of other noises for instruments.
+    In each rehearsal the equation is solved as in the recording, with those of other noises for instruments. Zero where
+    noises are not taken both ways, as the mean would be the noise's own.
 
     Args:
-        rehearsals: With two noises at least, each taken both ways.
+        rehearsals: With two noises at least.
     """
+    times = Counter(r.noise for r in rehearsals)
+    if min(times.values()) < 2:
+        return 0.0, 0.0
     steps: dict[int, list[float]] = defaultdict(list)
     for r in rehearsals:
         jacobian, residual = r.believed()
