@@ -2,9 +2,9 @@
 
 The nominal response, with the bench's noise, is put through its sensors and handed to the very residuals that the
 default method minimises. So the information knows of the encoder's quantisation, of the current's noise, of unknown
-breakaway times, and of what the estimator leaves out around them. As in the default method's intervals, the
-sensitivities are means over a stage's stretches: a stretch's own hold the current's noise, and where no two stretches
-are alike they promise more than the estimator can have.
+breakaway times, and of what the estimator leaves out around them. The sensitivities are means over a stage's stretches:
+a stretch's own hold the current's noise, and where no two stretches are alike they promise more than the estimator can
+have. Whole designs are then judged by several runs of each (:mod:`identification.design.rehearsal`).
 """
 
 from __future__ import annotations
