@@ -20,9 +20,9 @@ from identification.design.pinning import Nominal, Pinned, PlannedStage, pinned,
 from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Design, Search, drives, halved, planned
 
-CANDIDATES = (80, 200)
+CANDIDATES = (160, 400)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
-REFINEMENTS, TOGETHER = 28, 10
+REFINEMENTS, TOGETHER = 56, 10
 """How often small changes of those that get a share are tried afterwards, and how many each time."""
 REHEARSALS = 3
 """Designs that go through the whole method before milder ones are tried, at most."""
