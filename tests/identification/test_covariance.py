@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from identification.estimate.prediction import covariance
 from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
 from identification.estimate.prediction.noise import Noise
@@ -16,6 +17,7 @@ from identification.recording import Array, Model
 from .test_cramer_rao import NOISE_N_M, SYSTEM, VALUES, from_the_model
 
 STRETCHES, ROWS = 12, 60
+NOISE = Noise(NOISE_N_M)
 
 
 def strokes(seed: int = 0) -> Arrow:
@@ -68,7 +70,7 @@ def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
 def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
+    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     x = problem.origin()
@@ -82,6 +84,31 @@ def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     assert doubted.floor == pytest.approx(plain.floor, rel=1e-6)
     ratio = np.diag(doubted.achieved) / np.diag(plain.achieved)
     assert np.all(ratio[: SYSTEM.index("J")] > 1.3)  # half of the stretches are all but lost
+
+
+def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A Stribeck speed that no sample resolved was taken 400 times up by a straight line in its logarithm."""
+    m = motion(from_the_model(1, 5.0))
+    assert m is not None
+    problem = Problem([m], pack({**VALUES, "J": 1.05 * VALUES["J"]}), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
+    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
+    problem.weigh()
+    plain = covariances(problem).step
+    loose = np.ones(len(SYSTEM))
+    loose[SYSTEM.index("omega_sf")] = 1e6
+    bound = covariance.bound
+
+    def untold(alike: Arrow) -> Array:
+        found = bound(alike)
+        found[: len(loose), : len(loose)] *= np.outer(loose, loose)
+        return found
+
+    monkeypatch.setattr(covariance, "bound", untold)
+    step = covariances(problem).step
+    assert abs(plain[SYSTEM.index("omega_sf")]) > 1e-5
+    assert step[SYSTEM.index("omega_sf")] == 0.0
+    others = [k for k, name in enumerate(SYSTEM) if name != "omega_sf"]
+    assert step[others] == pytest.approx(plain[others])
 
 
 def replace_problem(problem: Problem) -> Problem:

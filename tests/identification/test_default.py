@@ -12,13 +12,14 @@ import pytest
 from identification.estimate.assemble import typical_error
 from identification.estimate.default import free_names, identify, solve_stages
 from identification.estimate.paper import identify_paper
+from identification.estimate.prediction import stages
 from identification.estimate.prediction.acceptance import refusal
 from identification.estimate.prediction.refinement import refine_recordings
 from identification.estimate.prediction.stages import refine_stages
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
 from identification.prepare import prepare
-from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.recording import Array, Dataset, Model, Recording, RecordingError
 
 from .practical import beginning, logged, simulated, with_ripple
 from .synthetic import TRUTH, sine
@@ -157,6 +158,29 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert "raise the equation error from 1 to 1.4" in refusal(right, 1.0, 1.4)
     for lost in (replace(right, whiteness=math.nan), replace(right, values={**right.values, "J": math.nan})):
         assert "no numbers" in refusal(lost, 1.0, 1.0)
+
+
+def test_a_slip_that_is_lost_is_no_missing_physics(
+    practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all samples they do."""
+    moving = motion(beginning(practical_pair[0], FEW_S))
+    assert moving is not None
+    found = stages.beside_inertia
+
+    def refined(more: Callable[[Array], Array]) -> stages.Refined:
+        def with_more(*given: object) -> Array:
+            residual = found(*given)  # type: ignore[arg-type]
+            return residual + more(np.arange(len(residual)))
+
+        with monkeypatch.context() as patched:
+            patched.setattr(stages, "beside_inertia", with_more)
+            return refine_stages([moving], [], TRUTH_SYSTEM, Model())
+
+    lost = refined(lambda k: np.where((k >= 3000) & (k < 3020), 62.0, 0.0))
+    assert abs(lost.whiteness) < 0.1
+    assert lost.innovation_rms == pytest.approx(1.0, abs=0.1)
+    assert refined(lambda k: 2.0 * np.sin(k / 30.0)).whiteness > 0.4
 
 
 def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(

@@ -25,6 +25,9 @@ from identification.recording import Array
 
 _PRIOR, _REHEARSED_PRIOR = 1.0, 16.0
 """Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch, and rehearsals."""
+_FARTHEST = 1.0
+"""Change of a logarithm beyond which a parameter does not follow the inertia: it is one that nothing tells, as a
+Stribeck speed that no sample resolves, and where a straight line takes it says nothing."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +77,7 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
         bias, uncertain = inertia.equation_bias(rehearsals) if rehearsals else (0.0, 0.0)
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
         step = -(float(influence @ weighted) + bias) * least[:, j] / least[j, j]
+        step[[k in LOGARITHMIC and abs(s) > _FARTHEST for k, s in zip(problem.free, step, strict=True)]] = 0.0
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0) + uncertain
         achieved = _beside_inertia(reached, j, variance)
         believed = [(slopes.without(j), errors) for slopes, errors in (r.believed() for r in rehearsals)]

@@ -19,7 +19,13 @@ from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.covariance import covariances, named_covariances
 from identification.estimate.prediction.instrumental import SOLVED, beside_inertia, defect, solve
 from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import likeliest_noise, repeated, torque_noise, with_correlated
+from identification.estimate.prediction.noise_level import (
+    CLIP,
+    likeliest_noise,
+    repeated,
+    torque_noise,
+    with_correlated,
+)
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
 from identification.estimate.prediction.searches import SAME_END, breakaway_starts, refine, refine_from
 from identification.estimate.prediction.stretches import Motion
@@ -49,8 +55,8 @@ class Refined:
         covariance: Of the fitted ``names``, shape (p, p), in the values' own units.
         floor: The least covariance possible (:mod:`identification.estimate.prediction.cramer_rao`), of the same shape.
         names: Fitted names in that order.
-        innovation_rms: 1 where the noise model holds.
-        whiteness: Correlation of neighbouring innovations.
+        innovation_rms: 1 where the noise model holds; of innovations as far as they are believed.
+        whiteness: Correlation of neighbouring innovations, the same.
         noise: Of torque and angle, that the prediction errors ask for.
         repeated: Share of the noise's correlated part that comes again in strokes alike; zero without such a part.
         torque_scatter: The torque's own scatter from sample to sample, N m rms.
@@ -225,7 +231,8 @@ def refine_stages(
     residual = beside_inertia(joint, refine)
     names = tuple(n for n, k in INDEX.items() if k in free)
     achieved, floor = named_covariances(covariances(joint), joint, names)
-    inside = residual[: len(residual) - joint.breakaways]
+    # A slip of twenty samples that the filter loses is one of many strokes, and physics that is missing is in most.
+    inside = np.clip(residual[: len(residual) - joint.breakaways], -CLIP, CLIP)
     return Refined(
         values={**start, **unpack(joint.start, [n for n in INDEX if n in start])},
         covariance=achieved,
