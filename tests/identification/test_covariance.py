@@ -35,7 +35,7 @@ def pulled(jacobian: Arrow, pulls: Array) -> Array:
 def test_scores_of_white_noise_scatter_as_foretold() -> None:
     jacobian = strokes()
     ratios = [_scatter(jacobian, np.random.default_rng(k).normal(size=STRETCHES * ROWS))[0] for k in range(200)]
-    assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.07)  # a fifth of it were the residuals' own clipping
+    assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.07)
     assert _scatter(jacobian, np.zeros(STRETCHES * ROWS))[1] == pytest.approx(STRETCHES)
 
 
@@ -76,14 +76,14 @@ def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     x = problem.origin()
     residual = problem.residuals(x)
     jacobian = problem.jacobian(x, residual)
-    sure = replace_problem(problem)
+    sure = without_doubt(problem)
     played = [Rehearsal(sure, jacobian, residual, k) for k in range(2)]
     plain = covariances(problem, played)
     problem.doubt[: problem.breakaways // 2] = 30.0
     doubted = covariances(problem, played)
     assert doubted.floor == pytest.approx(plain.floor, rel=1e-6)
     ratio = np.diag(doubted.achieved) / np.diag(plain.achieved)
-    assert np.all(ratio[: SYSTEM.index("J")] > 1.3)  # half of the stretches are all but lost
+    assert np.all(ratio[: SYSTEM.index("J")] > 1.3)  # half of them all but lost; J has an equation of its own
 
 
 def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -111,7 +111,7 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
     assert step[others] == pytest.approx(plain[others])
 
 
-def replace_problem(problem: Problem) -> Problem:
+def without_doubt(problem: Problem) -> Problem:
     """Return the same problem with doubts of its own."""
     other = Problem(list(problem.motions), problem.start, problem.free, Model(), problem.noise)
     other.begins = list(problem.begins)
