@@ -49,6 +49,26 @@ def test_searches_stop_where_nothing_better_is_found(problem: Any) -> None:
     assert len(problem.ends) == 2 + 2  # far and near once; the rise is not free
 
 
+def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_own(
+    problem: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    deviances = {**RUGGED, 0.98: -38.0, 5.0: -12.0}
+
+    def refine(p: Any, tempering: Sequence[float]) -> Array:
+        p.start = p.start.copy()
+        out = tempering != (1.0,) or p.start[kernel.OMEGA_SL] > 3.0
+        p.start[kernel.OMEGA_SL] = 5.0 if out else min(RUGGED, key=lambda end: abs(end - p.start[kernel.OMEGA_SL]))
+        return np.empty(0)
+
+    monkeypatch.setattr(searches, "refine", refine)
+    monkeypatch.setattr(searches, "_deviance", lambda p: deviances[p.start[kernel.OMEGA_SL]])
+    vector = np.ones(kernel.PARAMETERS)
+    vector[kernel.OMEGA_SL] = 0.98
+    grown = searches.refine_from(problem, [(vector, [])])
+    assert problem.start[kernel.OMEGA_SL] == 0.97
+    assert grown == -2.0
+
+
 def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     problem.run = lambda *_: (np.array([np.nan]), np.ones(1))

@@ -80,18 +80,23 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
 def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> float:
     """Refine the loaded stage from each start in turn; leave the problem at the likeliest end.
 
-    Returns its deviance above that of the likeliest start.
+    Returns its deviance above that of the likeliest start. Where the raised noise leads all searches out of the basin,
+    so that a start is likelier than every end, they are made again from there at the noise's own level.
 
     Ends whose Stribeck speed no sample resolves count only where there are no others: there the rise takes no part in
     any prediction and only fits noise, at times better than the truth does.
     """
-    ends, begun = [], []
-    for vector, times in starts or [(problem.start, problem.begins)]:
+    starts, begun = list(starts) or [(problem.start, problem.begins)], []
+    ends: list[_End] = []
+    for vector, times in starts:
         problem.start, problem.begins = vector, times
         begun.append(_deviance(problem))
-        refine(problem)
-        ends.append((not _resolved(problem), _deviance(problem), problem.start, problem.begins))
-        problem.ends.append(ends[-1][1])
+        ends.append(_ended(problem, _TEMPERING))
+    left = min(ends, key=lambda end: end[:2])[1]
+    for (vector, times), deviance_there in zip(starts, begun, strict=True):
+        if deviance_there < left:
+            problem.start, problem.begins = vector, times
+            ends.append(_ended(problem, (1.0,)))
     best = _neighbours(problem, min(ends, key=lambda end: end[:2]))
     _, reached, problem.start, problem.begins = best
     return reached - min(begun)
@@ -119,7 +124,12 @@ def _searched(problem: Problem, begun: _End, place: int, factor: float) -> _End:
     vector[place] *= factor
     problem.start = vector
     problem.begins = [m.static_crossing(static_limit(vector, m)) for m in problem.motions]
-    refine(problem, (1.0,))
+    return _ended(problem, (1.0,))
+
+
+def _ended(problem: Problem, tempering: Sequence[float]) -> _End:
+    """Search from a problem's start and return where that ends."""
+    refine(problem, tempering)
     end = (not _resolved(problem), _deviance(problem), problem.start, problem.begins)
     problem.ends.append(end[1])
     return end
