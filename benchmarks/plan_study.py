@@ -28,7 +28,7 @@ from identification.estimate.result import Identification
 from rig import cli
 from rig.bench import load_bench
 from rig.experiment import plan_experiment
-from rig.experiment_output import write
+from rig.experiment_output import excitation_words, write
 from rig.packaged import resolve
 from rig.places import write_json
 from rig.results import Provenance, identification_record
@@ -117,11 +117,8 @@ def study(seed: int, scratch: Path, runs: int) -> list[str]:
     ]
     errors = [abs(r.parameters[weakest].value / truth[weakest] - 1.0) for r in second if r.parameters[weakest].value]
     refused = sum(r.noise is None for r in second)
-    tones = "; ".join(
-        f"{s.duration_s:.3g} s, {s.weight_kg:g} kg: "
-        + ", ".join(f"{t.amplitude_deg:.3g} deg at {t.frequency_Hz:.3g} Hz" for t in s.tones)
-        for s in experiment.proposed.stages
-    )
+    stages = experiment.proposed.stages
+    commands = "; ".join(f"{s.duration_s:.3g} s, {s.weight_kg:g} kg: {excitation_words(s)}" for s in stages)
     return [
         str(seed),
         weakest,
@@ -133,7 +130,7 @@ def study(seed: int, scratch: Path, runs: int) -> list[str]:
         f"{before[weakest] / after[left]:.1f}",
         f"{sum(held)}/{len(held)}",
         " ".join(f"{100 * e:.2f}" for e in errors),
-        tones,
+        commands,
         f"{refused} refused" if refused else "-",
     ]
 

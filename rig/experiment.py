@@ -7,20 +7,21 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from drivers.amt21 import COUNTS_PER_TURN
 from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import Nominal, Sensors
 from identification.design.propose import Proposal, propose
+from identification.design.simulated import Nominal, Sensors
 from identification.simulate.seen_loop import drive_loop
 from rig.bench import Bench, EncoderSection, ServoSection
 from rig.configuration import Document
 from rig.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
 from rig.planned_nominal import believed
 from rig.run import bench_constants
-from rig.sequence import Array, Sequence, StageSection, Tone, excitation
+from rig.sequence import Array, Ramp, Sequence, StageSection, Tone, excitation
 
 NOISE_SHARE = 1e-3
 """Current noise, as a share of the bench's current limit, where it is not given."""
@@ -161,9 +162,18 @@ def _stages(stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with other tones about the same centre, once, rounded as they will be written."""
-    tones = tuple(Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4)) for a, f in e.tones)
-    changes = {"name": name, "tones": tones, "weight_kg": e.weight, "duration_s": e.seconds, "repeats": 1}
-    changes |= {"ramp_in_s": e.ramp, "ramp_out_s": e.ramp}
+    """Return a stage with another excitation about the same centre, rounded as it will be written."""
+    changes: dict[str, Any] = {"name": name, "weight_kg": e.weight, "duration_s": e.seconds, "repeats": 1}
     # What a limit of the old stage's time was meant for is not what is proposed; the plan gives a bound of its own.
-    return stage.model_copy(update={**changes, "time_limit_s": None})
+    changes["time_limit_s"] = None
+    if e.ramps is None:
+        tones = tuple(
+            Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4)) for a, f in e.tones
+        )
+        fades = {"ramp_in_s": e.fade, "ramp_out_s": e.fade}
+        return stage.model_copy(update={**changes, "tones": tones, **fades})
+    speed = round(math.degrees(e.ramps.speed), 3)
+    travel = math.floor(1e3 * speed * e.ramps.away - 1e-6) / 1e3  # so that there and back fit in the duration
+    ramp = Ramp(travel_deg=travel, speed_deg_s=speed, rest_s=0.0, times=round(e.seconds / e.step))
+    unfaded = {name: StageSection.model_fields[name].default for name in ("ramp_in_s", "ramp_out_s")}
+    return stage.model_copy(update={**changes, "tones": (), "ramp": ramp, **unfaded})

@@ -38,7 +38,7 @@ def text(experiment: Experiment) -> str:
         f"{experiment.proposed.name}: {_words(then)}",
         _advice(experiment),
         "",
-        table(["stage", "kg", "s", "tones (deg at Hz)"], [_stage(s) for s in experiment.proposed.stages], (1, 2)),
+        table(["stage", "kg", "s", "excitation"], [_stage(s) for s in experiment.proposed.stages], (1, 2)),
         "",
         f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; "
         f"{_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
@@ -146,5 +146,12 @@ def _gain(now: Pinned, then: Pinned, name: str) -> str:
 
 
 def _stage(stage: StageSection) -> list[str]:
-    tones = ", ".join(f"{t.amplitude_deg:g} at {t.frequency_Hz:g}" for t in stage.tones)
-    return [stage.name, f"{stage.weight_kg:g}", f"{stage.duration_s:g}", tones]
+    return [stage.name, f"{stage.weight_kg:g}", f"{stage.duration_s:g}", excitation_words(stage)]
+
+
+def excitation_words(stage: StageSection) -> str:
+    """Return what a stage commands, in words: sines, or ramps."""
+    if stage.ramp is not None:
+        ramp = stage.ramp
+        return f"{ramp.times} times {ramp.travel_deg:g} deg there and back at {ramp.speed_deg_s:g} deg/s"
+    return ", ".join(f"{t.amplitude_deg:g} deg at {t.frequency_Hz:g} Hz" for t in stage.tones)

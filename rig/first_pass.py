@@ -51,7 +51,7 @@ def plan_passes(section: StageSection, low: FirstPass, limits: Limits, cycle_s: 
 def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float) -> PlannedPass:
     """Compute one pass: the same tones about the same centre, smaller and shorter; a ramp at its speed, not as far."""
     if section.ramp is not None:
-        ramp = section.ramp.model_copy(update={"travel_deg": amplitude * section.ramp.travel_deg})
+        ramp = section.ramp.model_copy(update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1})
         small = section.model_copy(update={"ramp": ramp, "duration_s": ramp.moving_s})
         return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
     slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)

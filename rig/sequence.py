@@ -29,17 +29,24 @@ class Tone(Schema):
 class Ramp(Schema):
     """A slow ramp: ``travel_deg`` away from the centre (its sign is the direction) at constant speed, and back.
 
-    The joint is commanded to rest ``rest_s`` at the far end, and for what is left of ``duration_s`` at the centre.
+    The joint is commanded to rest ``rest_s`` at the far end, and for what is left of ``duration_s`` at the centre. All
+    of that is done ``times`` times, without a rest at the centre between.
     """
 
     travel_deg: float
     speed_deg_s: Positive
     rest_s: NonNegative = 1.0
+    times: Annotated[int, Field(ge=1, le=1000)] = 1
+
+    @property
+    def period_s(self) -> float:
+        """Time to the far end and back with the rest there, s."""
+        return 2.0 * abs(self.travel_deg) / self.speed_deg_s + self.rest_s
 
     @property
     def moving_s(self) -> float:
-        """Time to the far end and back with the rest there, s."""
-        return 2.0 * abs(self.travel_deg) / self.speed_deg_s + self.rest_s
+        """The same of all times, s."""
+        return self.times * self.period_s
 
 
 class StageSection(Schema):
@@ -199,6 +206,7 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
 def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
     """Return the angle from the centre, rad, shape of ``t``."""
     away_s = abs(ramp.travel_deg) / ramp.speed_deg_s
+    t = np.where(t < ramp.moving_s, t % ramp.period_s, ramp.period_s)
     share = np.minimum(t, away_s) - np.clip(t - away_s - ramp.rest_s, 0.0, away_s)
     return np.asarray(math.copysign(math.radians(ramp.speed_deg_s), ramp.travel_deg) * share)
 

@@ -17,27 +17,46 @@ Tone = tuple[float, float]
 
 
 @dataclass(frozen=True)
+class Ramps:
+    """Constant speed, rad/s, away from the centre for a time, s, and back, again and again."""
+
+    speed: float
+    away: float
+
+
+@dataclass(frozen=True)
 class Excitation:
-    """Sines about a centre, the weight on the lever, kg, and their duration, s."""
+    """Sines about a centre, or ramps and no sines; the weight on the lever, kg, and their duration, s."""
 
     tones: tuple[Tone, ...]
     weight: float
     seconds: float
+    ramps: Ramps | None = None
 
     @property
-    def ramp(self) -> float:
-        """Time in which a proposal fades in and out, s: short, since on the way the shaft creeps or nearly stops.
+    def fade(self) -> float:
+        """Time in which a proposal's sines fade in and out, s: short, since meanwhile the shaft creeps or nearly stops.
 
-        One stretch in which the filter loses it widened the interval of omega_sL twofold.
+        One stretch in which the filter lost it widened the interval of omega_sL twofold.
         """
         speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
         longest = min(1.0, _LONGEST_RAMP * self.seconds)
         return round(min(max(speed / _RAMP_ACCELERATION, _LEAST_RAMP_S), longest), 3)
 
+    @property
+    def step(self) -> float:
+        """Half a period of a sine, or one ramp away and back, s: it lasts a whole number of them."""
+        return 2.0 * self.ramps.away if self.ramps else 0.5 / self.tones[0][1]
+
+    @property
+    def shortest(self) -> float:
+        """The least time it can last, s: two ramps, as one has a single breakaway from rest."""
+        return 2.0 * self.step if self.ramps else self.step
+
     def lasting(self, seconds: float) -> Excitation:
-        """Return the same for as many half periods of its sine as the time has room for: it ends where it began."""
-        pace = 2.0 * self.tones[0][1]
-        return replace(self, seconds=round(max(1.0, math.floor(seconds * pace + 1e-6)) / pace, 3))
+        """Return the same for as many half periods or ramps as the time has room for: it ends where it began."""
+        longest = max(math.floor(seconds / self.step + 1e-6) * self.step, self.shortest)
+        return replace(self, seconds=round(longest, 3))
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 The nominal response, with the bench's noise, is put through its sensors and handed to the very residuals that the
 default method minimises. So the information knows of the encoder's quantisation, of the current's noise, of unknown
-breakaway times, and of what the estimator leaves out around them. The sensitivities are means over a stage's stretches:
-a stretch's own hold the current's noise, and where no two stretches are alike they promise more than the estimator can
-have. Whole designs are then judged by several runs of each (:mod:`identification.design.rehearsal`).
+breakaway times, and of what the estimator leaves out around them. A stretch's own sensitivities hold the current's
+noise, and one in which the shaft all but stopped by chance would promise what no other run need repeat. So a stage is
+simulated with several drives and noises, and what counts is what two of these runs have in common, as in the floor of
+an estimate (:mod:`identification.estimate.prediction.cramer_rao`). Whole designs are then judged by several runs of
+each (:mod:`identification.design.rehearsal`).
 """
 
 from __future__ import annotations
@@ -16,54 +18,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import stats
 
-from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.information import settle
+from identification.design.simulated import Nominal, PlannedStage, at_the_truth
+from identification.estimate.levenberg import huber_weight
+from identification.estimate.prediction.cramer_rao import means_alike, rehearsed_information
 from identification.estimate.prediction.instruments import instruments
-from identification.estimate.prediction.leverage import bounded
-from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
+from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
+from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.uncertainty import CONFIDENCE
-from identification.recording import Array, Bench, Model, Recording
-from identification.simulate.servo_loop import Loop, Response, respond, usual_loop
+from identification.recording import Array
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
 """Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
-
-MOST = 2.0
-"""Median stretches that one is believed as at most: the stretches of a sine differ by chance alone, and where one says
-far more than the others it was all but stopped there, which no other run need repeat."""
-
-NOISE_SEED = 0
-GREATEST_RMS, GREATEST_PEAK, WHITE = 1.1, 6.0, 0.1
-"""Size of the nominal model's own residuals, in units of their noise, and correlation of neighbours, above which the
-filter has lost the shaft (it creeps, or nearly stops and goes on) and its slopes would promise far too much."""
-
-
-@dataclass(frozen=True)
-class Sensors:
-    """What the bench logs.
-
-    Attributes:
-        period: Of the log, s.
-        joint_step: Joint angle of one step of the finer encoder, rad.
-        torque_noise: Noise of the torque as logged, a mean over the period, N m rms at the joint.
-    """
-
-    period: float
-    joint_step: float
-    torque_noise: float
-
-
-@dataclass(frozen=True)
-class PlannedStage:
-    """One stage of an experiment, repeats written out: joint angles commanded, rad, shape (n,), and the weight, kg."""
-
-    command: Array
-    weight: float
 
 
 @dataclass(frozen=True)
@@ -72,12 +40,28 @@ class Information:
 
     Attributes:
         normal: Fisher information, shape (9, 9).
+        power: What the scores' covariance should be by the noise model, shape (9, 9).
+        scatter: What it is from stretch to stretch, shape (9, 9).
     """
 
     normal: Array
+    power: Array
+    scatter: Array
+
+    def times(self, factor: float) -> Information:
+        """Return what so many times the stage says."""
+        return Information(factor * self.normal, factor * self.power, factor * self.scatter)
+
+    def heard(self, weights: Array) -> Information:
+        """Return what counts for an estimate in whose error the scores have these weights, shape (9,).
+
+        Less by as much as their scatter is greater there than the noise model says.
+        """
+        ratio = float(weights @ self.scatter @ weights) / max(float(weights @ self.power @ weights), 1e-300)
+        return replace(self, normal=self.normal / max(ratio, 1.0))
 
 
-NOTHING = Information(np.zeros((len(NAMES), len(NAMES))))
+NOTHING = Information(*np.zeros((3, len(NAMES), len(NAMES))))
 
 
 @dataclass(frozen=True)
@@ -97,87 +81,69 @@ class Pinned:
         return self.half_widths[self.weakest]
 
 
-@dataclass(frozen=True)
-class Nominal:
-    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m.
+def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Information:
+    """Return what one stage says about all nine, by runs that are rehearsals of one another.
 
-    ``loop`` is the drive as recordings showed it, None where it is assumed from the inertia; ``stiffness`` is the
-    velocity gain over that one's.
-    """
-
-    values: Mapping[str, float]
-    bench: Bench
-    sensors: Sensors
-    torque_limit: float
-    alpha: float = 2.0
-    stiffness: float = 1.0
-    loop: Loop | None = None
-
-    def drive(self) -> Loop:
-        """Return the drive's loop."""
-        loop = self.loop or usual_loop(self.values["J"], self.torque_limit, self.sensors.joint_step)
-        return replace(loop, velocity_gain=self.stiffness * loop.velocity_gain)
-
-    def moment(self, weight: float) -> float:
-        """Return F_P L1 of a weight on the lever, N m."""
-        return self.bench.contact_force(weight) * (self.bench.moment_arm or 0.0)
-
-
-def stage_response(
-    stage: PlannedStage, nominal: Nominal, rng: np.random.Generator | None = None, share: float = 1.0
-) -> Response:
-    """Return what the nominal bench does in one stage.
+    Nothing where a run has too few breakaways, or moves so that the estimator could not follow. Relative, so that the
+    matrices are well scaled; static limits count as themselves, not as the rise above the Coulomb level.
 
     Args:
         stage: What is commanded, under which weight.
-        nominal: The model.
-        rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
-        share: Of the noise that is in the torque itself.
+        nominals: Of each run, three at least, with a noise of its own.
     """
-    moment, sensors = nominal.moment(stage.weight), nominal.sensors
-    chance = rng or np.random.default_rng(NOISE_SEED)
-    noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
-    return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, nominal.drive(), noise)
-
-
-def stage_information(stage: PlannedStage, nominal: Nominal, response: Response | None = None) -> Information:
-    """Return the Fisher information of one stage on all nine, each relative to its value, in the order of NAMES.
-
-    Zero where the stage has too few breakaways, or moves so that the estimator could not follow. Less by as much as the
-    likelihood is steeper at the values simulated than noise makes it: the filter errs by about the root of that there.
-    Relative, so that the matrix is well scaled; static limits count as themselves, not as the rise above the Coulomb
-    level.
-
-    Args:
-        stage: What is commanded, under which weight.
-        nominal: The model.
-        response: Of the stage, where it is already known.
-    """
-    found = motion(_recording(stage, nominal, response or stage_response(stage, nominal)))
-    if found is None or len(found.table) < LEAST_BREAKAWAYS:
-        return NOTHING
     names = NAMES if stage.weight else SYSTEM_PARAMETERS
-    free = [INDEX[n] for n in names]
-    noise = Noise(nominal.sensors.torque_noise)
-    problem = Problem([found], pack(nominal.values), free, Model(alpha=nominal.alpha), noise)
-    problem.begins = [found.static_crossing(static_limit(problem.start, found))]
-    settle(problem, CLIP)
-    problem.weigh()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    if not _follows(residual[: len(residual) - problem.breakaways]):
-        return NOTHING
-    jacobian, slope = likelihood_slope(problem)
-    others = instruments(problem, jacobian)
-    mean = jacobian.mixed(1.0 / problem.siblings, others)
-    turn = _turn(names, nominal)
-    normal = np.zeros((len(NAMES), len(NAMES)))
-    normal[: len(names), : len(names)] = turn.T @ bounded(mean.told(), problem.lengths, MOST) @ turn
-    return Information(normal / max(slope, 1.0))
+    runs = []
+    for number, nominal in enumerate(nominals):
+        run = at_the_truth([stage], nominal, names, number, whole=False)
+        if run is None or run.problem.breakaways < LEAST_BREAKAWAYS:
+            return NOTHING
+        runs.append(run)
+    turn = _turn(names, nominals[0])
+    found = np.zeros((3, len(NAMES), len(NAMES)))
+    for run in runs:
+        others = [other for other in runs if other is not run]
+        own = np.stack([_told(run, others), *_scores(run)])
+        found[:, : len(names), : len(names)] += turn.T @ own @ turn / len(runs)
+    return Information(_without_negative(found[0]), found[1], found[2])
 
 
-def likelihood_slope(problem: Problem) -> tuple[Arrow, float]:
-    """Return the sensitivities at a problem's start, and how steep the likelihood is there.
+def _told(run: Rehearsal, others: Sequence[Rehearsal]) -> Array:
+    """Return the information of a run by rehearsals of it, as far as its stretches are believed, shape (p, p)."""
+    problem, jacobian = run.problem, run.sensitivities
+    alike = means_alike(jacobian, instruments(problem, jacobian), problem.siblings)
+    told = rehearsed_information(problem, alike, others)
+    return np.asarray(np.sum(told / problem.doubt[:, None, None] ** 2, axis=0))
+
+
+def _scores(run: Rehearsal) -> tuple[Array, Array]:
+    """Return the power that a stage's scores should have, and what they have, breakaway times eliminated, (p, p)."""
+    jacobian, residual = run.believed()
+    residual = residual * huber_weight(residual, CLIP)
+    stretches, owners = jacobian.stretches, jacobian.owners
+    rows = np.column_stack([jacobian.parameters, jacobian.own])
+    count = rows.shape[1] - 1
+    power = np.zeros((stretches, count + 1, count + 1))
+    scores = np.zeros((stretches, count + 1))
+    np.add.at(power, owners, rows[:, :, None] * rows[:, None, :])
+    np.add.at(scores, owners, rows * residual[:, None])
+    times = power[:, count, count]
+    share = np.where(times[:, None] > 0.0, power[:, :count, count] / np.where(times > 0.0, times, 1.0)[:, None], 0.0)
+    scores = scores[:, :count] - share * scores[:, count:]
+    power = power[:, :count, :count] - share[:, :, None] * power[:, count, None, :count]
+    scores -= np.mean(scores, axis=0)
+    return np.sum(power, axis=0), scores.T @ scores * stretches / max(stretches - 1, 1)
+
+
+def _without_negative(normal: Array) -> Array:
+    """Return a matrix of products of different noises without what is negative in it, which only noise makes."""
+    size = np.sqrt(np.maximum(np.diag(normal), 0.0))
+    scale = np.where(size > 0.0, size, np.inf)
+    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
+    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(size, size))
+
+
+def likelihood_slope(problem: Problem) -> float:
+    """Return how steep the likelihood is at a problem's start.
 
     Where noise decides what the shaft does next, the filter, linear about its prediction, errs with a mean: values
     other than those simulated are then likelier by far, and what such a stage says is wrong. Steepness is that of the
@@ -193,37 +159,13 @@ def likelihood_slope(problem: Problem) -> tuple[Arrow, float]:
     times = list(range(count, len(score)))
     sought = [k for k in range(count) if problem.free[k] != INDEX["J"]]
     steepness = _squared(score, known, [*sought, *times]) - _squared(score, known, times)
-    return jacobian, steepness / max(len(sought), 1)
+    return steepness / max(len(sought), 1)
 
 
 def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
     """Return the size of some unknowns' scores in the metric of what is known of them."""
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
-
-
-def _recording(stage: PlannedStage, nominal: Nominal, response: Response) -> Recording:
-    """Return what the bench would log of a response."""
-    step = nominal.sensors.joint_step
-    return Recording(
-        name="planned",
-        channels={
-            "time": np.asarray(nominal.sensors.period * np.arange(len(stage.command)), dtype=np.float64),
-            "angle": np.asarray(np.floor(response.angle / step) * step),
-            "torque": response.torque,
-        },
-        bench=nominal.bench,
-        stage="loaded" if stage.weight else "unloaded",
-        weight_mass=stage.weight,
-        averaged=frozenset({"torque"}),
-    )
-
-
-def _follows(errors: Array) -> bool:
-    """Return whether prediction errors over their deviations are what they are where the filter holds the shaft."""
-    power = float(np.mean(errors**2))
-    white = abs(float(np.mean(errors[1:] * errors[:-1]))) < WHITE * power
-    return power < GREATEST_RMS**2 and float(np.max(np.abs(errors))) < GREATEST_PEAK and white
 
 
 def _turn(names: Sequence[str], nominal: Nominal) -> Array:
@@ -236,6 +178,22 @@ def _turn(names: Sequence[str], nominal: Nominal) -> Array:
         if static in names:
             turn[names.index(static), names.index(coulomb)] = -nominal.values[coulomb]
     return turn
+
+
+def weights_of_scores(informations: Sequence[Information], target: str, loaded: bool) -> Array:
+    """Return the weights of the scores in the error of one parameter's estimate from several stages, shape (9,)."""
+    count = len(NAMES) if loaded else len(SYSTEM_PARAMETERS)
+    total = np.sum([i.normal for i in informations], axis=0)[:count, :count]
+    scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
+    out = np.zeros(len(NAMES))
+    out[:count] = np.linalg.pinv(total / np.outer(scale, scale), hermitian=True)[NAMES.index(target)] / scale
+    return out
+
+
+def heard(informations: Sequence[Information], target: str, loaded: bool) -> list[Information]:
+    """Return what of several stages' information counts for the estimate of one parameter from all of them."""
+    weights = weights_of_scores(informations, target, loaded)
+    return [i.heard(weights) for i in informations]
 
 
 def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:

@@ -11,18 +11,19 @@ the default method identifies is proposed.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from identification.design.excitation import Bounds, Frame, Part
-from identification.design.pinning import Nominal, Pinned, PlannedStage, pinned, stage_information
+from identification.design.pinning import Pinned
 from identification.design.rehearsal import expected, rehearse
-from identification.design.search import Design, Search, drives, halved, planned
+from identification.design.search import Design, Search, halved, planned, promised
+from identification.design.simulated import Nominal, PlannedStage, with_drives
 
-CANDIDATES = (160, 400)
+CANDIDATES = (50, 150)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
-REFINEMENTS, TOGETHER = 56, 10
+REFINEMENTS, TOGETHER = 24, 10
 """How often small changes of those that get a share are tried afterwards, and how many each time."""
 REHEARSALS = 3
 """Designs that go through the whole method before milder ones are tried, at most."""
@@ -58,12 +59,6 @@ class Proposal:
     rehearsed: int
 
 
-def present_pins(frames: Sequence[Frame], nominal: Nominal) -> Pinned:
-    """Return what the excitation of these stages pins as it stands."""
-    found = [stage_information(planned(f, f.present), nominal) for f in frames]
-    return pinned(found, any(f.loaded for f in frames))
-
-
 def propose(
     frames: Sequence[Frame],
     nominal: Nominal,
@@ -84,9 +79,10 @@ def propose(
     """
     tell = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
-    now, _ = _expected(frames, present, nominal)
+    nominals = with_drives(nominal)
+    now, _ = expected(_stages(frames, present), nominals)
     target = weakest or now.weakest
-    search = Search(frames, nominal, bounds, rng, target, now.half_widths[target])
+    search = Search(frames, nominals, bounds, rng, target, now.half_widths[target])
     kinds = sorted({f.loaded for f in frames})
     for number, loaded in enumerate(kinds):
         wanted = CANDIDATES[loaded]
@@ -97,9 +93,9 @@ def propose(
         for part in search.changed(TOGETHER):
             search.add(part)
         tell("refinement", (k + 1) / REFINEMENTS)
-    best, chosen, tried = now, Design(present, present_pins(frames, nominal)), 0
+    best, chosen, tried = now, Design(present, promised(frames, present, nominals, target)), 0
     designs = search.designs()
-    for step in (designs, [halved(d, frames, nominal) for d in designs]):
+    for step in (designs, [halved(d, frames, nominals, target) for d in designs]):
         found, design, rehearsed = _likeliest_to_hold(step, search, now, tell)
         tried += rehearsed
         if design is not None and search.merit(found) < search.merit(best):
@@ -115,8 +111,8 @@ def _likeliest_to_hold(
 
     The first whose rehearsal bears out what was expected of it; where none does, the one that comes out best.
     """
-    frames, nominal = search.frames, search.nominal
-    judged = [(*_expected(frames, design.parts, nominal), design) for design in designs]
+    frames, nominals = search.frames, search.nominals
+    judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
     # What the values simulated are not likely under will come out beside them: its widths are worth less.
     ranked = sorted(
         (p for p in judged if search.merit(p[0]) < search.merit(now)), key=lambda p: search.merit(p[0]) * p[1]
@@ -125,7 +121,7 @@ def _likeliest_to_hold(
     for tried, (found, _, design) in enumerate(ranked[:REHEARSALS], 1):
         stages = _stages(frames, design.parts)
         seeds = range(WHOLE_SEED, WHOLE_SEED + NOISES)
-        whole = max((rehearse(stages, nominal, np.random.default_rng(s)) for s in seeds), key=search.merit)
+        whole = max((rehearse(stages, nominals[0], np.random.default_rng(s)) for s in seeds), key=search.merit)
         tell("rehearsal", tried / len(ranked))
         worse = max(found, whole, key=search.merit)
         if search.merit(worse) < search.merit(best[0]):
@@ -137,12 +133,3 @@ def _likeliest_to_hold(
 
 def _stages(frames: Sequence[Frame], parts: Sequence[Part]) -> list[PlannedStage]:
     return [planned(frames[p.frame], p.excitation) for p in parts]
-
-
-def _expected(frames: Sequence[Frame], parts: Sequence[Part], nominal: Nominal) -> tuple[Pinned, float]:
-    """Return what one design would give, and how steep the likelihood is at the values simulated.
-
-    Over drives, each with another noise; where one fails, nothing.
-    """
-    stiffnesses = (nominal.stiffness, *drives(nominal))
-    return expected(_stages(frames, parts), [replace(nominal, stiffness=stiffness) for stiffness in stiffnesses])

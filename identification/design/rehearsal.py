@@ -14,19 +14,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.pinning import NAMES, Nominal, Pinned, PlannedStage, likelihood_slope, stage_response
+from identification.design.pinning import NAMES, Pinned, likelihood_slope
+from identification.design.simulated import Nominal, PlannedStage, at_the_truth, recorded
 from identification.estimate.default import identify
-from identification.estimate.prediction.acceptance import WHITE
 from identification.estimate.prediction.covariance import covariances, rise_to_static
-from identification.estimate.prediction.information import settle
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.estimate.uncertainty import Spread
-from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.recording import Dataset, RecordingError
 
 
 def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
@@ -39,7 +33,7 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Pinned(dict.fromkeys(names, math.inf))
     try:
-        result = identify(Dataset(tuple(_recording(k, s, nominal, rng) for k, s in enumerate(stages))))
+        result = identify(Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages))))
     except RecordingError:
         return nothing
     if all(p.floor is None for p in result.parameters.values()):
@@ -66,7 +60,7 @@ def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tup
     nothing = Pinned(dict.fromkeys(names, math.inf)), math.inf
     runs = []
     for number, nominal in enumerate(nominals):
-        run = _at_the_truth(stages, nominal, names, number)
+        run = at_the_truth(stages, nominal, names, number)
         if run is None:
             return nothing
         runs.append(run)
@@ -80,50 +74,5 @@ def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tup
         spread = Spread(names, turn @ achieved @ turn.T, math.inf)
         found.append([spread.half_width(n) / nominals[0].values[n] for n in names])
     widths = np.where(np.all(np.isfinite(found), axis=0), np.median(found, axis=0), np.inf)
-    slopes = [math.sqrt(max(likelihood_slope(run.problem)[1], 1.0)) for run in runs]
+    slopes = [math.sqrt(max(likelihood_slope(run.problem), 1.0)) for run in runs]
     return Pinned(dict(zip(names, widths.tolist(), strict=True))), float(np.median(slopes))
-
-
-def _at_the_truth(
-    stages: Sequence[PlannedStage], nominal: Nominal, names: Sequence[str], noise: int
-) -> Rehearsal | None:
-    """Return a simulated run at the values simulated, None where the filter does not follow."""
-    rng = np.random.default_rng(noise)
-    motions = [motion(_recording(k, s, nominal, rng)) for k, s in enumerate(stages)]
-    known = [m for m in motions if m is not None]
-    if len(known) < len(stages):
-        return None
-    free = [INDEX[n] for n in names]
-    problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), Noise(torque_noise(known)))
-    problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
-    settle(problem, CLIP)
-    problem.noise = likeliest_noise(problem)
-    problem.weigh()
-    x = problem.origin()
-    residual = problem.residuals(x)
-    inside = residual[: len(residual) - problem.breakaways]
-    if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
-        return None
-    return Rehearsal(problem, problem.jacobian(x, residual), residual, noise)
-
-
-def _recording(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator) -> Recording:
-    """Return what the bench would log: half of the noise's power in the torque itself, half in its measurement.
-
-    How a drive shares it depends on its current loop, which is not known; both ends have been seen.
-    """
-    sensors = nominal.sensors
-    response = stage_response(stage, nominal, rng, math.sqrt(0.5))
-    noise = math.sqrt(0.5) * sensors.torque_noise * rng.standard_normal(len(stage.command))
-    return Recording(
-        name=f"stage {number + 1}",
-        channels={
-            "time": np.asarray(sensors.period * np.arange(len(stage.command)), dtype=np.float64),
-            "angle": np.asarray(np.floor(response.angle / sensors.joint_step) * sensors.joint_step),
-            "torque": np.asarray(response.torque + noise),
-        },
-        bench=nominal.bench,
-        stage="loaded" if stage.weight else "unloaded",
-        weight_mass=stage.weight,
-        averaged=frozenset({"torque"}),
-    )

@@ -1,4 +1,4 @@
-"""The search for sines and weights, and for their shares of the time, that pin one parameter best together."""
+"""The search for sines, ramps and weights, and for their shares of the time, that pin one parameter best together."""
 
 from __future__ import annotations
 
@@ -8,35 +8,23 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import (
-    NAMES,
-    NOTHING,
-    Information,
-    Nominal,
-    Pinned,
-    PlannedStage,
-    pinned,
-    stage_information,
-    stage_response,
-)
-from identification.design.shares import best_shares
+from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps, Tone
+from identification.design.pinning import NOTHING, Information, Pinned, heard, pinned, stage_information
+from identification.design.shares import shared
+from identification.design.simulated import Nominal, PlannedStage, stage_response
 from identification.estimate.regression import HIGHEST_SHARE
 from identification.recording import Array
 
-DESIGNS = 5
+DESIGNS = 8
 """Designs that are judged as wholes, at most."""
 PARTS = 7
 """Stages of a design, at most."""
 _SUPPORT = 12
 """Excitations with the greatest shares, of which a design's are chosen."""
-TRIAL_S, TRIAL_PERIODS = 5.0, 2.5
+TRIAL_S, TRIAL_PERIODS = 5.0, 3.0
 """Least duration of the stage on which an excitation is judged, s and its periods."""
 LEAST_S = 3.0
 """Least duration of a proposed stage."""
-ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
-"""Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where that one is assumed,
-and where recordings showed it."""
 _MARGIN = 0.85
 """Share of the limits on angle, speed and torque that a proposal may use on the nominal bench."""
 _FOLLOWING_MARGIN = 0.5
@@ -57,17 +45,21 @@ _NEAR = 0.75
 _NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
 """Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2: below, the shaft sticks
 and slips; above, it is past the fall of friction before a sample is taken."""
-_SPREAD = 0.2
-"""Standard deviation of the logarithm of a refinement's change."""
+_RAMPS = 0.3
+"""Share of ramps among the excitations that are drawn."""
+_RAMP_SPEEDS, _RAMP_TIMES = (1.6, 5.0), (0.5, 1.25)
+"""Their speeds over the Stribeck speed, and times to the far end, s. Where friction falls faster than the drive's
+velocity gain can hold, the shaft sticks and slips; just beyond, every sample tells of the fall."""
+_SPREAD, _RAMP_SPREAD = 0.2, 0.06
+"""Standard deviation of the logarithm of a refinement's change; and of a ramp's speed."""
 
 
 @dataclass(eq=False)
 class Candidate:
-    """An excitation on a short stage, and its information per second; ``sturdy`` once other drives bear it."""
+    """An excitation on a short stage, and its information per second."""
 
     part: Part
     rate: Information
-    sturdy: bool = False
 
 
 @dataclass(frozen=True)
@@ -83,7 +75,14 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
     return PlannedStage(frame.render(excitation), excitation.weight)
 
 
-def halved(design: Design, frames: Sequence[Frame], nominal: Nominal) -> Design:
+def promised(frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[Nominal], target: str) -> Pinned:
+    """Return what stages that stand as they are pin, by their information."""
+    told = [stage_information(planned(frames[p.frame], p.excitation), nominals) for p in parts]
+    loaded = any(f.loaded for f in frames)
+    return pinned(heard(told, target, loaded), loaded)
+
+
+def halved(design: Design, frames: Sequence[Frame], nominals: Sequence[Nominal], target: str) -> Design:
     """Return a design in half of the time, beside the present excitation in the other half.
 
     The present one leads the searches of an identification into the right basin where a design alone does not.
@@ -95,16 +94,10 @@ def halved(design: Design, frames: Sequence[Frame], nominal: Nominal) -> Design:
         for excitation, span in zip((frame.present, *own), spans, strict=True):
             room = 0.5 * span + left - frame.pause
             left = room + frame.pause
-            if 2.0 * excitation.tones[0][1] * room >= 1.0:  # less than half a period would take longer
+            if room >= excitation.shortest:
                 parts.append(Part(number, excitation.lasting(room)))
                 left = room - parts[-1].excitation.seconds
-    told = [stage_information(planned(frames[p.frame], p.excitation), nominal) for p in parts]
-    return Design(tuple(parts), pinned(told, any(f.loaded for f in frames)))
-
-
-def drives(nominal: Nominal) -> tuple[float, ...]:
-    """Return the velocity gains, over the nominal drive's, that a proposal must bear beside it."""
-    return ASSUMED if nominal.loop is None else SEEN
+    return Design(tuple(parts), promised(frames, parts, nominals, target))
 
 
 @dataclass
@@ -112,7 +105,7 @@ class Search:
     """Simulates excitations, keeps those within the limits, and shares the time among them."""
 
     frames: Sequence[Frame]
-    nominal: Nominal
+    nominals: Sequence[Nominal]
     bounds: Bounds
     rng: np.random.Generator
     target: str
@@ -127,22 +120,57 @@ class Search:
 
     def add(self, part: Part) -> None:
         """Judge an excitation on a short stage and keep it where it says anything."""
-        rate = self._rate(part, self.nominal)
+        rate = self._rate(part)
         if rate is not None:
             self.pool.append(Candidate(part, rate))
 
     def random(self, loaded: bool) -> Part:
-        """Return a sine under one of the weights: of any speed and frequency, or about where friction falls."""
+        """Return a sine or ramps under one of the weights: of any speed, or about where friction falls."""
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
-        frequency, speed = self._near(loaded) if rng.random() < _NEAR else self._any()
-        pace = 2.0 * math.pi * frequency
-        amplitude = max(min(0.5 * _MARGIN * (b.angle_max - b.angle_min), speed / pace), _LEAST_ANGLE)
         # Friction rises with the weight, and so does what fast sines show of the load's; under the lighter ones the
         # drive holds the shaft where friction falls.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
-        found = Excitation(((amplitude, frequency),), weight if loaded else 0.0, 0.0)
-        return Part(number, found.lasting(self._trial(number, frequency)))
+        found = self._ramps(number) if rng.random() < _RAMPS else self._sine(number)
+        return Part(number, self._tried(number, replace(found, weight=weight if loaded else 0.0)))
+
+    def _sine(self, number: int) -> Excitation:
+        """Return a sine of any speed and frequency, or about where friction falls."""
+        near = self.rng.random() < _NEAR
+        frequency, speed = self._near(self.frames[number].loaded) if near else self._any()
+        pace = 2.0 * math.pi * frequency
+        return Excitation(((max(min(self._reach, speed / pace), _LEAST_ANGLE), frequency),), 0.0, 0.0)
+
+    def _ramps(self, number: int) -> Excitation:
+        """Return ramps about the least speed at which the drive holds the shaft while friction falls."""
+        speed = self._stribeck(self.frames[number].loaded) * _log_uniform(self.rng, *_RAMP_SPEEDS)
+        speed = min(speed, _MARGIN * self.bounds.speed)
+        return self._away(number, speed, _log_uniform(self.rng, *_RAMP_TIMES))
+
+    def _away(self, number: int, speed: float, seconds: float) -> Excitation:
+        """Return ramps at a speed, as long as wanted and as angle and time allow."""
+        slot = self._total / self._room - self.frames[number].pause
+        longest = min(_RAMP_TIMES[1], self._reach / speed, 0.25 * slot)  # the least of them is twice there and back
+        away = math.floor(100.0 * min(max(seconds, _RAMP_TIMES[0]), longest)) / 100.0
+        return Excitation((), 0.0, 0.0, Ramps(speed, max(away, 0.01)))
+
+    @property
+    def _total(self) -> float:
+        """Time of all stages, s."""
+        return sum(f.total for f in self.frames)
+
+    @property
+    def _room(self) -> int:
+        """Stages that a design may have."""
+        return max(len({f.loaded for f in self.frames}), min(PARTS, int(self._total / LEAST_S)))
+
+    @property
+    def _reach(self) -> float:
+        """The greatest amplitude, rad."""
+        return 0.5 * _MARGIN * (self.bounds.angle_max - self.bounds.angle_min)
+
+    def _stribeck(self, loaded: bool) -> float:
+        return self.nominals[0].values["omega_sL" if loaded else "omega_sf"]
 
     def _any(self) -> tuple[float, float]:
         """Return a frequency, Hz, and a speed at the middle, rad/s, logarithmically uniform."""
@@ -152,7 +180,7 @@ class Search:
 
     def _near(self, loaded: bool) -> tuple[float, float]:
         """Return the same of a sine whose speed at the middle is a few times the Stribeck speed."""
-        speed = self.nominal.values["omega_sL" if loaded else "omega_sf"] * _log_uniform(self.rng, *_NEAR_SPEEDS)
+        speed = self._stribeck(loaded) * _log_uniform(self.rng, *_NEAR_SPEEDS)
         speed = min(speed, _MARGIN * self.bounds.speed)
         acceleration = _log_uniform(self.rng, *_NEAR_ACCELERATIONS)
         frequency = acceleration / (2.0 * math.pi * speed)
@@ -168,17 +196,23 @@ class Search:
     def _changed(self, part: Part) -> Part:
         """Return a small change of an excitation, and now and then the next weight up or down."""
         e, ladder = part.excitation, sorted({*self.bounds.weights, part.excitation.weight})
-        ((amplitude, frequency),) = e.tones
-        wider, faster = np.exp(_SPREAD * self.rng.standard_normal(2))
-        frequency = min(frequency * float(faster), self.bounds.highest_Hz)
-        least = max(_LEAST_ANGLE, _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2)
-        tone = (max(amplitude * float(wider), least), frequency)
         weight = e.weight
+        changed = self._other_ramps(part.frame, e.ramps) if e.ramps else self._other_sine(e.tones[0])
         if self.frames[part.frame].loaded and self.rng.random() < 0.3:
             place = ladder.index(weight) + int(self.rng.choice([-1, 1]))
             weight = ladder[min(max(place, 0), len(ladder) - 1)]
-        changed = replace(e, tones=(tone,), weight=weight).lasting(self._trial(part.frame, frequency))
-        return replace(part, excitation=changed)
+        return replace(part, excitation=self._tried(part.frame, replace(changed, weight=weight)))
+
+    def _other_sine(self, tone: Tone) -> Excitation:
+        amplitude, frequency = tone
+        wider, faster = np.exp(_SPREAD * self.rng.standard_normal(2))
+        frequency = min(frequency * float(faster), self.bounds.highest_Hz)
+        least = max(_LEAST_ANGLE, _LEAST_ACCELERATION / (2.0 * math.pi * frequency) ** 2)
+        return Excitation(((max(amplitude * float(wider), least), frequency),), 0.0, 0.0)
+
+    def _other_ramps(self, number: int, ramps: Ramps) -> Excitation:
+        faster, longer = np.exp((_RAMP_SPREAD, _SPREAD) * self.rng.standard_normal(2))
+        return self._away(number, ramps.speed * float(faster), ramps.away * float(longer))
 
     def designs(self) -> list[Design]:
         """Return the best design, and those without one of its longest excitations, the most promising first."""
@@ -197,17 +231,11 @@ class Search:
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool in which every part is sturdy; None where a kind of stage has none."""
-        while self._complete(pool):
-            chosen = self._few(pool)
-            doubtful = [c for c in chosen if not c.sturdy]
-            for candidate in doubtful:
-                if not self._sturdy(candidate):
-                    pool.remove(candidate)
-                    self.pool.remove(candidate)
-            if not doubtful:
-                return self._timed(chosen), chosen
-        return None
+        """Return the best design from a pool, and its excitations; None where a kind of stage has none."""
+        if not self._complete(pool):
+            return None
+        chosen = self._few(pool)
+        return self._timed(chosen), chosen
 
     def _complete(self, pool: Sequence[Candidate]) -> bool:
         kinds = {f.loaded for f in self.frames}
@@ -219,13 +247,18 @@ class Search:
         Within it the equation error takes the acceleration for friction, and where there is little acceleration it
         finds no inertia.
         """
+        if not candidate.part.excitation.tones:
+            return False
         ((amplitude, frequency),) = candidate.part.excitation.tones
         pace = 2.0 * math.pi * frequency
-        leaves = HIGHEST_SHARE * pace * amplitude >= self.nominal.values["omega_sf"]
+        leaves = HIGHEST_SHARE * pace * amplitude >= self.nominals[0].values["omega_sf"]
         return not self._loaded(candidate) and leaves and pace**2 * amplitude >= _STARTING_ACCELERATION
 
+    def _shared(self, pool: Sequence[Candidate]) -> tuple[Array, list[Information]]:
+        return shared([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))
+
     def _shares(self, pool: Sequence[Candidate]) -> Array:
-        return best_shares([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))
+        return self._shared(pool)[0]
 
     def _few(self, pool: Sequence[Candidate]) -> list[Candidate]:
         """Return a few that do nearly as well as the whole pool: those are left out in turn that are missed least."""
@@ -236,8 +269,7 @@ class Search:
         chosen += [next(c for c in ranked if self._loaded(c) == loaded) for loaded in lacking]
         if not self._complete(chosen):
             chosen.append(next(c for c in ranked if self._starts(c)))
-        room = max(len(kinds), min(PARTS, int(sum(f.total for f in self.frames) / LEAST_S)))
-        while len(chosen) > room:
+        while len(chosen) > self._room:
             rests = [[c for c in chosen if c is not left] for left in chosen]
             chosen = min((rest for rest in rests if self._complete(rest)), key=self._reached)
         return chosen
@@ -247,16 +279,18 @@ class Search:
 
     def _reached(self, chosen: Sequence[Candidate]) -> float:
         """Return the merit of sharing the whole time among these, pauses and least durations aside."""
-        total = sum(f.total for f in self.frames)
-        pairs = zip(chosen, self._shares(chosen), strict=True)
-        told = [Information(c.rate.normal * float(share) * total) for c, share in pairs]
+        total = self._total
+        told = [i.times(float(share) * total) for share, i in zip(*self._shared(chosen), strict=True)]
         return self.merit(pinned(told, any(f.loaded for f in self.frames)))
 
     def _timed(self, chosen: Sequence[Candidate]) -> Design:
         """Share the whole time among a few excitations, each rounded down to half periods."""
-        total = sum(f.total for f in self.frames)
-        least = min(LEAST_S, total / len(chosen))
-        spans = least + (total - least * len(chosen)) * self._shares(chosen)
+        total = self._total
+        pauses = [self.frames[c.part.frame].pause for c in chosen]
+        shortest = [c.part.excitation.shortest + pause for c, pause in zip(chosen, pauses, strict=True)]
+        least = np.maximum(min(LEAST_S, total / len(chosen)), shortest)
+        shares, counts = self._shared(chosen)
+        spans = least + (total - np.sum(least)) * shares
         parts: dict[int, Part] = {}
         informations, left = [], 0.0
         # What rounding leaves of the time goes to the next, the longest last.
@@ -265,42 +299,38 @@ class Search:
             room = float(spans[k]) + left
             parts[k] = replace(part, excitation=part.excitation.lasting(room - pause))
             left = room - pause - parts[k].excitation.seconds
-            informations.append(Information(chosen[k].rate.normal * (room - left)))
+            informations.append(counts[k].times(room - left))
         order = sorted(range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight))
         return Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))
 
-    def _sturdy(self, candidate: Candidate) -> bool:
-        """Judge a candidate with other drives; the least information counts; False where one does not bear it."""
-        beside = drives(self.nominal)
-        rates = [self._rate(candidate.part, replace(self.nominal, stiffness=stiffness)) for stiffness in beside]
-        known = [candidate.rate, *(rate for rate in rates if rate is not None)]
-        candidate.sturdy = len(known) > len(beside)
-        place = NAMES.index(self.target)
-        candidate.rate = min(known, key=lambda rate: float(rate.normal[place, place]))
-        return candidate.sturdy
+    def _tried(self, number: int, e: Excitation) -> Excitation:
+        """Return an excitation of the duration for which it is judged."""
+        period = e.step if e.ramps else 2.0 * e.step
+        return e.lasting(min(max(TRIAL_S, TRIAL_PERIODS * period), self.frames[number].present.seconds))
 
-    def _trial(self, number: int, frequency: float) -> float:
-        return min(max(TRIAL_S, TRIAL_PERIODS / frequency), self.frames[number].present.seconds)
-
-    def _rate(self, part: Part, nominal: Nominal) -> Information | None:
+    def _rate(self, part: Part) -> Information | None:
         """Return an excitation's information per second; None where it breaks a limit or says nothing."""
-        b = self.bounds
+        b, period = self.bounds, self.nominals[0].sensors.period
         stage = planned(self.frames[part.frame], part.excitation)
         middle = 0.5 * (b.angle_max + b.angle_min)
         reach = float(np.max(np.abs(stage.command - middle)))
-        fastest = float(np.max(np.abs(np.diff(stage.command)))) / nominal.sensors.period
+        fastest = float(np.max(np.abs(np.diff(stage.command)))) / period
         if reach > 0.5 * _MARGIN * (b.angle_max - b.angle_min) or fastest > _MARGIN * b.speed:
             return None
         self.count += 1
-        response = stage_response(stage, nominal)
-        if not (
+        if not all(self._bears(stage, nominal) for nominal in self.nominals):
+            return None
+        found = stage_information(stage, self.nominals)
+        return None if found is NOTHING else found.times(1.0 / (len(stage.command) * period))
+
+    def _bears(self, stage: PlannedStage, nominal: Nominal) -> bool:
+        """Return whether a drive stays within the limits, by a margin."""
+        b, response = self.bounds, stage_response(stage, nominal)
+        return (
             response.peak_speed < _MARGIN * b.speed
             and response.peak_torque < _MARGIN * b.torque
             and response.peak_following < _FOLLOWING_MARGIN * b.following
-        ):
-            return None
-        found = stage_information(stage, nominal, response)
-        return None if found is NOTHING else Information(found.normal / (len(stage.command) * nominal.sensors.period))
+        )
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

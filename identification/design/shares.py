@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.design.pinning import NAMES, Information
+from identification.design.pinning import NAMES, Information, weights_of_scores
 from identification.recording import Array
 
-_ROUNDS = 500
+_ROUNDS, _TURNS = 500, 2
 _OTHERS = 0.04
 """Weight of every other parameter's relative variance beside the target's, so that none is left open."""
 _FLOOR = 1e-12
@@ -40,3 +40,17 @@ def best_shares(rates: Sequence[Information], target: str, loaded: bool) -> Arra
         shares = shares * np.sqrt(np.maximum(gradient, 0.0))
         shares /= np.sum(shares)
     return np.asarray(shares)
+
+
+def shared(told: Sequence[Information], target: str, loaded: bool) -> tuple[Array, list[Information]]:
+    """Return the best shares of excitations, shape (n,), and what counts of each for the target with these.
+
+    How scores scatter depends on what weights they have in the target's estimate, and those on the shares: in turn.
+    """
+    counts = list(told)
+    for _ in range(_TURNS):
+        shares = best_shares(counts, target, loaded)
+        total = [i.times(float(share)) for i, share in zip(counts, shares, strict=True)]
+        weights = weights_of_scores(total, target, loaded)
+        counts = [i.heard(weights) for i in told]
+    return best_shares(counts, target, loaded), counts

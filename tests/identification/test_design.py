@@ -9,26 +9,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identification.design import pinning, search
 from identification.design import propose as proposing
 from identification.design import rehearsal as rehearsing
-from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import (
-    NAMES,
-    NOTHING,
-    Information,
-    Nominal,
-    Pinned,
-    PlannedStage,
-    Sensors,
-    pinned,
-    stage_information,
-    stage_response,
-)
-from identification.design.propose import present_pins, propose
+from identification.design import search
+from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
+from identification.design.pinning import NAMES, NOTHING, Information, Pinned, pinned, stage_information
+from identification.design.propose import propose
 from identification.design.rehearsal import expected, rehearse
-from identification.design.search import Candidate, Design, Search, halved, planned
-from identification.design.shares import best_shares
+from identification.design.search import Candidate, Design, Search, halved, planned, promised
+from identification.design.shares import best_shares, shared
+from identification.design.simulated import Nominal, PlannedStage, Sensors, stage_response, with_drives
 from identification.estimate.result import Parameter
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
@@ -43,6 +33,10 @@ MOMENT = 10.0 * 30.6 * 9.80665 * 0.095
 
 def nominal(noise: float = NOISE, step: float = 2.0 * np.pi / 409600.0) -> Nominal:
     return Nominal(NOMINAL, BENCH, Sensors(PERIOD, step, noise), 75.0)
+
+
+def information(stage: PlannedStage, model: Nominal | None = None) -> Information:
+    return stage_information(stage, with_drives(model or nominal()))
 
 
 def command(amplitude_deg: float, frequency: float, seconds: float = 20.0) -> Array:
@@ -76,16 +70,16 @@ def test_a_shaft_below_its_static_limit_stays() -> None:
 
 
 def test_noise_and_encoder_widen_what_is_pinned() -> None:
-    fine = pinned([stage_information(figure10(0.0), nominal())], loaded=False)
-    noisy = pinned([stage_information(figure10(0.0), nominal(noise=3.0 * NOISE))], loaded=False)
-    coarse = pinned([stage_information(figure10(0.0), nominal(step=2.0 * np.pi / 102400.0))], loaded=False)
+    fine = pinned([information(figure10(0.0))], loaded=False)
+    noisy = pinned([information(figure10(0.0), nominal(noise=3.0 * NOISE))], loaded=False)
+    coarse = pinned([information(figure10(0.0), nominal(step=2.0 * np.pi / 102400.0))], loaded=False)
     assert noisy.half_widths["sigma_2"] > 2.0 * fine.half_widths["sigma_2"]
     assert coarse.half_widths["J"] > fine.half_widths["J"]
     assert 0.0 < fine.worst < 0.05
 
 
 def test_loaded_parameters_need_a_load() -> None:
-    free, heavy = (stage_information(figure10(w, 10.0), nominal()) for w in (0.0, 30.6))
+    free, heavy = (information(figure10(w, 10.0)) for w in (0.0, 30.6))
     alone = pinned([free], loaded=True)
     both = pinned([free, heavy], loaded=True)
     assert math.isinf(alone.half_widths["mu_c"])
@@ -97,7 +91,7 @@ def test_loaded_parameters_need_a_load() -> None:
 
 def test_one_breakaway_says_nothing() -> None:
     ramp = PlannedStage(0.05 * PERIOD * np.arange(4000), 0.0)
-    assert stage_information(ramp, nominal()) is NOTHING
+    assert information(ramp) is NOTHING
     assert all(math.isinf(w) for w in pinned([NOTHING], loaded=False).half_widths.values())
 
 
@@ -147,15 +141,15 @@ def test_a_target_in_whole_counts_comes_back_as_torque() -> None:
     assert uneven > 0.5 * loop.velocity_gain * count / PERIOD > 2.0 * even
 
 
-def test_unlike_stretches_promise_less_than_like_ones() -> None:
-    """The estimator's sensitivities are means over stretches, and so are these."""
-    time = PERIOD * np.arange(20000)
-    uneven = np.radians(20.0) * np.sin(2.0 * np.pi * 0.2 * time + 2.0 * np.sin(2.0 * np.pi * 0.07 * time)) * 0.8
-    like, unlike = (
-        pinned([stage_information(PlannedStage(c, 0.0), nominal())], loaded=False)
-        for c in (command(20.0, 0.2), np.asarray(uneven * np.minimum(time, 1.0)))
+def test_what_two_noises_do_not_share_is_no_information() -> None:
+    """Ten times the noise tells a hundredth, as no noise is squared; a stretch's own sensitivities hold it."""
+    quiet, loud = (
+        information(figure10(0.0), nominal(noise=share * NOISE, step=2.0 * np.pi / 4096000.0)).normal
+        for share in (1.0, 10.0)
     )
-    assert unlike.half_widths["sigma_2"] > like.half_widths["sigma_2"]
+    for name in ("Mc", "sigma_2"):
+        place = NAMES.index(name)
+        assert 100.0 * loud[place, place] == pytest.approx(quiet[place, place], rel=0.35)
 
 
 def rates(*diagonals: tuple[float, ...]) -> list[Information]:
@@ -163,7 +157,7 @@ def rates(*diagonals: tuple[float, ...]) -> list[Information]:
     for diagonal in diagonals:
         normal = np.zeros((len(NAMES), len(NAMES)))
         normal[:5, :5] = np.diag(diagonal)
-        found.append(Information(normal))
+        found.append(Information(normal, normal, normal))
     return found
 
 
@@ -179,10 +173,21 @@ def test_what_tells_two_trading_parameters_apart_gets_its_share() -> None:
     trading[0, 1] = trading[1, 0] = 0.9999
     apart = rates((0.0, 1.0, 0.0, 0.0, 0.0))[0]
     useless = rates((1e-6,) * 5)[0]
-    share = best_shares([Information(trading), apart, useless], "Mc", loaded=False)
+    share = best_shares([Information(*(trading,) * 3), apart, useless], "Mc", loaded=False)
     assert share[0] > 0.3
     assert share[1] > 0.3
     assert share[2] < 1e-3
+
+
+def test_a_stage_whose_scores_scatter_more_counts_less() -> None:
+    one, other = rates((1.0,) * 5, (1.0,) * 5)
+    other = replace(other, scatter=4.0 * other.scatter)
+    share, counts = shared([one, other], "Mc", loaded=False)
+    assert counts[0].normal == pytest.approx(one.normal)
+    assert counts[1].normal == pytest.approx(0.25 * one.normal)
+    assert share[0] > 0.99
+    quiet = replace(other, scatter=0.25 * other.power)
+    assert quiet.heard(np.ones(9)).normal == pytest.approx(quiet.normal)  # chance makes it scatter less
 
 
 @pytest.fixture
@@ -199,6 +204,9 @@ def few(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def frames(weights: tuple[float, ...]) -> list[Frame]:
     def render(e: Excitation) -> Array:
+        if e.ramps:
+            time = PERIOD * np.arange(round(e.seconds / PERIOD)) % e.step
+            return np.asarray(e.ramps.speed * np.minimum(time, e.step - time))
         return np.asarray(sum(command(math.degrees(a), f, e.seconds) for a, f in e.tones))
 
     return [Frame(w > 0.0, Excitation(((math.radians(20.0), 0.2),), w, 12.0), 12.0, 0.0, render) for w in weights]
@@ -256,7 +264,7 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
 def test_half_of_a_stage_too_short_for_half_a_period_is_left_out() -> None:
     stages = frames((0.0,))
     fast, slow = (Part(0, Excitation(((0.1, f),), 0.0, s)) for f, s in ((1.0, 8.0), (0.25, 2.0)))
-    found = halved(Design((fast, slow), Pinned({})), stages, nominal())
+    found = halved(Design((fast, slow), Pinned({})), stages, with_drives(nominal()), "Mc")
     assert [p.excitation.tones for p in found.parts] == [stages[0].present.tones, fast.excitation.tones]
     assert [p.excitation.seconds for p in found.parts] == pytest.approx([5.0, 5.0])
 
@@ -264,12 +272,12 @@ def test_half_of_a_stage_too_short_for_half_a_period_is_left_out() -> None:
 def test_a_design_has_a_sine_that_leaves_the_fall_of_friction() -> None:
     """Were it left out, the equation error would find no inertia to start from."""
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
-    found = Search(frames((0.0,)), nominal(), bounds, np.random.default_rng(0), "omega_sf", 1.0)
+    found = Search(frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "omega_sf", 1.0)
     pace = 2.0 * math.pi * 0.8
     speeds = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
     told = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
     pool = [
-        Candidate(Part(0, Excitation(((speed / pace, 0.8),), 0.0, 5.0)), rate, sturdy=True)
+        Candidate(Part(0, Excitation(((speed / pace, 0.8),), 0.0, 5.0)), rate)
         for speed, rate in zip(speeds, told, strict=True)
     ]
     found.pool = pool[:3]
@@ -286,29 +294,38 @@ def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must
     assert lasting.seconds == pytest.approx(7 / 0.7)
     assert sine.lasting(7 / 0.7).seconds == lasting.seconds
     assert sine.lasting(0.1).seconds == pytest.approx(1 / 0.7, abs=1e-3)
-    assert lasting.ramp == pytest.approx(2.0 * math.pi * 0.35 * 0.1 / 2.0, abs=1e-3)
-    assert Excitation(((0.4, 2.0),), 0.0, 10.0).ramp == 1.0
-    assert Excitation(((0.4, 2.0),), 0.0, 1.0).ramp == 0.25  # two of them lie inside
+    assert lasting.fade == pytest.approx(2.0 * math.pi * 0.35 * 0.1 / 2.0, abs=1e-3)
+    assert Excitation(((0.4, 2.0),), 0.0, 10.0).fade == 1.0
+    assert Excitation(((0.4, 2.0),), 0.0, 1.0).fade == 0.25  # two of them lie inside
 
 
-def test_present_pins_is_the_information_of_the_stages() -> None:
-    found = present_pins(frames((0.0,)), nominal())
+def test_ramps_end_where_they_began() -> None:
+    ramps = Excitation((), 5.0, 0.0, Ramps(0.07, 1.5))
+    assert ramps.lasting(10.0).seconds == 9.0
+    assert ramps.lasting(9.0).seconds == 9.0
+    assert ramps.lasting(1.0).seconds == ramps.shortest == 6.0
+
+
+def test_ramps_just_beyond_the_fall_of_friction_tell_more_of_it_than_sines() -> None:
+    """At the least speed that the drive holds every sample tells of the fall; a sine sticks and slips there."""
+    stage, speed = frames((40.0,))[0], 2.0 * NOMINAL["omega_sL"]
+    sine = Excitation(((speed / (2.0 * math.pi), 1.0),), 40.0, 9.0)
+    ramps = Excitation((), 40.0, 9.0, Ramps(speed, 1.5))
+    place = NAMES.index("omega_sL")
+    of_sine, of_ramps = (information(planned(stage, e)).normal[place, place] for e in (sine, ramps))
+    assert of_ramps > 1e6  # 0.1 % and less, were all else known
+    assert of_ramps > 2.0 * of_sine
+
+
+def test_what_is_promised_is_the_information_of_the_stages() -> None:
+    stages = frames((0.0,))
+    found = promised(stages, [Part(0, stages[0].present)], with_drives(nominal()), "Mc")
     assert set(found.half_widths) == set(NAMES[:5])
+    assert found.worst < 0.2
 
 
 def test_moment_of_a_bench_without_lever() -> None:
     assert Nominal(NOMINAL, Bench(), Sensors(1e-3, 1e-5, 0.1), 1.0).moment(0.0) == 0.0
-
-
-def test_a_stage_under_which_other_values_are_likelier_says_less(monkeypatch: pytest.MonkeyPatch) -> None:
-    stage = figure10(0.0, 10.0)
-    whole = pinning.likelihood_slope
-    told = {}
-    for slope in (0.5, 1.0, 9.0):
-        monkeypatch.setattr(pinning, "likelihood_slope", lambda p, slope=slope: (whole(p)[0], slope))
-        told[slope] = stage_information(stage, nominal()).normal
-    assert told[0.5] == pytest.approx(told[1.0])
-    assert told[9.0] == pytest.approx(told[1.0] / 9.0)
 
 
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
@@ -329,7 +346,7 @@ def test_a_drive_that_was_seen_takes_the_place_of_the_assumed_one() -> None:
 
 def test_merit_counts_another_only_beyond_what_the_target_is_now() -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0,))
-    found = Search(frames((0.0,)), nominal(), bounds, np.random.default_rng(0), "J", 0.02)
+    found = Search(frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "J", 0.02)
     within = Pinned({"J": 0.004, "Mc": 0.02})
     beyond = Pinned({"J": 0.004, "Mc": 0.04})
     assert found.merit(within) == pytest.approx(0.004)

@@ -10,7 +10,7 @@ import pytest
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction import instrumental
 from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.leverage import bounded, doubts
+from identification.estimate.prediction.leverage import doubts
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.problem import Problem, pack, static_limit
 from identification.estimate.prediction.stretches import motion
@@ -23,19 +23,13 @@ ALIKE = np.full(10, 1000, dtype=np.int64)
 """Samples of stretches of one length."""
 
 
-def test_a_stretch_that_says_far_more_than_the_others_is_believed_as_a_few() -> None:
-    stretches = np.array([np.diag([1.0, 4.0]), np.diag([1.0, 4.0]), np.diag([1.0, 4000.0])])
-    assert bounded(stretches, ALIKE[:3], 2.0) == pytest.approx(np.diag([2.0 + 2e-3, 8.0 + 8.0]))
-    assert bounded(stretches[:2], ALIKE[:2], 2.0) == pytest.approx(np.diag([2.0, 8.0]))
-
-
 def test_the_noise_of_a_stretch_that_says_far_more_is_taken_to_be_larger() -> None:
     stretches = np.array([np.diag([1.0, 1.0])] * 9 + [np.diag([1.0, 9991.0])])
     one = np.zeros(10, dtype=np.int64)
     doubt = doubts(stretches, ALIKE, one, 3.0)
     assert doubt == pytest.approx([1.0] * 9 + [np.sqrt(9991.0 / 3.0)])
     believed = np.sum(stretches / doubt[:, None, None] ** 2, axis=0)
-    assert believed == pytest.approx(bounded(stretches, ALIKE, 3.0))
+    assert believed == pytest.approx(np.diag([9.0 + 3.0 / 9991.0, 9.0 + 3.0]))
     assert doubts(stretches[:9], ALIKE[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
 
 

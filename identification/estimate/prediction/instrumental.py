@@ -14,6 +14,7 @@ import numpy as np
 
 from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.leverage import doubts
@@ -162,7 +163,12 @@ def doubted(problem: Problem) -> Array:
     problem.doubt = np.ones(problem.breakaways)
     problem.weigh()
     x = problem.origin()
-    told = problem.jacobian(x, problem.residuals(x)).told()
+    return doubts_by(problem, problem.jacobian(x, problem.residuals(x)))
+
+
+def doubts_by(problem: Problem, jacobian: Arrow) -> Array:
+    """Return the same from sensitivities of the prediction errors with nothing doubted."""
+    told = jacobian.told()
     numbers = np.arange(len(problem.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
     return doubts(told, problem.lengths, recordings, _MOST)

@@ -20,18 +20,6 @@ _ROUNDING = 1e-12
 """Share of what is known of a parameter below which a stretch is taken to say nothing of it."""
 
 
-def bounded(stretches: Array, lengths: NDArray[np.int64], most: float) -> Array:
-    """Return the sum of stretches' informations, none believed more than it takes to be ``most`` median ones.
-
-    Args:
-        stretches: Of each of one recording, shape (m, p, p).
-        lengths: Samples in each, shape (m,).
-        most: Median stretches.
-    """
-    excess = _excess(np.einsum("mkk->mk", stretches), lengths)
-    return np.asarray(np.tensordot(np.minimum(1.0, most / np.maximum(excess, most)), stretches, 1))
-
-
 def doubts(stretches: Array, lengths: NDArray[np.int64], recordings: NDArray[np.int64], most: float) -> Array:
     """Return by how much larger than it seems each stretch's noise is taken to be, shape (m,); 1 for most.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from threading import Thread
@@ -41,6 +42,8 @@ _PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 _TIME_STEP = 1e-3
 _LEAST_GAIN = 0.5
 """Of a stretch's Huber cost, for its breakaway to move."""
+_LEAST_SHARED = 30000.0
+"""Steps of the filter from which a second thread is worth its start."""
 
 
 def pack(values: Mapping[str, float]) -> Array:
@@ -134,10 +137,13 @@ class Problem:
         """Filter every recording; return the prediction errors inside stretches and their standard deviations, rad."""
         self.evaluations += 1
         one, other = self._halves
-        beside = Thread(target=self._filter, args=(other, p, times, noise))
-        beside.start()
-        self._filter(one, p, times, noise)
-        beside.join()
+        if other:
+            beside = Thread(target=self._filter, args=(other, p, times, noise))
+            beside.start()
+            self._filter(one, p, times, noise)
+            beside.join()
+        else:
+            self._filter(one, p, times, noise)
         errors = [out[m.inside] for m, out in zip(self.motions, self._out, strict=True)]
         deviations = [spread[m.inside] for m, spread in zip(self.motions, self._spread, strict=True)]
         return np.concatenate(errors), np.concatenate(deviations)
@@ -157,13 +163,15 @@ class Problem:
     def _halves(self) -> tuple[list[tuple[int, slice]], list[tuple[int, slice]]]:
         """The stretches in two parts that take about as long: recording and rows of its table.
 
-        Two processor cores are what a laptop has to spare. A stretch that does not begin at rest goes on where the one
-        before it ended, and stays with it.
+        Two processor cores are what a laptop has to spare; the second part is empty where it would be done before a
+        thread has begun. A stretch that does not begin at rest goes on where the one before it ended, and stays with
+        it.
         """
         costs = [
             [float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : kernel.LAST + 1]] for m in self.motions
         ]
-        left = 0.5 * sum(map(sum, costs))
+        whole = sum(map(sum, costs))
+        left = 0.5 * whole if whole > _LEAST_SHARED else math.inf
         parts: tuple[list[tuple[int, slice]], list[tuple[int, slice]]] = ([], [])
         for j, (m, cost) in enumerate(zip(self.motions, costs, strict=True)):
             cut = int(np.searchsorted(np.cumsum(cost), left))

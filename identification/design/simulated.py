@@ -1,0 +1,155 @@
+"""A planned experiment simulated on the nominal model: what the bench would do and log, and the fit at its values."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.estimate.prediction.acceptance import WHITE
+from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.instrumental import doubts_by
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.stretches import motion
+from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.recording import Array, Bench, Model, Recording
+from identification.simulate.servo_loop import Loop, Response, respond, usual_loop
+
+NOISE_SEED = 0
+ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
+"""Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where that one is assumed,
+and where recordings showed it."""
+
+
+@dataclass(frozen=True)
+class Sensors:
+    """What the bench logs.
+
+    Attributes:
+        period: Of the log, s.
+        joint_step: Joint angle of one step of the finer encoder, rad.
+        torque_noise: Noise of the torque as logged, a mean over the period, N m rms at the joint.
+    """
+
+    period: float
+    joint_step: float
+    torque_noise: float
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage of an experiment, repeats written out: joint angles commanded, rad, shape (n,), and the weight, kg."""
+
+    command: Array
+    weight: float
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m.
+
+    ``loop`` is the drive as recordings showed it, None where it is assumed from the inertia; ``stiffness`` is the
+    velocity gain over that one's.
+    """
+
+    values: Mapping[str, float]
+    bench: Bench
+    sensors: Sensors
+    torque_limit: float
+    alpha: float = 2.0
+    stiffness: float = 1.0
+    loop: Loop | None = None
+
+    def drive(self) -> Loop:
+        """Return the drive's loop."""
+        loop = self.loop or usual_loop(self.values["J"], self.torque_limit, self.sensors.joint_step)
+        return replace(loop, velocity_gain=self.stiffness * loop.velocity_gain)
+
+    def moment(self, weight: float) -> float:
+        """Return F_P L1 of a weight on the lever, N m."""
+        return self.bench.contact_force(weight) * (self.bench.moment_arm or 0.0)
+
+
+def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
+    """Return a model with its own drive, a softer and a stiffer one: a proposal has to bear all of them."""
+    beside = ASSUMED if nominal.loop is None else SEEN
+    return tuple(replace(nominal, stiffness=stiffness) for stiffness in (nominal.stiffness, *beside))
+
+
+def stage_response(
+    stage: PlannedStage, nominal: Nominal, rng: np.random.Generator | None = None, share: float = 1.0
+) -> Response:
+    """Return what the nominal bench does in one stage.
+
+    Args:
+        stage: What is commanded, under which weight.
+        nominal: The model.
+        rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
+        share: Of the noise that is in the torque itself.
+    """
+    moment, sensors = nominal.moment(stage.weight), nominal.sensors
+    chance = rng or np.random.default_rng(NOISE_SEED)
+    noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
+    return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, nominal.drive(), noise)
+
+
+def recorded(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator) -> Recording:
+    """Return what the bench would log: half of the noise's power in the torque itself, half in its measurement.
+
+    How a drive shares it depends on its current loop, which is not known; both ends have been seen.
+    """
+    sensors = nominal.sensors
+    response = stage_response(stage, nominal, rng, math.sqrt(0.5))
+    noise = math.sqrt(0.5) * sensors.torque_noise * rng.standard_normal(len(stage.command))
+    return Recording(
+        name=f"stage {number + 1}",
+        channels={
+            "time": np.asarray(sensors.period * np.arange(len(stage.command)), dtype=np.float64),
+            "angle": np.asarray(np.floor(response.angle / sensors.joint_step) * sensors.joint_step),
+            "torque": np.asarray(response.torque + noise),
+            "command": stage.command,
+        },
+        bench=nominal.bench,
+        stage="loaded" if stage.weight else "unloaded",
+        weight_mass=stage.weight,
+        averaged=frozenset({"torque"}),
+    )
+
+
+def at_the_truth(
+    stages: Sequence[PlannedStage], nominal: Nominal, names: Sequence[str], noise: int, whole: bool = True
+) -> Rehearsal | None:
+    """Return a run of some stages and the fit at the values simulated; None where the filter does not follow.
+
+    Args:
+        stages: What is commanded, under which weights.
+        nominal: The model.
+        names: Of the parameters that would be fitted.
+        noise: Which one it is simulated with.
+        whole: Whether the noise's level is sought, as in a whole experiment, or taken as it is.
+    """
+    rng = np.random.default_rng(noise)
+    motions = [motion(recorded(k, s, nominal, rng)) for k, s in enumerate(stages)]
+    known = [m for m in motions if m is not None]
+    if len(known) < len(stages):
+        return None
+    free = [INDEX[n] for n in names]
+    noise_level = Noise(torque_noise(known) if whole else nominal.sensors.torque_noise)
+    problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), noise_level)
+    problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
+    settle(problem, CLIP)
+    if whole:
+        problem.noise = likeliest_noise(problem)
+    problem.weigh()
+    x = problem.origin()
+    residual = problem.residuals(x)
+    inside = residual[: len(residual) - problem.breakaways]
+    if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
+        return None
+    jacobian = problem.jacobian(x, residual)
+    problem.doubt = doubts_by(problem, jacobian.without(free.index(INDEX["J"])))
+    return Rehearsal(problem, jacobian, residual, noise)
