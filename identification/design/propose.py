@@ -87,7 +87,7 @@ def propose(
     for number, loaded in enumerate(kinds):
         wanted = CANDIDATES[loaded]
         for k in range(wanted):
-            search.add(search.random(loaded))
+            search.add(search.draws.random(loaded))
             tell("candidates", (number + (k + 1) / wanted) / len(kinds))
     for k in range(REFINEMENTS):
         for part in search.changed(TOGETHER):
