@@ -5,15 +5,20 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
+import numpy as np
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from identification.design import propose, search
+from identification.design.excitation import Excitation, Ramps
 from identification.design.pinning import Pinned
 from identification.design.propose import Proposal
 from rig.cli import status
-from rig.experiment import Experiment
-from rig.experiment_output import _advice
+from rig.experiment import Experiment, _with
+from rig.experiment_output import _advice, excitation_words
+from rig.sequence import StageSection, Tone, excitation
 
 SEQUENCE = """\
 sequence: 1
@@ -58,6 +63,30 @@ def test_the_proposal_runs(sequence: Path, tmp_path: Path, capsys: pytest.Captur
     assert 5.0 < sum(times) <= 8.2 + 1e-6
     assert proposed == record["proposed"]["sequence"]
     assert status(["run", str(out / "proposal.yaml"), "--dry-run"]) == 0
+
+
+@settings(deadline=None)
+@given(speed=st.floats(0.01, 1.5), away=st.integers(10, 125), times=st.integers(2, 6))
+def test_ramps_are_written_so_that_they_read_back(speed: float, away: int, times: int) -> None:
+    ramps = Excitation((), 40.0, 0.0, Ramps(speed, away / 100.0)).lasting(times * away / 50.0)
+    stage = StageSection(
+        name="s",
+        stage="loaded",
+        weight_kg=5,
+        tones=(Tone(amplitude_deg=9, frequency_Hz=1),),
+        duration_s=9,
+        ramp_in_s=0.5,
+    )
+    written = _with(stage, ramps, "s-1")
+    again = StageSection.model_validate(yaml.safe_load(yaml.safe_dump(written.model_dump(exclude_defaults=True))))
+    assert again == written
+    assert again.duration_s == pytest.approx(ramps.seconds) == pytest.approx(times * away / 50.0)
+    assert f"{times} times" in excitation_words(again)
+    angles = excitation(again, 0.001)
+    assert np.max(angles) == pytest.approx(speed * away / 100.0, rel=0.01, abs=2e-3 * speed + 2e-5)
+    assert abs(angles[-1]) < 0.02 * speed + 2e-4
+    peaks = np.sum((angles[1:-1] > angles[:-2]) & (angles[1:-1] >= angles[2:]))
+    assert peaks == times
 
 
 def test_source_or_plan(sequence: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -81,6 +81,19 @@ def test_the_default_is_one_period_of_the_slowest_tone(short_sequence: Path) -> 
     assert low.amplitude == 0.1
 
 
+def test_of_ramps_there_and_back_it_is_one(short_sequence: Path) -> None:
+    text = short_sequence.read_text()
+    tones = next(line for line in text.splitlines() if "tones" in line)
+    start = text.index("\n  - ", text.index(tones))
+    stage = (
+        "  - {name: r, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 5, rest_s: 0.5, times: 3}, duration_s: 8}"
+    )
+    short_sequence.write_text(text[:start] + "\n" + stage + "\n")
+    low = plan_of(short_sequence, first_pass=True).stages[-1].first_passes[0]
+    assert low.duration_s == pytest.approx(2.0 * 0.5 / 5.0 + 0.5)
+    assert low.targets.max() == pytest.approx(np.radians(0.5), rel=0.02)
+
+
 def test_larger_ones_stand_ready_as_far_as_the_limits_allow(short_sequence: Path) -> None:
     """With its ramps 0.8 of the 2 Hz takes more than the 60 deg/s that a first pass may take, 0.8 of 1 Hz does not."""
     plan = plan_of(short_sequence, LOW)
