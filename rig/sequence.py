@@ -206,7 +206,8 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
 def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
     """Return the angle from the centre, rad, shape of ``t``."""
     away_s = abs(ramp.travel_deg) / ramp.speed_deg_s
-    t = np.where(t < ramp.moving_s, t % ramp.period_s, ramp.period_s)
+    begun = np.minimum(np.floor(t / ramp.period_s), ramp.times - 1) if ramp.period_s > 0.0 else 0.0
+    t = t - begun * ramp.period_s
     share = np.minimum(t, away_s) - np.clip(t - away_s - ramp.rest_s, 0.0, away_s)
     return np.asarray(math.copysign(math.radians(ramp.speed_deg_s), ramp.travel_deg) * share)
 

@@ -32,6 +32,8 @@ from identification.recording import Array
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
 """Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
+_CLEAR = 1e-9
+"""Share of the greatest eigenvalue below which a direction is one that nothing tells."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +106,7 @@ def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Infor
         others = [other for other in runs if other is not run]
         own = np.stack([_told(run, others), *_scores(run)])
         found[:, : len(names), : len(names)] += turn.T @ own @ turn / len(runs)
-    return Information(_without_negative(found[0]), found[1], found[2])
+    return Information(_believable(found[0], found[1]), found[1], found[2])
 
 
 def _told(run: Rehearsal, others: Sequence[Rehearsal]) -> Array:
@@ -134,12 +136,20 @@ def _scores(run: Rehearsal) -> tuple[Array, Array]:
     return np.sum(power, axis=0), scores.T @ scores * stretches / max(stretches - 1, 1)
 
 
-def _without_negative(normal: Array) -> Array:
-    """Return a matrix of products of different noises without what is negative in it, which only noise makes."""
-    size = np.sqrt(np.maximum(np.diag(normal), 0.0))
-    scale = np.where(size > 0.0, size, np.inf)
-    values, vectors = np.linalg.eigh(normal / np.outer(scale, scale))
-    return np.asarray((vectors * np.maximum(values, 0.0)) @ vectors.T * np.outer(size, size))
+def _believable(told: Array, power: Array) -> Array:
+    """Return information by rehearsals, as far as it lies between none and that of a stage's own sensitivities.
+
+    Products of two noises have neither bound: where few stretches come again, chance makes them negative, or far more
+    than the stage itself would say.
+    """
+    scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
+    values, vectors = np.linalg.eigh(power / np.outer(scale, scale))
+    clear = values > _CLEAR * np.max(values)
+    root = vectors[:, clear] * np.sqrt(values[clear])
+    inverse = vectors[:, clear] / np.sqrt(values[clear])
+    shares, ways = np.linalg.eigh(inverse.T @ (told / np.outer(scale, scale)) @ inverse)
+    half = root @ ways
+    return np.asarray((half * np.clip(shares, 0.0, 1.0)) @ half.T * np.outer(scale, scale))
 
 
 def likelihood_slope(problem: Problem) -> float:

@@ -1,11 +1,11 @@
 """Which excitation, within a bench's limits and in the same time, would pin the weakest parameter best.
 
-Informations of stages add and grow with time. So many sines are judged once on short stages, and a convex problem
-shares the time among them (:mod:`identification.design.shares`). The few that get a share take the place of the stages:
-one sine alone leaves parameters that trade off, and a slow one beside a fast one, or a light weight beside a heavy one,
-tells them apart. What rests on the very drive loop is dropped: each sine that gets a share is judged with softer and
-stiffer drives too. In the end the best few designs are simulated with those drives and noise, and the best of them that
-the default method identifies is proposed.
+Informations of stages add and grow with time. So many sines and ramps are judged once on short stages, and a convex
+problem shares the time among them (:mod:`identification.design.shares`). The few that get a share take the place of the
+stages: one sine alone leaves parameters that trade off, and a slow one beside a fast one, or a light weight beside a
+heavy one, tells them apart. Each is judged with softer and stiffer drives too, as where a shaft sticks and slips rests
+on the loop. In the end the best few designs are simulated with those drives and noise, and the best of them that the
+default method identifies is proposed.
 """
 
 from __future__ import annotations
