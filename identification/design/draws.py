@@ -28,11 +28,12 @@ _NEAR = 0.75
 _NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
 """Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2: below, the shaft sticks
 and slips; above, it is past the fall of friction before a sample is taken."""
-_RAMPS = 0.3
+_RAMPS = 0.4
 """Share of ramps among the excitations that are drawn."""
-_RAMP_SPEEDS, _RAMP_TIMES = (1.6, 5.0), (0.5, 1.25)
+_RAMP_SPEEDS, _RAMP_TIMES = (1.2, 5.0), (0.15, 1.0)
 """Their speeds over the Stribeck speed, and times to the far end, s. Where friction falls faster than the drive's
-velocity gain can hold, the shaft sticks and slips; just beyond, every sample tells of the fall."""
+velocity gain can hold, the shaft sticks and slips; just beyond, every sample tells of the fall, and those after a
+breakaway, while the drive catches the shaft, tell the most: short ramps have more of them."""
 _SPREAD, _RAMP_SPREAD = 0.2, 0.06
 """Standard deviation of the logarithm of a refinement's change; and of a ramp's speed."""
 

@@ -10,7 +10,7 @@ default method identifies is proposed.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Design, Search, halved, planned, promised
 from identification.design.simulated import Nominal, PlannedStage, with_drives
 
-CANDIDATES = (50, 150)
+CANDIDATES = (60, 200)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
 REFINEMENTS, TOGETHER = 24, 10
 """How often small changes of those that get a share are tried afterwards, and how many each time."""
@@ -95,7 +95,7 @@ def propose(
         tell("refinement", (k + 1) / REFINEMENTS)
     best, chosen, tried = now, Design(present, promised(frames, present, nominals, target)), 0
     designs = search.designs()
-    for step in (designs, [halved(d, frames, nominals, target) for d in designs]):
+    for step in (designs, (halved(d, frames, nominals, target) for d in designs)):
         found, design, rehearsed = _likeliest_to_hold(step, search, now, tell)
         tried += rehearsed
         if design is not None and search.merit(found) < search.merit(best):
@@ -105,7 +105,7 @@ def propose(
 
 
 def _likeliest_to_hold(
-    designs: Sequence[Design], search: Search, now: Pinned, tell: Progress
+    designs: Iterable[Design], search: Search, now: Pinned, tell: Progress
 ) -> tuple[Pinned, Design | None, int]:
     """Return the best of some designs that the default method identifies, what it gives, and how many were rehearsed.
 

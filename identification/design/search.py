@@ -145,8 +145,8 @@ class Search:
         """Return the best design from a pool, and its excitations; None where a kind of stage has none."""
         if not self._complete(pool):
             return None
-        chosen = self._few(pool)
-        return self._timed(chosen), chosen
+        designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
+        return min(designs, key=lambda d: self.merit(d[0].promised))
 
     def _complete(self, pool: Sequence[Candidate]) -> bool:
         kinds = {f.loaded for f in self.frames}
@@ -165,14 +165,17 @@ class Search:
         leaves = HIGHEST_SHARE * pace * amplitude >= self.nominals[0].values["omega_sf"]
         return not self._loaded(candidate) and leaves and pace**2 * amplitude >= _STARTING_ACCELERATION
 
-    def _shared(self, pool: Sequence[Candidate]) -> tuple[Array, list[Information]]:
-        return shared([c.rate for c in pool], self.target, any(f.loaded for f in self.frames))
+    def _shared(self, pool: Sequence[Candidate], least: Array | None = None) -> tuple[Array, list[Information]]:
+        return shared([c.rate for c in pool], self.target, any(f.loaded for f in self.frames), least)
 
     def _shares(self, pool: Sequence[Candidate]) -> Array:
         return self._shared(pool)[0]
 
-    def _few(self, pool: Sequence[Candidate]) -> list[Candidate]:
-        """Return a few that do nearly as well as the whole pool: those are left out in turn that are missed least."""
+    def _fewer(self, pool: Sequence[Candidate]) -> list[list[Candidate]]:
+        """Return ever fewer that do nearly as well as the whole pool: those are left out in turn that are missed least.
+
+        From as many as a design may have to as few as make one. Each gets its least time, whatever its share.
+        """
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
         kinds = {f.loaded for f in self.frames}
@@ -180,28 +183,37 @@ class Search:
         chosen += [next(c for c in ranked if self._loaded(c) == loaded) for loaded in lacking]
         if not self._complete(chosen):
             chosen.append(next(c for c in ranked if self._starts(c)))
-        while len(chosen) > self._room:
+        found = []
+        while True:
+            if len(chosen) <= self._room:
+                found.append(chosen)
             rests = [[c for c in chosen if c is not left] for left in chosen]
-            chosen = min((rest for rest in rests if self._complete(rest)), key=self._reached)
-        return chosen
+            complete = [rest for rest in rests if self._complete(rest)]
+            if not complete:
+                return found
+            chosen = min(complete, key=self._reached)
 
     def _loaded(self, candidate: Candidate) -> bool:
         return self.frames[candidate.part.frame].loaded
 
     def _reached(self, chosen: Sequence[Candidate]) -> float:
-        """Return the merit of sharing the whole time among these, pauses and least durations aside."""
+        """Return the merit of sharing the whole time among these, pauses aside."""
         total = self._total
-        told = [i.times(float(share) * total) for share, i in zip(*self._shared(chosen), strict=True)]
+        shares, counts = self._shared(chosen, self._least(chosen))
+        told = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
         return self.merit(pinned(told, any(f.loaded for f in self.frames)))
+
+    def _least(self, chosen: Sequence[Candidate]) -> Array:
+        """Return the least share of the time of each as one stage of several, its pause included, shape (n,)."""
+        shortest = [c.part.excitation.shortest + self.frames[c.part.frame].pause for c in chosen]
+        least = np.maximum(min(LEAST_S, self._total / len(chosen)), shortest)
+        return np.asarray(least / max(self._total, float(np.sum(least))))
 
     def _timed(self, chosen: Sequence[Candidate]) -> Design:
         """Share the whole time among a few excitations, each rounded down to half periods."""
         total = self._total
-        pauses = [self.frames[c.part.frame].pause for c in chosen]
-        shortest = [c.part.excitation.shortest + pause for c, pause in zip(chosen, pauses, strict=True)]
-        least = np.maximum(min(LEAST_S, total / len(chosen)), shortest)
-        shares, counts = self._shared(chosen)
-        spans = least + (total - np.sum(least)) * shares
+        shares, counts = self._shared(chosen, self._least(chosen))
+        spans = total * shares
         parts: dict[int, Part] = {}
         informations, left = [], 0.0
         # What rounding leaves of the time goes to the next, the longest last.

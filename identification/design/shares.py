@@ -20,37 +20,43 @@ _OTHERS = 0.04
 _FLOOR = 1e-12
 
 
-def best_shares(rates: Sequence[Information], target: str, loaded: bool) -> Array:
+def best_shares(rates: Sequence[Information], target: str, loaded: bool, least: Array | None = None) -> Array:
     """Return each excitation's share of the time, shape (n,); they sum to 1.
 
     Args:
         rates: Information of each per second.
         target: The parameter to be pinned.
         loaded: Whether the load's four are unknown as well.
+        least: Shares that they get in any case, shape (n,), of sum 1 at most; None where they get none.
     """
     count = len(NAMES) if loaded else NAMES.index("mu_c")
     normals = np.array([rate.normal[:count, :count] for rate in rates])
     scale = np.sqrt(np.maximum(np.einsum("ikk->k", normals), 1e-300))
-    normals = normals / np.outer(scale, scale)
+    normals = (normals / np.outer(scale, scale)).reshape(len(rates), -1)
     worth = np.where(np.array(NAMES[:count]) == target, 1.0, _OTHERS) / scale**2
+    floor = _FLOOR * np.eye(count)
+    least = np.zeros(len(rates)) if least is None else least
+    left = 1.0 - float(np.sum(least))
     shares = np.full(len(rates), 1.0 / len(rates))
     for _ in range(_ROUNDS):
-        spread = np.linalg.inv(np.tensordot(shares, normals, 1) + _FLOOR * np.eye(count))
-        gradient = np.tensordot(normals, (spread * worth) @ spread, 2)
+        spread = np.linalg.inv(((least + left * shares) @ normals).reshape(count, count) + floor)
+        gradient = normals @ ((spread * worth) @ spread).ravel()
         shares = shares * np.sqrt(np.maximum(gradient, 0.0))
         shares /= np.sum(shares)
-    return np.asarray(shares)
+    return np.asarray(least + left * shares)
 
 
-def shared(told: Sequence[Information], target: str, loaded: bool) -> tuple[Array, list[Information]]:
+def shared(
+    told: Sequence[Information], target: str, loaded: bool, least: Array | None = None
+) -> tuple[Array, list[Information]]:
     """Return the best shares of excitations, shape (n,), and what counts of each for the target with these.
 
     How scores scatter depends on what weights they have in the target's estimate, and those on the shares: in turn.
     """
     counts = list(told)
     for _ in range(_TURNS):
-        shares = best_shares(counts, target, loaded)
+        shares = best_shares(counts, target, loaded, least)
         total = [i.times(float(share)) for i, share in zip(counts, shares, strict=True)]
         weights = weights_of_scores(total, target, loaded)
         counts = [i.heard(weights) for i in told]
-    return best_shares(counts, target, loaded), counts
+    return best_shares(counts, target, loaded, least), counts

@@ -179,6 +179,15 @@ def test_shares_are_those_of_neyman() -> None:
     assert share == pytest.approx(np.array([others, target]) / (others + target), rel=1e-3)
 
 
+def test_what_each_gets_in_any_case_counts_toward_its_share() -> None:
+    told = rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0))
+    free = best_shares(told, "J", loaded=False)
+    assert best_shares(told, "J", loaded=False, least=np.array([0.1, 0.2])) == pytest.approx(free, rel=1e-3)
+    bound = float(free[0]) + 0.2
+    held = best_shares(told, "J", loaded=False, least=np.array([bound, 0.0]))
+    assert held == pytest.approx([bound, 1.0 - bound], rel=1e-2)
+
+
 def test_what_tells_two_trading_parameters_apart_gets_its_share() -> None:
     trading = rates((1.0, 1.0, 1.0, 1.0, 1.0))[0].normal.copy()
     trading[0, 1] = trading[1, 0] = 0.9999
@@ -204,7 +213,7 @@ def test_a_stage_whose_scores_scatter_more_counts_less() -> None:
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name, value in (
-        (proposing, "CANDIDATES", (6, 6)),
+        (proposing, "CANDIDATES", (12, 12)),
         (proposing, "REFINEMENTS", 2),
         (proposing, "TOGETHER", 1),
         (proposing, "NOISES", 1),
@@ -228,7 +237,7 @@ def frames(weights: tuple[float, ...]) -> list[Frame]:
 def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch: pytest.MonkeyPatch) -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     stages = frames((0.0,))
-    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
+    found = propose(stages, nominal(), bounds, np.random.default_rng(4), weakest="J")
     assert found.stages != (Part(0, stages[0].present),)
     assert found.pinned.half_widths["J"] < 0.6 * found.present.half_widths["J"]
     assert found.judged > 5
@@ -240,7 +249,7 @@ def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch: p
         assert out.peak_speed < 1.5
         assert out.peak_torque < 60.0
     monkeypatch.setattr(proposing, "rehearse", lambda *_: found.pinned)  # takes most of the time, and repeats
-    again = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
+    again = propose(stages, nominal(), bounds, np.random.default_rng(4), weakest="J")
     assert again.stages == found.stages
 
 
@@ -267,7 +276,7 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
 
     monkeypatch.setattr(proposing, "rehearse", rehearsed)
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
-    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
+    found = propose(stages, nominal(), bounds, np.random.default_rng(4), weakest="J")
     assert found.stages[0] == Part(0, stages[0].present.lasting(6.0))
     assert len(found.stages) > 1
     assert found.rehearsed == 2
