@@ -11,16 +11,21 @@ import numpy as np
 
 from identification.design.draws import MARGIN, Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import NOTHING, Information, Pinned, heard, pinned, stage_information
+from identification.design.pinning import NAMES, NOTHING, Information, Pinned, heard, pinned, stage_information
 from identification.design.shares import shared
-from identification.design.simulated import Nominal, PlannedStage, stage_response
+from identification.design.simulated import Nominal, PlannedStage, followed, stage_response
 from identification.estimate.regression import HIGHEST_SHARE
+from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.recording import Array
 
 DESIGNS = 8
 """Designs that are judged as wholes, at most."""
 PARTS = 7
 """Stages of a design, at most."""
+_LONGER = 1.3
+"""Time over that for which the filter was seen to follow an excitation, at which it is seen to again."""
+_OTHER_NOISES = (1000, 1001)
+"""With which it is, beside those by which excitations are judged: one in six may lose the shaft."""
 _SUPPORT = 12
 """Excitations with the greatest shares, of which a design's are chosen."""
 LEAST_S = 3.0
@@ -33,10 +38,15 @@ _STARTING_ACCELERATION = 0.5
 
 @dataclass(eq=False)
 class Candidate:
-    """An excitation on a short stage, and its information per second."""
+    """An excitation on a short stage, its information per second, and for how long the filter follows it, s."""
 
     part: Part
     rate: Information
+    followed_s: float = 0.0
+
+    def like(self, part: Part) -> bool:
+        """Return whether a part has this excitation, for whatever time."""
+        return replace(part, excitation=replace(part.excitation, seconds=self.part.excitation.seconds)) == self.part
 
 
 @dataclass(frozen=True)
@@ -142,11 +152,29 @@ class Search:
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool, and its excitations; None where a kind of stage has none."""
-        if not self._complete(pool):
-            return None
-        designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
-        return min(designs, key=lambda d: self.merit(d[0].promised))
+        """Return the best design from a pool, and its excitations; None where a kind of stage has none.
+
+        An excitation that the filter does not follow in its whole stage leaves the pool for good.
+        """
+        while self._complete(pool):
+            designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
+            design, chosen = min(designs, key=lambda d: self.merit(d[0].promised))
+            lost = [c for c in chosen if not all(self._followed(c, p) for p in design.parts if c.like(p))]
+            if not lost:
+                return design, chosen
+            self.pool, pool = ([c for c in some if c not in lost] for some in (self.pool, pool))
+        return None
+
+    def _followed(self, candidate: Candidate, part: Part) -> bool:
+        """Return whether the filter follows an excitation for the time it has, with noises it was not judged by."""
+        seconds = part.excitation.seconds
+        if seconds > _LONGER * candidate.followed_s:
+            frame = self.frames[part.frame]
+            names = NAMES if frame.loaded else SYSTEM_PARAMETERS
+            if not followed(planned(frame, part.excitation), self.nominals, names, _OTHER_NOISES):
+                return False
+            candidate.followed_s = seconds
+        return True
 
     def _complete(self, pool: Sequence[Candidate]) -> bool:
         kinds = {f.loaded for f in self.frames}

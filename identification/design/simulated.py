@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -153,3 +153,8 @@ def at_the_truth(
     jacobian = problem.jacobian(x, residual)
     problem.doubt = doubts_by(problem, jacobian.without(free.index(INDEX["J"])))
     return Rehearsal(problem, jacobian, residual, noise)
+
+
+def followed(stage: PlannedStage, nominals: Sequence[Nominal], names: Sequence[str], noises: Iterable[int]) -> bool:
+    """Return whether the filter follows a stage in every drive with each of several noises."""
+    return all(at_the_truth([stage], n, names, noise, whole=False) is not None for noise in noises for n in nominals)

@@ -291,23 +291,51 @@ def test_half_of_a_stage_too_short_for_half_a_period_is_left_out() -> None:
     assert [p.excitation.seconds for p in found.parts] == pytest.approx([5.0, 5.0])
 
 
-def test_a_design_has_a_sine_that_leaves_the_fall_of_friction() -> None:
-    """Were it left out, the equation error would find no inertia to start from."""
+PACE = 2.0 * math.pi * 0.8
+SPEEDS = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
+"""Of sines at 0.8 Hz, of which only the last leaves the fall of friction."""
+
+
+def pool() -> tuple[Search, list[Candidate]]:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
-    found = Search(frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "omega_sf", 1.0)
-    pace = 2.0 * math.pi * 0.8
-    speeds = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
     told = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
-    pool = [
-        Candidate(Part(0, Excitation(((speed / pace, 0.8),), 0.0, 5.0)), rate)
-        for speed, rate in zip(speeds, told, strict=True)
+    found = Search(frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "omega_sf", 1.0)
+    return found, [
+        Candidate(Part(0, Excitation(((speed / PACE, 0.8),), 0.0, 5.0)), rate)
+        for speed, rate in zip(SPEEDS, told, strict=True)
     ]
-    found.pool = pool[:3]
+
+
+def test_a_design_has_a_sine_that_leaves_the_fall_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Were it left out, the equation error would find no inertia to start from."""
+    monkeypatch.setattr(search, "followed", lambda *_: True)
+    found, candidates = pool()
+    found.pool = candidates[:3]
     assert found.designs() == []
-    found.pool = pool
+    found.pool = candidates
     designs = found.designs()
     assert designs
-    assert all(pool[3].part.excitation.tones in [p.excitation.tones for p in d.parts] for d in designs)
+    assert all(candidates[3].part.excitation.tones in [p.excitation.tones for p in d.parts] for d in designs)
+
+
+def test_what_the_filter_loses_in_its_whole_stage_is_in_no_design(monkeypatch: pytest.MonkeyPatch) -> None:
+    found, candidates = pool()
+    lost, asked = candidates[1], []
+
+    def follows(stage: PlannedStage, *_: object) -> bool:
+        asked.append(len(stage.command))
+        return bool(np.max(np.abs(np.diff(stage.command))) / PERIOD != pytest.approx(SPEEDS[1], rel=0.01))
+
+    monkeypatch.setattr(search, "followed", follows)
+    found.pool = list(candidates)
+    designs = found.designs()
+    assert designs
+    assert lost not in found.pool
+    assert not any(lost.like(p) for d in designs for p in d.parts)
+    assert all(c.followed_s > 0.0 for c in found.pool if any(c.like(p) for p in designs[0].parts))
+    before = len(asked)
+    found.designs()
+    assert len(asked) == before  # no longer than they were seen to be followed
 
 
 def test_a_proposed_sine_ends_where_it_began_and_fades_in_no_longer_than_it_must() -> None:
