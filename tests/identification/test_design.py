@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import replace
 from types import SimpleNamespace
@@ -13,6 +14,7 @@ from identification.design import pinning, search
 from identification.design import propose as proposing
 from identification.design import rehearsal as rehearsing
 from identification.design import shares as sharing
+from identification.design.draws import Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
 from identification.design.pinning import NAMES, NOTHING, Information, Pinned, pinned, stage_information
 from identification.design.propose import propose
@@ -210,10 +212,28 @@ def test_a_stage_whose_scores_scatter_more_counts_less() -> None:
     assert quiet.heard(np.ones(9)).normal == pytest.approx(quiet.normal)  # chance makes it scatter less
 
 
+SINES = (
+    (0.35, 0.4),
+    (0.3, 0.6),
+    (0.18, 1.0),
+    (0.09, 2.0),
+    (0.05, 3.5),
+    (0.1, 0.5),
+    (0.02, 1.0),
+    (0.45, 0.3),
+    (0.1, 3.0),
+)
+RAMPS = ((0.06, 1.0), (0.08, 0.5), (0.15, 0.3))
+DRAWN = [Excitation((sine,), 0.0, 0.0) for sine in SINES] + [Excitation((), 0.0, 0.0, Ramps(*r)) for r in RAMPS]
+"""Such as are drawn; the last two sines break the limits on angle and speed of the tests below."""
+
+
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = itertools.cycle(DRAWN)
+    monkeypatch.setattr(Draws, "random", lambda *_: Part(0, next(drawn).lasting(5.0)))
     for module, name, value in (
-        (proposing, "CANDIDATES", (12, 12)),
+        (proposing, "CANDIDATES", (len(DRAWN), 0)),
         (proposing, "REFINEMENTS", 2),
         (proposing, "TOGETHER", 1),
         (proposing, "NOISES", 1),
@@ -237,7 +257,7 @@ def frames(weights: tuple[float, ...]) -> list[Frame]:
 def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch: pytest.MonkeyPatch) -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     stages = frames((0.0,))
-    found = propose(stages, nominal(), bounds, np.random.default_rng(4), weakest="J")
+    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert found.stages != (Part(0, stages[0].present),)
     assert found.pinned.half_widths["J"] < 0.6 * found.present.half_widths["J"]
     assert found.judged > 5
@@ -249,7 +269,7 @@ def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch: p
         assert out.peak_speed < 1.5
         assert out.peak_torque < 60.0
     monkeypatch.setattr(proposing, "rehearse", lambda *_: found.pinned)  # takes most of the time, and repeats
-    again = propose(stages, nominal(), bounds, np.random.default_rng(4), weakest="J")
+    again = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert again.stages == found.stages
 
 
@@ -276,7 +296,7 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
 
     monkeypatch.setattr(proposing, "rehearse", rehearsed)
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
-    found = propose(stages, nominal(), bounds, np.random.default_rng(4), weakest="J")
+    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert found.stages[0] == Part(0, stages[0].present.lasting(6.0))
     assert len(found.stages) > 1
     assert found.rehearsed == 2
