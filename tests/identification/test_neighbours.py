@@ -21,7 +21,7 @@ RUGGED = {0.5: 0.0, 0.9: -10.0, 0.97: -40.0, 1.04: -20.0, 1.2: -5.0, 2.1: -15.0}
 def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Return a problem whose searches end at the nearest of the rugged ends."""
 
-    def refine(p: Any, _tempering: Sequence[float]) -> Array:
+    def refine(p: Any, _tempering: Sequence[float], _step: float) -> Array:
         speed = p.start[kernel.OMEGA_SL]
         p.start[kernel.OMEGA_SL] = min(RUGGED, key=lambda end: abs(end - speed))
         return np.empty(0)
@@ -29,6 +29,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(searches, "refine", refine)
     monkeypatch.setattr(searches, "_deviance", lambda p: RUGGED[p.start[kernel.OMEGA_SL]])
     monkeypatch.setattr(searches, "_resolved", lambda _p: True)
+    monkeypatch.setattr(searches, "_missed", lambda *_: False)
     return SimpleNamespace(free=(kernel.OMEGA_SL,), motions=(), start=np.empty(0), begins=[], ends=[])
 
 
@@ -54,7 +55,7 @@ def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_
 ) -> None:
     deviances = {**RUGGED, 0.98: -38.0, 5.0: -12.0}
 
-    def refine(p: Any, tempering: Sequence[float]) -> Array:
+    def refine(p: Any, tempering: Sequence[float], _step: float) -> Array:
         p.start = p.start.copy()
         out = tempering != (1.0,) or p.start[kernel.OMEGA_SL] > 3.0
         p.start[kernel.OMEGA_SL] = 5.0 if out else min(RUGGED, key=lambda end: abs(end - p.start[kernel.OMEGA_SL]))
@@ -67,6 +68,33 @@ def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_
     grown = searches.refine_from(problem, [(vector, [])])
     assert problem.start[kernel.OMEGA_SL] == 0.97
     assert grown == -2.0
+
+
+def test_where_no_end_explains_the_recordings_every_start_is_searched_over_wide_steps(
+    problem: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    followed: list[tuple[float, float]] = []
+
+    def refine(p: Any, tempering: Sequence[float], step: float) -> Array:
+        speed = p.start[kernel.OMEGA_SL]
+        if len(tempering) > 1:
+            followed.append((float(speed), step))
+        p.start = p.start.copy()
+        p.start[kernel.OMEGA_SL] = 0.97 if step == searches._WIDE_STEP and speed == 7.0 else 5.0
+        return np.empty(0)
+
+    monkeypatch.setattr(searches, "refine", refine)
+    monkeypatch.setattr(searches, "_missed", lambda _p, end: end[1] > -40.0)
+    monkeypatch.setattr(searches, "_deviance", lambda p: RUGGED.get(p.start[kernel.OMEGA_SL], 100.0))
+    starts = []
+    for speed in (2.0, 3.0, 4.0, 6.0, 7.0, 8.0):
+        vector = np.ones(kernel.PARAMETERS)
+        vector[kernel.OMEGA_SL] = speed
+        starts.append((vector, []))
+    searches.refine_from(problem, starts)
+    assert problem.start[kernel.OMEGA_SL] == 0.97
+    small = [(speed, searches.PARAMETER_STEP) for speed in (2.0, 3.0, 4.0)]
+    assert followed == [*small, *((speed, searches._WIDE_STEP) for speed in (2.0, 3.0, 4.0, 6.0, 7.0))]
 
 
 def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:

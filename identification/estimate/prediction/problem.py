@@ -38,7 +38,7 @@ _FARTHEST_LOG = 6.0
 _TIME_SCALE_S = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 """Where else a breakaway is looked for."""
-_PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
+PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 _TIME_STEP = 1e-3
 _LEAST_GAIN = 0.5
 """Of a stretch's Huber cost, for its breakaway to move."""
@@ -85,6 +85,8 @@ class Problem:
         self.iterations = 0
         self.ends: list[float] = []
         """Final cost of every start that was followed."""
+        self.step = PARAMETER_STEP
+        """Over which differences in the parameters are taken, over the size of the coordinate."""
         self._out = [np.zeros(len(m.time)) for m in motions]
         self._spread = [np.zeros(len(m.time)) for m in motions]
         self._speeds = [np.zeros(len(m.time)) for m in motions]
@@ -239,7 +241,7 @@ class Problem:
         slopes = []
         for k in range(count):
             there = x.copy()
-            there[k] += _PARAMETER_STEP * max(abs(x[k]), _LEAST_SCALE)
+            there[k] += self.step * max(abs(x[k]), _LEAST_SCALE)
             slopes.append(change(there) / (there[k] - x[k]))
         there = x.copy()
         there[count:] += _TIME_STEP

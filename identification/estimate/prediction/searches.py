@@ -8,17 +8,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.estimate import levenberg
+from identification.estimate.levenberg import huber
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.noise_level import CLIP, deviance
-from identification.estimate.prediction.problem import Problem, static_limit
+from identification.estimate.prediction.problem import PARAMETER_STEP, Problem, static_limit
 from identification.recording import Array
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
 """Torque noise of the loaded stage's searches, over its own: with fewer levels they end beside the likeliest."""
 _START_SPEEDS = 6
 _START_STATICS = 7
-_STARTS = 3
-"""Starts of the loaded stage that are followed to their end: the likeliest of the grid is not always in the basin."""
+STARTS = 3
+"""Starts that are followed to their end: the likeliest of the grid is not always in the basin."""
+_MISSED = 0.8
+"""Mean Huber cost of a prediction error at which an end is in no basin: 0.42 to 0.55 at the true values, 1.4 and more
+at the ends that searches were stuck in."""
+_WIDE_STEP = 0.3
+"""Difference of a coordinate (a parameter, or its logarithm) over its size, for slopes that lead out of there."""
 _SEED_CLIP = 10.0
 _SEEKS = 3
 """Fits in turn with a search of the breakaway times."""
@@ -44,8 +50,7 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
     The static limit lies at or below the peak torque before visible motion, since breakaway takes time to show.
 
     Returns:
-        Kernel's vector and breakaway times for every Stribeck speed with its likeliest static limit, likeliest first;
-        at most :data:`_STARTS`.
+        Kernel's vector and breakaway times for every Stribeck speed with its likeliest static limit, likeliest first.
     """
     loaded = rise == kernel.DMU
     fastest = max(float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in problem.motions)
@@ -74,11 +79,11 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
             if omega_s not in best or cost < best[omega_s][0]:
                 best[omega_s] = (cost, p, times)
     ranked = sorted(best.values(), key=lambda start: start[0])
-    return [(p, times) for _, p, times in ranked[:_STARTS]]
+    return [(p, times) for _, p, times in ranked]
 
 
 def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> float:
-    """Refine the loaded stage from each start in turn; leave the problem at the likeliest end.
+    """Refine the loaded stage from the likeliest starts in turn; leave the problem at the likeliest end.
 
     Returns its deviance above that of the likeliest start. Where the raised noise leads all searches out of the basin,
     so that a start is likelier than every end, they are made again from there at the noise's own level.
@@ -88,18 +93,42 @@ def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -
     """
     starts, begun = list(starts) or [(problem.start, problem.begins)], []
     ends: list[_End] = []
-    for vector, times in starts:
+    for vector, times in starts[:STARTS]:
         problem.start, problem.begins = vector, times
         begun.append(_deviance(problem))
         ends.append(_ended(problem, _TEMPERING))
     left = min(ends, key=lambda end: end[:2])[1]
-    for (vector, times), deviance_there in zip(starts, begun, strict=True):
+    for (vector, times), deviance_there in zip(starts[:STARTS], begun, strict=True):
         if deviance_there < left:
             problem.start, problem.begins = vector, times
             ends.append(_ended(problem, (1.0,)))
     best = _neighbours(problem, min(ends, key=lambda end: end[:2]))
+    if _missed(problem, best):
+        best = _smoothed(problem, starts, best)
     _, reached, problem.start, problem.begins = best
     return reached - min(begun)
+
+
+def _missed(problem: Problem, end: _End) -> bool:
+    """Return whether an end explains the recordings far worse than their noise allows."""
+    _, _, problem.start, problem.begins = end
+    problem.weigh()
+    return bool(np.mean(huber(problem.residuals(problem.origin()), CLIP)) > _MISSED)
+
+
+def _smoothed(problem: Problem, starts: Sequence[tuple[Array, list[Array]]], best: _End) -> _End:
+    """Search from every start with slopes over wide steps, until an end explains the recordings; return the best.
+
+    Beside the true values the filter has slow ramps stick and slip, and its errors then hang on the parameters without
+    order: slopes over small steps are a hundred times those over wide ones, and no step that they lead to gains anything.
+    """
+    before = best
+    for vector, times in starts:
+        problem.start, problem.begins = vector, times
+        best = min(best, _ended(problem, _TEMPERING, _WIDE_STEP), key=lambda end: end[:2])
+        if not _missed(problem, best):
+            break
+    return best if best is before else _neighbours(problem, best)
 
 
 def _neighbours(problem: Problem, best: _End) -> _End:
@@ -127,9 +156,9 @@ def _searched(problem: Problem, begun: _End, place: int, factor: float) -> _End:
     return _ended(problem, (1.0,))
 
 
-def _ended(problem: Problem, tempering: Sequence[float]) -> _End:
+def _ended(problem: Problem, tempering: Sequence[float], step: float = PARAMETER_STEP) -> _End:
     """Search from a problem's start and return where that ends."""
-    refine(problem, tempering)
+    refine(problem, tempering, step)
     end = (not _resolved(problem), _deviance(problem), problem.start, problem.begins)
     problem.ends.append(end[1])
     return end
@@ -149,8 +178,10 @@ def _resolved(problem: Problem) -> bool:
     return bool(p[kernel.OMEGA_SL] > _LEAST_RESOLVED * moment * p[kernel.DMU] * period / p[kernel.INERTIA])
 
 
-def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
+def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP) -> Array:
     """Refine at falling noise, the last by likelihood; keeps the result as start; returns the residuals there.
+
+    ``step`` is that of the slopes at raised noise.
 
     Above the noise's own level least squares lead into the basin. At its level the deviations count as well: they hang
     on the parameters, most where friction falls, and least squares whose weights are held end beside the likeliest.
@@ -158,6 +189,7 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
     noise = problem.noise
     for factor in tempering:
         problem.noise = noise.louder(factor)
+        problem.step = step if factor > 1.0 else PARAMETER_STEP
         if factor > 1.0:
             problem.weigh()
             found = levenberg.minimise(
@@ -175,6 +207,6 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING) -> Array:
             problem.weigh()
             if not problem.seek_breakaways(CLIP):
                 break
-    problem.noise = noise
+    problem.noise, problem.step = noise, PARAMETER_STEP
     problem.weigh()
     return problem.residuals(problem.origin())

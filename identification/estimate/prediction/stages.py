@@ -27,7 +27,7 @@ from identification.estimate.prediction.noise_level import (
     with_correlated,
 )
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
-from identification.estimate.prediction.searches import SAME_END, breakaway_starts, refine, refine_from
+from identification.estimate.prediction.searches import SAME_END, STARTS, breakaway_starts, refine, refine_from
 from identification.estimate.prediction.stretches import Motion
 from identification.estimate.result import Starts
 from identification.recording import Array, Model
@@ -103,7 +103,7 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
     problem.free = tuple(system)
     searched = breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF) if system else []
     starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
-    starts += [(p, times, share) for p, times in searched for share in _INERTIAS[: len(inertia) * 3]]
+    starts += [(p, times, share) for p, times in searched[:STARTS] for share in _INERTIAS[: len(inertia) * 3]]
     best = _best_of(problem, starts, noise, free, None)
     last: _Solved | None = None
     for _ in range(_AGAIN if both else 0):

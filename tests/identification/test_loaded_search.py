@@ -1,0 +1,72 @@
+"""Short ramps under a heavy weight: beside the true values a filter sticks and slips, and small steps lead nowhere."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded
+from identification.estimate.prediction import innovations as kernel
+from identification.estimate.prediction import searches
+from identification.estimate.prediction.noise import Noise
+from identification.estimate.prediction.problem import INDEX, Problem, pack
+from identification.estimate.prediction.stretches import motion
+from identification.recording import Array, Model
+
+from .synthetic import BENCH
+
+PERIOD, NOISE, WEIGHT = 1e-3, 0.075, 40.0
+TRUTH = {
+    "Mc": 5.25, "Ms": 13.32, "omega_sf": 0.0513, "sigma_2": 5.92, "J": 0.2433,
+    "mu_c": 0.0339, "mu_s": 0.0939, "omega_sL": 0.0415, "mu_2": 0.0282,
+}  # fmt: skip
+STUCK = 4
+"""A noise with which every search over small steps is stuck; on the whole bench it is most of them."""
+LOAD = ("mu_c", "mu_s", "omega_sL", "mu_2")
+
+
+def ramps(travel_deg: float, speed_deg_s: float, times: int) -> Array:
+    away = travel_deg / speed_deg_s
+    time = PERIOD * np.arange(round(2.0 * away * times / PERIOD)) % (2.0 * away)
+    return np.asarray(math.radians(speed_deg_s) * np.minimum(time, 2.0 * away - time))
+
+
+def sine(amplitude_deg: float, frequency: float, seconds: float) -> Array:
+    time = PERIOD * np.arange(round(seconds / PERIOD))
+    fade = np.minimum(1.0, np.minimum(time, seconds - time) / 0.6)
+    return np.asarray(math.radians(amplitude_deg) * fade * np.sin(2.0 * math.pi * frequency * time))
+
+
+def searched(seed: int) -> tuple[float, float, float]:
+    """Search from what an equation error left; return the errors of mu_c, mu_s and omega_sL."""
+    nominal = Nominal(TRUTH, BENCH, Sensors(PERIOD, 2.0 * math.pi / 409600.0, NOISE), 90.0)
+    commands = (ramps(1.491, 4.521, 8), sine(24.254, 0.6223, 2.41), ramps(2.896, 5.911, 3))
+    rng = np.random.default_rng(seed)
+    motions = [motion(recorded(k, PlannedStage(c, WEIGHT), nominal, rng)) for k, c in enumerate(commands)]
+    start = pack({**TRUTH, "mu_c": 0.989 * 0.0339, "mu_s": 0.155, "omega_sL": 0.88 * 0.0415, "mu_2": 1.01 * 0.0282})
+    free = [INDEX[name] for name in LOAD]
+    problem = Problem([m for m in motions if m is not None], start, free, Model(), Noise(NOISE))
+    searches.refine_from(problem, searches.breakaway_starts(problem, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
+    p = problem.start
+    static = p[kernel.MU_C] + p[kernel.DMU]
+    return (
+        float(p[kernel.MU_C] / TRUTH["mu_c"] - 1.0),
+        float(static / TRUTH["mu_s"] - 1.0),
+        float(p[kernel.OMEGA_SL] / TRUTH["omega_sL"] - 1.0),
+    )
+
+
+@pytest.mark.parametrize("seed", [1, STUCK])
+def test_wide_steps_lead_to_the_true_values(seed: int) -> None:
+    coulomb, static, stribeck = searched(seed)
+    assert abs(coulomb) < 0.001
+    assert abs(static) < 0.005
+    assert abs(stribeck) < 0.01
+
+
+def test_small_steps_alone_do_not(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With that noise; without this the test above would prove nothing."""
+    monkeypatch.setattr(searches, "_MISSED", math.inf)
+    assert abs(searched(STUCK)[2]) > 0.1
