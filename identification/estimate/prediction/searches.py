@@ -120,7 +120,7 @@ def _smoothed(problem: Problem, starts: Sequence[tuple[Array, list[Array]]], bes
     """Search from every start with slopes over wide steps, until an end explains the recordings; return the best.
 
     Beside the true values the filter has slow ramps stick and slip, and its errors then hang on the parameters without
-    order: slopes over small steps are a hundred times those over wide ones, and no step that they lead to gains anything.
+    order: slopes over small steps are a hundred times those over wide ones, and no step of theirs gains anything.
     """
     before = best
     for vector, times in starts:
