@@ -90,6 +90,10 @@ def propose(
         for k in range(wanted):
             search.add(search.draws.random(loaded))
             tell("candidates", (number + (k + 1) / wanted) / len(kinds))
+    if not search.complete:
+        # No draw is one that an identification can start from; the present excitations are.
+        for part in present:
+            search.add(part)
     for k in range(REFINEMENTS):
         for part in search.changed(TOGETHER):
             search.add(part)

@@ -176,6 +176,11 @@ class Search:
             candidate.followed_s = seconds
         return True
 
+    @property
+    def complete(self) -> bool:
+        """Whether there is an excitation for every kind of stage, and an unloaded one to start from."""
+        return self._complete(self.pool)
+
     def _complete(self, pool: Sequence[Candidate]) -> bool:
         kinds = {f.loaded for f in self.frames}
         return set(map(self._loaded, pool)) == kinds and (False not in kinds or any(map(self._starts, pool)))

@@ -284,6 +284,27 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
 
 
 @pytest.mark.usefixtures("few")
+def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where there is little acceleration an identification finds no inertia to start from."""
+    gentle = itertools.cycle([Excitation(((0.02, 0.7),), 0.0, 0.0), Excitation(((0.03, 0.6),), 0.0, 0.0)])
+    monkeypatch.setattr(Draws, "random", lambda *_: Part(0, next(gentle).lasting(5.0)))
+    monkeypatch.setattr(proposing, "CANDIDATES", (2, 0))
+    pools: list[list[Part]] = []
+    designs = Search.designs
+
+    def drawn_up(self: Search) -> list[Design]:
+        pools.append([c.part for c in self.pool])
+        return designs(self)
+
+    monkeypatch.setattr(Search, "designs", drawn_up)
+    stages = frames((0.0,))
+    bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
+    propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="omega_sf")
+    assert Part(0, stages[0].present) in pools[0]
+    assert any(p.excitation.tones[0][1] == 0.7 for p in pools[0])
+
+
+@pytest.mark.usefixtures("few")
 def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

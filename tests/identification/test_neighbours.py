@@ -30,7 +30,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(searches, "_deviance", lambda p: RUGGED[p.start[kernel.OMEGA_SL]])
     monkeypatch.setattr(searches, "_resolved", lambda _p: True)
     monkeypatch.setattr(searches, "_missed", lambda *_: False)
-    return SimpleNamespace(free=(kernel.OMEGA_SL,), motions=(), start=np.empty(0), begins=[], ends=[])
+    return SimpleNamespace(free=(kernel.OMEGA_SL,), motions=(), start=np.empty(0), begins=[], ends=[], reached=[])
 
 
 @pytest.mark.parametrize("speed", [1.04, 2.1, 0.5])
@@ -95,6 +95,52 @@ def test_where_no_end_explains_the_recordings_every_start_is_searched_over_wide_
     assert problem.start[kernel.OMEGA_SL] == 0.97
     small = [(speed, searches.PARAMETER_STEP) for speed in (2.0, 3.0, 4.0)]
     assert followed == [*small, *((speed, searches._WIDE_STEP) for speed in (2.0, 3.0, 4.0, 6.0, 7.0))]
+
+
+def test_ends_in_other_basins_are_kept_the_likeliest_first(problem: Any) -> None:
+    def end(speed: float, rise: float = 1.0) -> Array:
+        vector = np.ones(kernel.PARAMETERS)
+        vector[kernel.OMEGA_SL], vector[kernel.DMU] = speed, rise
+        return vector
+
+    problem.start, problem.begins = end(1.0), []
+    problem.reached = [
+        (False, -38.0, end(1.02), []),  # the same basin
+        (False, -10.0, end(2.0), []),
+        (False, -30.0, end(1.0, -0.3), []),
+        (True, -35.0, end(0.01), []),  # no sample resolves it
+        (False, -29.0, end(1.01, -0.31), []),
+        (False, -5.0, end(5.0), []),
+    ]
+    found = [(vector[kernel.OMEGA_SL], vector[kernel.DMU]) for vector, _ in searches.basins(problem)]
+    assert found == [(1.0, 1.0), (1.0, -0.3), (2.0, 1.0)]
+
+
+def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
+    problem: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where it begins is the loaded stage's end itself, so that one which stays the likeliest changes nothing."""
+    held: list[tuple[int, ...]] = []
+
+    def refine(p: Any, _tempering: Sequence[float]) -> Array:
+        held.append(p.free)
+        p.start = p.start + 0.01
+        return np.empty(0)
+
+    monkeypatch.setattr(searches, "refine", refine)
+    monkeypatch.setattr(searches, "_resolved", lambda p: p.start[kernel.OMEGA_SL] > 0.5)
+    monkeypatch.setattr(searches, "_deviance", lambda p: -100.0 * p.start[kernel.MU_2])
+    starts = []
+    for speed, likely in ((2.0, 1.0), (3.0, 1.5), (0.1, 9.0)):  # the last ends where nothing resolves its speed
+        vector = np.ones(kernel.PARAMETERS)
+        vector[kernel.OMEGA_SL], vector[kernel.MU_2] = speed, likely
+        starts.append((vector, [np.array([speed])]))
+    problem.free = (kernel.MC, kernel.INERTIA, kernel.OMEGA_SL)
+    searches.likeliest_together(problem, starts)
+    assert problem.start is starts[1][0]
+    assert problem.begins is starts[1][1]
+    assert held == [(kernel.MC, kernel.OMEGA_SL)] * 3
+    assert problem.free == (kernel.MC, kernel.INERTIA, kernel.OMEGA_SL)
 
 
 def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -85,6 +85,9 @@ class Problem:
         self.iterations = 0
         self.ends: list[float] = []
         """Final cost of every start that was followed."""
+        self.reached: list[tuple[bool, float, Array, list[Array]]] = []
+        """Where searches by likelihood ended: whether the Stribeck speed is unresolved, deviance, kernel's vector,
+        breakaway times."""
         self.step = PARAMETER_STEP
         """Over which differences in the parameters are taken, over the size of the coordinate."""
         self._out = [np.zeros(len(m.time)) for m in motions]

@@ -40,6 +40,8 @@ _ROUNDS = 2
 """Rounds of searches of a kind, each from the best end so far; the second only where the first found a better one."""
 _End = tuple[bool, float, Array, list[Array]]
 """End of a search: whether its Stribeck speed is unresolved, deviance, kernel's vector, breakaway times."""
+_APART = 0.1
+"""Difference of the Stribeck speed, or of the rise, over itself, at which two ends are not in one basin."""
 SAME_END = 1.0
 """-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
 
@@ -109,6 +111,40 @@ def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -
     return reached - min(begun)
 
 
+def basins(problem: Problem) -> list[tuple[Array, list[Array]]]:
+    """Return the loaded stage's end, then the best ones of other basins, likeliest first: vectors, breakaway times.
+
+    Not those whose Stribeck speed no sample resolves.
+    """
+    found = [(problem.start, problem.begins)]
+    for unresolved, _, vector, times in sorted(problem.reached, key=lambda end: end[:2]):
+        if not unresolved and all(_apart(vector, other) for other, _ in found):
+            found.append((vector, times))
+    return found[:STARTS]
+
+
+def _apart(one: Array, other: Array) -> bool:
+    """Return whether two ends are not in one basin, by the Stribeck speed and the rise of load friction."""
+    places = [kernel.OMEGA_SL, kernel.DMU]
+    return bool(np.any(np.abs(one[places] - other[places]) > _APART * np.abs(other[places])))
+
+
+def likeliest_together(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> None:
+    """Begin the joint problem where its search, with the inertia held, comes to the likeliest end.
+
+    The loaded stage's searches hold what the first stage found. With its errors a wrong basin may be likelier by
+    hundreds, and with all parameters free the right one is by thousands.
+    """
+    free, ends = problem.free, []
+    problem.free = tuple(k for k in free if k != kernel.INERTIA)
+    for vector, times in starts:
+        problem.start, problem.begins = vector, times
+        refine(problem, (1.0,))
+        ends.append((not _resolved(problem), _deviance(problem)))
+    problem.free = free
+    problem.start, problem.begins = starts[ends.index(min(ends))]
+
+
 def _missed(problem: Problem, end: _End) -> bool:
     """Return whether an end explains the recordings far worse than their noise allows."""
     _, _, problem.start, problem.begins = end
@@ -161,6 +197,7 @@ def _ended(problem: Problem, tempering: Sequence[float], step: float = PARAMETER
     refine(problem, tempering, step)
     end = (not _resolved(problem), _deviance(problem), problem.start, problem.begins)
     problem.ends.append(end[1])
+    problem.reached.append(end)
     return end
 
 

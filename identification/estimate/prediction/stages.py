@@ -27,7 +27,15 @@ from identification.estimate.prediction.noise_level import (
     with_correlated,
 )
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
-from identification.estimate.prediction.searches import SAME_END, STARTS, breakaway_starts, refine, refine_from
+from identification.estimate.prediction.searches import (
+    SAME_END,
+    STARTS,
+    basins,
+    breakaway_starts,
+    likeliest_together,
+    refine,
+    refine_from,
+)
 from identification.estimate.prediction.stretches import Motion
 from identification.estimate.result import Starts
 from identification.recording import Array, Model
@@ -216,7 +224,7 @@ def refine_stages(
     starts = [Starts("unloaded", "defect of the estimating equations", tuple(first.ends), SOLVED, absolute=True)]
     evaluations += first.evaluations
     motions, begins, noise, free, strayed = tuple(unloaded), list(first.begins), first.noise, system, 0.0
-    vector = first.start
+    vector, others = first.start, []
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
         strayed = refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
@@ -225,9 +233,12 @@ def refine_stages(
         starts.append(Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END))
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
         vector = second.start
+        others = [(p, first.begins + times) for p, times in basins(second)]
     free = [*free, *inertia]
     joint = Problem(motions, vector, free, model, noise)
     joint.begins = begins
+    if len(others) > 1:
+        likeliest_together(joint, others)
     residual = beside_inertia(joint, refine)
     names = tuple(n for n, k in INDEX.items() if k in free)
     achieved, floor = named_covariances(covariances(joint), joint, names)
