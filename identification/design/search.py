@@ -130,7 +130,7 @@ class Search:
 
     def changed(self, count: int) -> list[Part]:
         """Return small changes of excitations that get a share; none where a kind of stage has no excitation."""
-        if not self._complete(self.pool):
+        if not self.complete:
             return []
         shares = self._shares(self.pool)
         return [self.draws.changed(self.pool[k].part) for k in self.rng.choice(len(shares), count, p=shares)]

@@ -30,7 +30,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(searches, "_deviance", lambda p: RUGGED[p.start[kernel.OMEGA_SL]])
     monkeypatch.setattr(searches, "_resolved", lambda _p: True)
     monkeypatch.setattr(searches, "_missed", lambda *_: False)
-    return SimpleNamespace(free=(kernel.OMEGA_SL,), motions=(), start=np.empty(0), begins=[], ends=[], reached=[])
+    return SimpleNamespace(free=(kernel.OMEGA_SL,), motions=(), start=np.empty(0), begins=[], reached=[])
 
 
 @pytest.mark.parametrize("speed", [1.04, 2.1, 0.5])
@@ -47,7 +47,7 @@ def test_searches_stop_where_nothing_better_is_found(problem: Any) -> None:
     vector[kernel.OMEGA_SL] = 0.97
     _, deviance, _, _ = searches._neighbours(problem, (False, -40.0, vector, []))
     assert deviance == -40.0
-    assert len(problem.ends) == 2 + 2  # far and near once; the rise is not free
+    assert len(problem.reached) == 2 + 2  # far and near once; the rise is not free
 
 
 def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_own(

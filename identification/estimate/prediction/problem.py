@@ -84,7 +84,7 @@ class Problem:
         self.evaluations = 0
         self.iterations = 0
         self.ends: list[float] = []
-        """Final cost of every start that was followed."""
+        """Defect of every solution of the estimating equations that led anywhere."""
         self.reached: list[tuple[bool, float, Array, list[Array]]] = []
         """Where searches by likelihood ended: whether the Stribeck speed is unresolved, deviance, kernel's vector,
         breakaway times."""

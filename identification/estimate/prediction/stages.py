@@ -229,7 +229,7 @@ def refine_stages(
         second = Problem(loaded, vector, load, model, noise)
         strayed = refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
         evaluations += second.evaluations
-        ends = tuple(end for end in second.ends if math.isfinite(end))
+        ends = tuple(end for _, end, *_ in second.reached if math.isfinite(end))
         starts.append(Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END))
         motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
         vector = second.start
