@@ -36,6 +36,7 @@ from rig.run import load_run
 from rig.sequence import load_sequence
 from rig.tables import table
 from rig.truth import truth_of
+from rig.uncertainty_output import uncertainty_record
 
 SPREAD = 0.4
 LEAST_RISE = 1.2
@@ -76,6 +77,7 @@ def identified(sequence: str, bench: Path, seed: int, folder: Path) -> Identific
     dataset = load_run(folder)
     result = identify(dataset)
     record = identification_record(result, Provenance.of(0, dataset.recordings, result.seconds))
+    record |= uncertainty_record(result)
     write_json(folder / "identify.json", record)
     return result
 

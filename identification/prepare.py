@@ -125,16 +125,10 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
             powered = resample(recording.time, 1.0 - off, grid, offset) > 0.5
             volts = resample(recording.time, np.where(off, 0.0, values), grid, offset)
             emf = bench.back_emf_constant * bench.gear_ratio * velocity
-            return powered * (volts - emf) / bench.resistance * ampere_torque(recording)
+            return powered * (volts - emf) / bench.resistance * bench.ampere_torque
         series = resample(recording.time, values, grid, offset)
-        return series if name == "torque" else series * ampere_torque(recording)
+        return series if name == "torque" else series * bench.ampere_torque
     raise RecordingError(f"{recording.name}: no torque, current or voltage channel")
-
-
-def ampere_torque(recording: Recording) -> float:
-    """Return the joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in amperes."""
-    bench = recording.bench
-    return 1.0 if bench.torque_constant is None else bench.torque_constant * bench.gear_ratio
 
 
 def torque_unit(recording: Recording) -> str:
@@ -148,7 +142,7 @@ def volts_per_torque(recording: Recording) -> float | None:
     """Return the armature voltage R I of one unit of joint torque, V; None unless torque comes from the voltage."""
     if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
         return None
-    return recording.bench.resistance / ampere_torque(recording)
+    return recording.bench.resistance / recording.bench.ampere_torque
 
 
 def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:

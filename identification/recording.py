@@ -70,6 +70,11 @@ class Bench:
     gravity: float = 9.80665
     gas_generator: GasGenerator | None = None
 
+    @property
+    def ampere_torque(self) -> float:
+        """Joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in amperes."""
+        return 1.0 if self.torque_constant is None else self.torque_constant * self.gear_ratio
+
     def contact_force(self, weight_mass: float) -> float:
         """Contact force F'_P = (L3/L4) m_w g of the lever-weight device, N (eq. 17)."""
         return self.lever_ratio * weight_mass * self.gravity

@@ -24,7 +24,7 @@ from rig.run import bench_constants
 from rig.sequence import Array, Ramp, Sequence, StageSection, Tone, excitation
 
 NOISE_SHARE = 1e-3
-"""Current noise, as a share of the bench's current limit, where it is not given."""
+"""Current noise, as a share of the bench's current limit, where neither the caller nor an identification tells it."""
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Masses to choose from, beside those of the sequence, where the bench file lists none."""
 
@@ -68,7 +68,8 @@ def plan_experiment(
         sequence: The experiment in mind.
         bench: Its limits, sensors and believed constants; nothing is taken from the description of a simulated machine.
         nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's nominal values.
-        current_noise_A: Noise of the logged current, A rms; None for a thousandth of the current limit.
+        current_noise_A: Noise of the logged current, A rms; None for what the nominal file says, or a thousandth of the
+            current limit.
         seed: Of the search.
         progress: Called with what is being done and the share that is done.
 
@@ -88,7 +89,11 @@ def plan_experiment(
         if stage.stage == "hot_fire"
     )
     known = believed(nominal_file)
-    noise = NOISE_SHARE * bench.value.limits.current_A if current_noise_A is None else current_noise_A
+    noise = current_noise_A
+    if noise is None and known.torque_noise is not None:
+        noise = known.torque_noise / limits.torque_per_ampere
+    elif noise is None:
+        noise = NOISE_SHARE * bench.value.limits.current_A
     torque = min(limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A)
     step = _joint_step(bench.value)
     nominal = Nominal(

@@ -25,12 +25,14 @@ class Believed:
         source: Where they came from, in words.
         weakest: The parameter that was pinned worst; None where that is not known.
         recordings: What they were identified from, where it is a run that can still be read.
+        torque_noise: Of the measured torque, N m rms; None where that is not known.
     """
 
     values: dict[str, float]
     source: str
     weakest: str | None = None
     recordings: tuple[Recording, ...] = ()
+    torque_noise: float | None = None
 
 
 def believed(path: Path | None) -> Believed:
@@ -46,6 +48,7 @@ def believed(path: Path | None) -> Believed:
         known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
         found = {n: float(v) for n, v in known.items() if v is not None}
         widths = {n: _half_width(raw["parameters"][n]) for n in known}
+        noise = _torque_noise(raw.get("noise"))
         inputs = {Path(entry["file"]): str(entry["sha256"]) for entry in raw.get("inputs", [])}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
@@ -54,7 +57,14 @@ def believed(path: Path | None) -> Believed:
     if open_names:
         words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
     weakest = max(widths, key=lambda n: widths[n]) if widths else None
-    return Believed({**NOMINAL, **found}, words, weakest, _recordings(inputs))
+    return Believed({**NOMINAL, **found}, words, weakest, _recordings(inputs), noise)
+
+
+def _torque_noise(noise: dict[str, Any] | None) -> float | None:
+    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it was not found."""
+    if noise is None or noise["unit"] != "N m":
+        return None
+    return math.hypot(float(noise["torque"]), float(noise["correlated"])) or None
 
 
 def _half_width(parameter: dict[str, Any]) -> float:

@@ -12,7 +12,6 @@ from identification.corrected.motor import DRIVE, VOLTAGE, nominal_voltage
 from identification.corrected.torque import TORQUE, nominal_torque
 from identification.corrected.transmission import TRANSMISSION
 from identification.diagnosis.result import Curve
-from identification.prepare import ampere_torque
 from identification.recording import Array, Recording
 
 Signals = Mapping[str, object]
@@ -47,7 +46,7 @@ class CorrectedModel:
             "Ke": bench.back_emf_constant,
             "L1": bench.moment_arm,
             "i": bench.gear_ratio,
-            "ampere_torque": ampere_torque(recording),
+            "ampere_torque": recording.bench.ampere_torque,
         }
         given = {name: float(value or 0.0) for name, value in constants.items()}
         return {**known, **self._load(), "alpha": self.alpha, **given}

@@ -100,23 +100,26 @@ def stage_response(
 def recorded(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator) -> Recording:
     """Return what the bench would log: half of the noise's power in the torque itself, half in its measurement.
 
-    How a drive shares it depends on its current loop, which is not known; both ends have been seen.
+    How a drive shares it depends on its current loop, which is not known; both ends have been seen. The drive's own
+    channels are there as well: without them the default method does not see its loop and leaves out what rests on it.
     """
-    sensors = nominal.sensors
+    sensors, bench = nominal.sensors, nominal.bench
     response = stage_response(stage, nominal, rng, math.sqrt(0.5))
     noise = math.sqrt(0.5) * sensors.torque_noise * rng.standard_normal(len(stage.command))
+    angle = np.asarray(np.floor(response.angle / sensors.joint_step) * sensors.joint_step)
     return Recording(
         name=f"stage {number + 1}",
         channels={
             "time": np.asarray(sensors.period * np.arange(len(stage.command)), dtype=np.float64),
-            "angle": np.asarray(np.floor(response.angle / sensors.joint_step) * sensors.joint_step),
-            "torque": np.asarray(response.torque + noise),
+            "angle": angle,
+            "motor_angle": bench.gear_ratio * angle,
+            "current": np.asarray((response.torque + noise) / bench.ampere_torque),
             "command": stage.command,
         },
-        bench=nominal.bench,
+        bench=bench,
         stage="loaded" if stage.weight else "unloaded",
         weight_mass=stage.weight,
-        averaged=frozenset({"torque"}),
+        averaged=frozenset({"current"}),
     )
 
 

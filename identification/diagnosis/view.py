@@ -17,7 +17,6 @@ from identification.diagnosis import marks
 from identification.diagnosis.clock import run_starts
 from identification.prepare import (
     POSITION_BANDWIDTH,
-    ampere_torque,
     drive_torque,
     irregular,
     joint_angle,
@@ -323,7 +322,7 @@ def _lag(recording: Recording, grid: Array) -> Array | None:
 
 def torque_per_ampere(view: View) -> float:
     """Return the joint torque of one motor ampere, N m/A."""
-    return ampere_torque(view.recording)
+    return view.recording.bench.ampere_torque
 
 
 def without_origin(views: Sequence[View]) -> bool:

@@ -14,7 +14,6 @@ import numpy as np
 
 from identification.estimate.varpro import Design, solve
 from identification.model.friction import stribeck_shape, system_friction
-from identification.prepare import ampere_torque
 from identification.recording import Array, Recording
 
 LEAST_S = 0.4
@@ -71,7 +70,7 @@ def uniform_points(recording: Recording) -> list[UniformPoint]:
     bounds = [0, *ends.tolist(), len(steps)]
     period = recording.period
     angle = channels["angle"]
-    torque = channels["torque"] if "torque" in channels else ampere_torque(recording) * channels["current"]
+    torque = channels["torque"] if "torque" in channels else recording.bench.ampere_torque * channels["current"]
     n = max(1, round(SMOOTHING_S / period))
     found = []
     for start, end in itertools.pairwise(bounds):

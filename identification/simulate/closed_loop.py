@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.prepare import ampere_torque, joint_angle
+from identification.prepare import joint_angle
 from identification.recording import Array, Controller, Recording, RecordingError
 from identification.simulate import kernel
 
@@ -110,7 +110,7 @@ def loop_of(controller: Controller, recording: Recording) -> Array:
                 f"{recording.name}: a controller with output {controller.output!r} needs bench.resistance, "
                 "bench.back_emf_constant and bench.torque_constant"
             )
-        per_output = ampere_torque(recording) / bench.resistance
+        per_output = bench.ampere_torque / bench.resistance
         damping = per_output * bench.back_emf_constant * bench.gear_ratio
     limit = math.inf if controller.limit is None else controller.limit
     return np.array([controller.position_gain, controller.velocity_gain, limit, per_output, damping])

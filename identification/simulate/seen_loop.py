@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.prepare import ampere_torque
 from identification.recording import Array, Recording
 from identification.simulate.servo_loop import Loop, usual_loop
 
@@ -104,6 +103,6 @@ def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, A
         0.5 * (command[1:] + command[:-1]),
         np.gradient(pace, period),
     ]
-    torque = ampere_torque(recording) * channels["current"][1:]
+    torque = recording.bench.ampere_torque * channels["current"][1:]
     share = np.full(_MEAN, 1.0 / _MEAN)
     return np.column_stack([np.convolve(c, share, "valid") for c in columns]), np.convolve(torque, share, "valid")

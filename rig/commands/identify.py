@@ -53,7 +53,8 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     "--current-noise",
     metavar="A",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="With --plan: noise of the logged current, rms. [default: a thousandth of the current limit]",
+    help="With --plan: noise of the logged current, rms. [default: what the --nominal file found, else a thousandth of "
+    "the current limit]",
 )
 @click.option(
     "--bandwidth",

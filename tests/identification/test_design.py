@@ -21,10 +21,11 @@ from identification.design.propose import propose
 from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Candidate, Design, Search, halved, planned, promised
 from identification.design.shares import best_shares, shared
-from identification.design.simulated import Nominal, PlannedStage, Sensors, stage_response, with_drives
+from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded, stage_response, with_drives
 from identification.estimate.result import Parameter
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
+from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import respond, usual_loop
 
 from .synthetic import BENCH, friction
@@ -105,6 +106,16 @@ def test_the_rehearsal_repeats_and_knows_what_it_cannot_do() -> None:
     assert 0.0 < one.worst < 0.2
     still = rehearse([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
     assert math.isinf(still.worst)
+
+
+def test_a_rehearsal_logs_what_shows_the_drive_s_loop() -> None:
+    """Without it the default method leaves out the likelihood's bias, and designs that bear it well are turned down."""
+    loop = nominal().drive()
+    log = recorded(0, figure10(30.6), nominal(), np.random.default_rng(0))
+    seen = drive_loop([log], loop.torque_limit, loop.count)
+    assert seen is not None
+    assert seen.velocity_gain == pytest.approx(loop.velocity_gain, rel=0.05)
+    assert seen.position_gain * seen.integral == pytest.approx(loop.position_gain * loop.integral, rel=0.2)
 
 
 def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interval(

@@ -45,3 +45,16 @@ def test_what_was_left_open_is_the_weakest_and_comes_from_the_catalogue(tmp_path
 def test_recordings_that_have_changed_or_gone_say_nothing_of_the_drive(tmp_path: Path) -> None:
     assert believed(result(tmp_path)).recordings == ()
     assert believed(None).recordings == ()
+
+
+def test_the_torque_s_noise_is_what_the_identification_found_of_both_parts(tmp_path: Path) -> None:
+    path = result(tmp_path)
+    assert believed(path).torque_noise is None
+    record = json.loads(path.read_text())
+    for noise, expected in (
+        ({"torque": 0.03, "correlated": 0.04, "unit": "N m"}, pytest.approx(0.05)),
+        ({"torque": 0.03, "correlated": 0.04, "unit": "A"}, None),
+        (None, None),
+    ):
+        path.write_text(json.dumps({**record, "noise": noise}))
+        assert believed(path).torque_noise == expected
