@@ -191,6 +191,29 @@ def _solved_from(
     return unsolved, problem.start, problem.begins, problem.noise
 
 
+def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
+    """Return the places of what is not fixed: of the system's parameters, of the load's, and the inertia's."""
+    fixed = {INDEX[n] for n in model.fixed if n in INDEX}
+    system = [k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed]
+    if "offset" in model.terms and kernel.OFFSET not in fixed:
+        system.append(kernel.OFFSET)
+    load = [k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed]
+    return system, load, [] if kernel.INERTIA in fixed else [kernel.INERTIA]
+
+
+def _first_problem(
+    unloaded: Sequence[Motion], start: Mapping[str, float], system: Sequence[int], model: Model, correlated: bool
+) -> Problem:
+    """Return the first stage's problem at the equation error's values, with the noise that is likeliest there."""
+    first = Problem(unloaded, pack(start), system, model, Noise(torque_noise(unloaded)))
+    # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
+    first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
+    if correlated:
+        first.noise = with_correlated(first)
+    first.noise = likeliest_noise(first)
+    return first
+
+
 def refine_stages(
     unloaded: Sequence[Motion],
     loaded: Sequence[Motion],
@@ -207,22 +230,11 @@ def refine_stages(
         model: Declared terms and fixed values.
         correlated: Whether the torque's noise is given a correlated part.
     """
-    fixed = {INDEX[n] for n in model.fixed if n in INDEX}
-    system = [k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed]
-    if "offset" in model.terms and kernel.OFFSET not in fixed:
-        system.append(kernel.OFFSET)
-    load = [k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed]
-    evaluations = 0
-    first = Problem(unloaded, pack(start), system, model, Noise(torque_noise(unloaded)))
-    # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
-    first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
-    if correlated:
-        first.noise = with_correlated(first)
-    first.noise = likeliest_noise(first)
-    inertia = [] if kernel.INERTIA in fixed else [kernel.INERTIA]
+    system, load, inertia = _sought(model)
+    first = _first_problem(unloaded, start, system, model, correlated)
     unsolved = solve_first_stage(first, system, inertia)
     starts = [Starts("unloaded", "defect of the estimating equations", tuple(first.ends), SOLVED, absolute=True)]
-    evaluations += first.evaluations
+    evaluations = first.evaluations
     motions, begins, noise, free, strayed = tuple(unloaded), list(first.begins), first.noise, system, 0.0
     vector, others = first.start, []
     if loaded:
