@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -62,6 +64,20 @@ def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, 
     return problem
 
 
+@cache
+def _sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
+    problem = at(STICKY, sticky(seed))
+    bias = likelihood_bias(problem, NAMES)
+    assert bias is not None
+    return problem, bias
+
+
+def sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
+    """Return a sticky bench's problem at the true values, one's own, and what the likelihood puts off there."""
+    problem, bias = _sticky_with_bias(seed)
+    return deepcopy(problem), bias
+
+
 def silent(problem: Problem) -> Rehearsal:
     """Return a rehearsal that says nothing."""
     rows = len(problem.owners)
@@ -84,11 +100,12 @@ def likeliest(problem: Problem) -> dict[str, float]:
 
 
 def test_where_static_friction_is_high_the_likelihood_errs_as_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(rehearsed, "_TURNS", 1)  # the true values are at hand
     errors, foretold = [], []
     for seed in range(2):
-        problem = at(STICKY, sticky(seed))
-        bias = likelihood_bias(problem, NAMES)
+        problem, _ = sticky_with_bias(seed)
+        with monkeypatch.context() as patched:
+            patched.setattr(rehearsed, "_TURNS", 1)  # the true values are at hand
+            bias = likelihood_bias(problem, NAMES)
         assert bias is not None
         foretold.append(bias.shifts["mu_s"] / STICKY["mu_s"])
         errors.append(likeliest(problem)["mu_s"] / STICKY["mu_s"] - 1.0)
@@ -266,10 +283,7 @@ def test_two_equations_that_err_apart_count_by_their_variances() -> None:
 
 
 def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> None:
-    recordings = sticky(0)
-    problem = at(STICKY, recordings)
-    bias = likelihood_bias(problem, NAMES)
-    assert bias is not None
+    problem, bias = sticky_with_bias(0)
     assert len({r.noise for r in bias.rehearsals}) >= 3
     j = problem.free.index(kernel.INERTIA)
     plain, found = covariances(problem), covariances(problem, bias.rehearsals)
@@ -284,9 +298,7 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     """Its sensitivities hold none, and at the noise levels of the noisy one give the bound itself."""
     over = []
     for seed in range(2):
-        problem = at(STICKY, sticky(seed))
-        bias = likelihood_bias(problem, NAMES)
-        assert bias is not None
+        problem, bias = sticky_with_bias(seed)
         joint = replace(Joint(), mu_c=STICKY["mu_c"], mu_s=STICKY["mu_s"])
         machine = replace(Machine(), joint=joint, sensing=replace(Sensing(), current_noise_A=0.0))
         quiet = at(STICKY, [seen(logged(simulated(9, w, machine), w)) for w in (0.0, 30.6)])
