@@ -61,10 +61,17 @@ def believed(path: Path | None) -> Believed:
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:
-    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it was not found."""
+    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it was not found.
+
+    Raises:
+        KeyError, TypeError, ValueError: It is damaged.
+    """
     if noise is None or noise["unit"] != "N m":
         return None
-    return math.hypot(float(noise["torque"]), float(noise["correlated"])) or None
+    whole = math.hypot(float(noise["torque"]), float(noise["correlated"]))
+    if not math.isfinite(whole):
+        raise ValueError("the noise is no number")
+    return whole or None
 
 
 def _half_width(parameter: dict[str, Any]) -> float:
