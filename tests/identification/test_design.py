@@ -308,6 +308,7 @@ def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(monkeypatc
         return designs(self)
 
     monkeypatch.setattr(Search, "designs", drawn_up)
+    monkeypatch.setattr(proposing, "rehearse", lambda *_: Pinned(dict.fromkeys(NAMES[:5], math.inf)))
     stages = frames((0.0,))
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="omega_sf")

@@ -67,7 +67,9 @@ def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, 
 @cache
 def _sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
     problem = at(STICKY, sticky(seed))
-    bias = likelihood_bias(problem, NAMES)
+    with pytest.MonkeyPatch.context() as patched:
+        patched.setattr(rehearsed, "_TURNS", 1)  # the true values are at hand
+        bias = likelihood_bias(problem, NAMES)
     assert bias is not None
     return problem, bias
 
@@ -99,14 +101,10 @@ def likeliest(problem: Problem) -> dict[str, float]:
     return unpack(problem.parameters(found.x), [n for n in NAMES if n != "J"])
 
 
-def test_where_static_friction_is_high_the_likelihood_errs_as_foretold(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_static_friction_is_high_the_likelihood_errs_as_foretold() -> None:
     errors, foretold = [], []
     for seed in range(2):
-        problem, _ = sticky_with_bias(seed)
-        with monkeypatch.context() as patched:
-            patched.setattr(rehearsed, "_TURNS", 1)  # the true values are at hand
-            bias = likelihood_bias(problem, NAMES)
-        assert bias is not None
+        problem, bias = sticky_with_bias(seed)
         foretold.append(bias.shifts["mu_s"] / STICKY["mu_s"])
         errors.append(likeliest(problem)["mu_s"] / STICKY["mu_s"] - 1.0)
     error, told = float(np.mean(errors)), float(np.mean(foretold))

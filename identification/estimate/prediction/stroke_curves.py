@@ -131,10 +131,12 @@ def mean_curve(curves: Sequence[Array], onsets: Sequence[float], length: int, on
     """
     total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
     for curve, begun in zip(curves, onsets, strict=True):
-        at = np.arange(length) + begun - onset
-        low = np.floor(at).astype(np.int64)
-        inside = (low >= 0) & (low < len(curve) - 1)
-        low, share = low[inside], (at - np.floor(at))[inside][:, None]
-        total[inside] += (1.0 - share) * curve[low] + share * curve[low + 1]
-        seen[inside] += 1.0
+        ahead = int(np.floor(begun - onset))
+        first, last = max(0, -ahead), min(length, len(curve) - 1 - ahead)
+        if first >= last:
+            continue
+        share = (np.arange(first, last) + begun - onset - np.arange(first + ahead, last + ahead))[:, None]
+        before, after = curve[first + ahead : last + ahead], curve[first + ahead + 1 : last + ahead + 1]
+        total[first:last] += (1.0 - share) * before + share * after
+        seen[first:last] += 1.0
     return total / np.maximum(seen, 1.0), seen
