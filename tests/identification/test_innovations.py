@@ -24,8 +24,8 @@ TORQUE_NOISE, ANGLE_NOISE = 0.05, 4.4e-6
 
 HIDDEN, HIDDEN_S = 0.3, 0.02
 """Correlated part of the torque's noise, N m rms, and its correlation time, s."""
-WHITE = np.array([TORQUE_NOISE, ANGLE_NOISE**2, 0.0, 0.0])
-CORRELATED = np.array([TORQUE_NOISE, ANGLE_NOISE**2, HIDDEN, HIDDEN_S])
+WHITE = np.array([TORQUE_NOISE, ANGLE_NOISE**2, 0.0, 0.0, 0.0])
+CORRELATED = np.array([TORQUE_NOISE, ANGLE_NOISE**2, HIDDEN, HIDDEN_S, 0.0])
 
 
 def kalman(angle: np.ndarray, torque: np.ndarray, start: float, hidden: float) -> np.ndarray:
@@ -57,14 +57,15 @@ def kalman(angle: np.ndarray, torque: np.ndarray, start: float, hidden: float) -
 
 
 def run_kernel(
-    angle: np.ndarray, torque: np.ndarray, side: float, steps: float, noise: np.ndarray = WHITE
+    angle: np.ndarray, torque: np.ndarray, side: float, steps: float, noise: np.ndarray = WHITE, begin: float = 0.0
 ) -> np.ndarray:
     n = len(angle)
     p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
-        np.array([[1.0, float(n), side, np.inf]]), np.zeros(1), STEP_S * np.arange(n), side * angle, side * torque,
-        np.zeros(n), np.zeros(n), 0.0, 2.0, noise, np.full(n, steps), np.zeros(n), p, out, spread, speeds, np.zeros(n),
+        np.array([[1.0, float(n), side, np.inf]]), np.array([begin]), STEP_S * np.arange(n), side * angle,
+        side * torque, np.zeros(n), np.zeros(n), 0.0, 2.0, noise, np.full(n, steps), np.zeros(n), p, out, spread,
+        speeds, np.zeros(n),
     )  # fmt: skip
     return side * out[1:] / spread[1:]
 
@@ -108,6 +109,37 @@ def test_correlated_noise_is_a_third_state(side: float) -> None:
     assert np.std(found) == pytest.approx(1.0, abs=0.06)
     assert abs(np.mean(found[1:] * found[:-1])) < 0.08
     assert np.mean(as_white[1:] * as_white[:-1]) > 0.5 * np.mean(as_white**2)
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_where_a_shaft_rests_is_known_to_a_step_however_often_it_is_read(side: float) -> None:
+    rng = np.random.default_rng(4)
+    step, rest, moving = 1e-5, 12, 3
+    noise = np.array([1e-6, step**2 / 12.0, 0.0, 0.0, 0.0])
+    time = STEP_S * np.maximum(np.arange(rest + moving) - (rest - 1), 0)
+    rate = VISCOUS / INERTIA
+    unit = (time / rate - (1.0 - np.exp(-rate * time)) / rate**2) / INERTIA
+    squares = {}
+    for staying in (0.0, step**2 / 12.0):
+        noise[kernel.STAYING] = staying
+        first = []
+        for place, push in rng.uniform((0.0, 20.0), (1.0, 28.0), (400, 2)):  # 5 to 7 steps within the first period
+            angle = step * (np.floor(place + push * unit / step) + 0.5)
+            torque = np.where(time > 0.0, COULOMB + push, 0.0)
+            first.append(run_kernel(angle, torque, side, 8.0, noise, begin=STEP_S * (rest - 1))[rest - 1])
+        squares[staying] = float(np.mean(np.square(first)))
+    assert squares[step**2 / 12.0] == pytest.approx(1.0, abs=0.1)
+    assert squares[0.0] > 1.6  # as if a dozen readings of one count were a dozen measurements
+
+
+def test_noise_that_is_another_at_every_reading_is_averaged_at_rest() -> None:
+    rng = np.random.default_rng(5)
+    rest = 30
+    angle = ANGLE_NOISE * rng.normal(size=rest)
+    found = run_kernel(angle, np.zeros(rest), 1.0, 1.0, begin=STEP_S * rest)
+    before = np.cumsum(angle)[:-1] / np.arange(1, rest)
+    spread = ANGLE_NOISE * np.sqrt(1.0 + 1.0 / np.arange(1, rest))
+    assert found == pytest.approx((angle[1:] - before) / spread)
 
 
 def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero() -> None:

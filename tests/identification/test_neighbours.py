@@ -143,6 +143,21 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     assert problem.free == (kernel.MC, kernel.INERTIA, kernel.OMEGA_SL)
 
 
+@pytest.mark.parametrize(("speed", "behind", "taken"), [(5.0, 3.0, 1), (5.0, 5.0, 0), (1.5, 3.0, 0)])
+def test_of_ends_as_likely_one_of_a_far_slower_fall_is_taken(
+    problem: Any, monkeypatch: pytest.MonkeyPatch, speed: float, behind: float, taken: int
+) -> None:
+    monkeypatch.setattr(searches, "refine", lambda _p, _tempering: np.empty(0))
+    monkeypatch.setattr(searches, "_deviance", lambda p: p.start[kernel.MU_2])
+    starts = []
+    for fall, deviance in ((1.0, 0.0), (speed, behind)):
+        vector = np.ones(kernel.PARAMETERS)
+        vector[kernel.OMEGA_SL], vector[kernel.MU_2] = fall, deviance
+        starts.append((vector, [np.array([fall])]))
+    searches.likeliest_together(problem, starts)
+    assert problem.start is starts[taken][0]
+
+
 def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.undo()
     problem.run = lambda *_: (np.array([np.nan]), np.ones(1))

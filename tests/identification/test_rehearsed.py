@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from copy import deepcopy
+from collections.abc import Sequence
+from copy import copy, deepcopy
 from dataclasses import replace
 from functools import cache
 
@@ -19,15 +20,15 @@ from identification.estimate.levenberg import minimise_deviance
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction import refinement, rehearsed
 from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.covariance import covariances
+from identification.estimate.prediction.covariance import Covariances, covariances
 from identification.estimate.prediction.cramer_rao import bound
-from identification.estimate.prediction.inertia import Equation, best, equation_bias
+from identification.estimate.prediction.inertia import Equation, best
 from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
 from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
 from identification.estimate.prediction.refinement import Found, _unbiased
-from identification.estimate.prediction.rehearsed import Bias, _Scored, likelihood_bias
+from identification.estimate.prediction.rehearsed import Bias, _Scored, likelihood_bias, logged_share
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.uncertainty import Spread
@@ -157,6 +158,59 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(monkeypatch: p
     assert curve.high - curve.low == pytest.approx(2.0 * (wider.high - moved.values()["Ms"]), rel=0.05)
 
 
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
+def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
+    problem.noise = Noise(0.4)
+    seen_loop = rehearsed._loop(problem.motions)
+    assert seen_loop is not None
+    loop = replace(seen_loop, count=1e-6)  # of a finer encoder, whose steps the drive does not answer loudly
+    noise = rehearsed._drawn(problem, problem.motions[0], np.random.default_rng(1), 1.0, share)
+    played = rehearsed._rehearsed(problem, problem.motions[0], loop, noise)
+    assert played is not None
+    channels = {**played.recording.channels, "command": problem.motions[0].recording.channels["command"]}
+    again = copy(problem)
+    again.motions = (replace(played, recording=replace(played.recording, channels=channels)),)
+    assert logged_share(again, loop) == pytest.approx(share, abs=0.1)
+
+
+def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged() -> None:
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
+    loop = rehearsed._loop(problem.motions)
+    assert loop is not None
+    for quiet in (0.0, 1e-4):  # the drive answers to its encoder's steps too
+        problem.noise = Noise(quiet)
+        assert logged_share(problem, loop) == 0.5
+
+
+def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
+    values = {name: TRUTH[name] for name in names}
+    found = Found(values, Spread(names, 1e-6 * np.eye(5), math.inf))
+    bias = likelihood_bias(problem, names)
+    assert bias is not None
+    before = problem.start.copy(), [b.copy() for b in problem.begins]
+    there: list[Array] = []
+
+    def recorded(moved: Problem, rehearsals: Sequence[Rehearsal]) -> Covariances:
+        there.append(moved.start.copy())
+        return covariances(moved, rehearsals)
+
+    monkeypatch.setattr(refinement, "covariances", recorded)
+    solved = refinement._with_instruments(refinement._unbiased(found, bias), problem, bias)
+    expected = {name: values[name] - bias.shifts[name] for name in names}
+    assert unpack(there[0], names) == pytest.approx(expected)
+    assert solved.values["J"] != expected["J"]
+    assert np.all(np.diag(solved.spread.covariance)[:4] > [bias.variances[n] for n in names[:4]])
+    assert np.array_equal(problem.start, before[0])
+    assert all(np.array_equal(a, b) for a, b in zip(problem.begins, before[1], strict=True))
+
+
 def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
     recordings = [logged(simulated(0, 0.0), 0.0)]
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
@@ -183,7 +237,7 @@ def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.Monk
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     failing = {0}
 
-    def step(_joint: Problem, _loop: object, seed: int, sign: float) -> _Scored | None:
+    def step(_joint: Problem, _loop: object, _share: float, seed: int, sign: float) -> _Scored | None:
         if seed in failing and sign < 0.0:
             return None
         out = np.zeros(len(problem.free))
@@ -207,7 +261,7 @@ def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     taken: list[int] = []
 
-    def step(_joint: Problem, _loop: object, seed: int, _sign: float) -> _Scored:
+    def step(_joint: Problem, _loop: object, _share: float, seed: int, _sign: float) -> _Scored:
         taken.append(seed)
         out = np.zeros(len(problem.free))
         out[problem.free.index(INDEX["Ms"])] = spread * (-1.0) ** seed
@@ -224,7 +278,7 @@ def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(monkeypatch: py
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     place = problem.free.index(INDEX["Ms"])
 
-    def step(joint: Problem, _loop: object, _seed: int, _sign: float) -> _Scored:
+    def step(joint: Problem, _loop: object, _share: float, _seed: int, _sign: float) -> _Scored:
         out = np.zeros(len(joint.free))
         out[place] = 0.1 * joint.origin()[place]
         return _Scored(out, np.full(len(joint.free), deviation), silent(joint))
@@ -312,25 +366,3 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     # Noise moves the breakaways, where these are told: one course without it is not their mean.
     for name in ("J", "mu_s", "omega_sL"):
         assert 0.8 < mean[name] < 1.5
-
-
-def test_the_inertia_s_equation_is_off_by_what_its_rehearsals_are() -> None:
-    """Prediction errors of an inertia that is off by a share are that times their slope in its logarithm."""
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-    problem = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
-    jacobian = slopes(problem)
-    along = jacobian.parameters[:, problem.free.index(kernel.INERTIA)]
-    played = [
-        Rehearsal(problem, jacobian, -(0.01 + sign * 0.3 + noise * 1e-3) * along, noise)
-        for noise in range(3)
-        for sign in (1.0, -1.0)
-    ]
-    bias, variance = equation_bias(played)
-    assert bias == pytest.approx(0.011, rel=0.05)
-    assert variance == pytest.approx(1e-6 / 3.0, rel=0.1)
-    # Noises taken one way only leave their own mean, which is no bias.
-    assert equation_bias(played[::2]) == (0.0, 0.0)
-    found = covariances(problem, played)
-    j = problem.free.index(kernel.INERTIA)
-    unbiased = [replace(r, residuals=np.zeros_like(r.residuals)) for r in played]
-    assert found.step[j] == pytest.approx(covariances(problem, unbiased).step[j] - bias, rel=1e-6)

@@ -37,7 +37,7 @@ class Covariances:
     Attributes:
         achieved: With the inertia where its equation is solved.
         floor: The bound.
-        step: Of the free vector's parameters, to there less the equation's bias, all else following the inertia, (p,).
+        step: Of the free vector's parameters, to there, all else following the inertia, (p,).
     """
 
     achieved: Array
@@ -74,11 +74,10 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     else:
         j = problem.free.index(kernel.INERTIA)
         equation = inertia.with_rehearsals(problem, z, jacobian, residual, rehearsals)
-        bias, uncertain = inertia.equation_bias(rehearsals) if rehearsals else (0.0, 0.0)
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
-        step = -(float(influence @ weighted) + bias) * least[:, j] / least[j, j]
+        step = -float(influence @ weighted) * least[:, j] / least[j, j]
         step[[k in LOGARITHMIC and abs(s) > _FARTHEST for k, s in zip(problem.free, step, strict=True)]] = 0.0
-        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0) + uncertain
+        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(reached, j, variance)
         believed = [(slopes.without(j), errors) for slopes, errors in (r.believed() for r in rehearsals)]
         spread = _spread(jacobian.without(j), residual, believed)

@@ -1,13 +1,11 @@
 """The inertia's own estimating equation, all else eliminated.
 
 An instrument of the inertia less what those of all else can say of it: to first order the solution is untouched by what
-the others are off by. What is left is that prediction errors right after a breakaway do not have mean zero, as the
-filter foretells the onset to second order only; rehearsals show what that does to the solution.
+the others are off by.
 """
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -100,26 +98,3 @@ def with_rehearsals(
         return strokes
     other = rehearsed_instruments(problem, z, rehearsals)
     return best(strokes, equation(problem, other, jacobian, residual))
-
-
-def equation_bias(rehearsals: Sequence[Rehearsal]) -> tuple[float, float]:
-    """Return by how much the equation puts the logarithm of the inertia off, and the variance of that.
-
-    In each rehearsal the equation is solved as in the recording, with those of other noises for instruments. Zero where
-    noises are not taken both ways, as the mean would be the noise's own.
-
-    Args:
-        rehearsals: With two noises at least.
-    """
-    times = Counter(r.noise for r in rehearsals)
-    if min(times.values()) < 2:
-        return 0.0, 0.0
-    steps: dict[int, list[float]] = defaultdict(list)
-    for r in rehearsals:
-        jacobian, residual = r.believed()
-        z = instruments(r.problem, jacobian)
-        others = [other for other in rehearsals if other.noise != r.noise]
-        influence = with_rehearsals(r.problem, z, jacobian, residual, others).influence
-        steps[r.noise].append(-float(influence @ (residual * huber_weight(residual, CLIP))))
-    means = np.array([np.mean(both) for both in steps.values()])
-    return float(np.mean(means)), float(np.var(means, ddof=1) / len(means))

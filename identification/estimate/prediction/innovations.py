@@ -8,7 +8,8 @@ innovations are white when the model is right, and their sum of squares is the l
 Identification, 2nd ed., 7.3 and 10.5).
 
 A stretch of motion that begins at rest starts from the state that is known then, angle of rest and speed zero, at the
-moment when the torque passes the static limit.
+moment when the torque passes the static limit. The angle of rest is known to within a step of the encoder, however
+often that reads the same count.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ MC, DM, OMEGA_SF, SIGMA_2, INERTIA, MU_C, DMU, OMEGA_SL, MU_2, OFFSET, PARAMETER
 FIRST, LAST, SIDE, RISE = range(4)
 
 # Noise of one evaluation: of the torque, its white part, N m rms; of the angle, rad^2; of the torque, its correlated
-# part, N m rms, and the time over which that is correlated, s.
-WHITE, ANGLE, CORRELATED, CORRELATION_TIME = range(4)
+# part, N m rms, and the time over which that is correlated, s; of the angle, the part that stays the same while the
+# shaft rests, rad^2.
+WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
 _LEAST_SPEED = 1e-7
 _FALLEN = 37.0
@@ -176,7 +178,7 @@ def innovations(
         moment: F_P L1, N m, shape (n,).
         extra_inertia: Known inertia added to J, kg m^2.
         alpha: Stribeck exponent.
-        noise: As the places above have it, shape (4,). The torque noise stands over the inertia on trial: the true
+        noise: As the places above have it, shape (5,). The torque noise stands over the inertia on trial: the true
             torque is then an unknown of the fit, not the measured one taken for true, which would bias J.
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
             innovations are smooth in the parameters.
@@ -232,20 +234,31 @@ def innovations(
             error = angle[k] - here
             out[k] = error
             spread[k] = math.sqrt(variance)
+            if start >= time[k]:
+                unknown = p11 - noise[STAYING]
+                if unknown > 0.0:
+                    share = unknown / (unknown + noise[ANGLE] - noise[STAYING])
+                    here += share * error
+                    p11 -= share * unknown
+                speeds[k] = omega
+                continue
             g1 = p11 / variance
             g2 = p12 / variance
-            here += g1 * error
-            omega += g2 * error
+            # So early the reading errs as that of the rest does, and the filter is to be smooth in the breakaway time.
+            new = (time[k] - start) / (time[k] - time[k - 1])
+            less = new * (2.0 - new)
+            here += new * g1 * error
+            omega += new * g2 * error
             missing = max(_LEAST_SPEED - side * omega, 0.0)
             omega += side * missing
-            p22 += missing * missing - g2 * p12 + unsure[k]
+            p22 += missing * missing - less * g2 * p12 + unsure[k]
             if correlated:
                 g3 = p13 / variance
-                hidden += g3 * error
-                p33 -= g3 * p13
-                p23 -= g3 * p12
-                p13 *= 1.0 - g1
+                hidden += new * g3 * error
+                p33 -= less * g3 * p13
+                p23 -= less * g3 * p12
+                p13 *= 1.0 - less * g1
                 hiddens[k] = hidden
-            p12 *= 1.0 - g1
-            p11 *= 1.0 - g1
+            p12 *= 1.0 - less * g1
+            p11 *= 1.0 - less * g1
             speeds[k] = omega

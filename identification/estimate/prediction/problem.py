@@ -40,6 +40,10 @@ _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 """Where else a breakaway is looked for."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 _TIME_STEP = 1e-3
+_FORGOTTEN = math.pi**2 / 3.0
+"""How fast noise of the angle makes its quantisation another one at every sample: a shaft at rest reads q off by what
+its place within a step has it, and the first harmonic of that, averaged over noise of variance v, falls by
+exp(-(2 pi)^2 v / (12 q)), q being a twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3 (1956) 266)."""
 _LEAST_GAIN = 0.5
 """Of a stretch's Huber cost, for its breakaway to move."""
 _LEAST_SHARED = 30000.0
@@ -158,7 +162,8 @@ class Problem:
         for j, rows in pieces:
             m, out, spread, speeds = self.motions[j], self._out[j], self._spread[j], self._speeds[j]
             variance = m.angle_variance + noise.angle**2
-            level = np.array([noise.torque, variance, noise.correlated, noise.correlation_s])
+            staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
+            level = np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
             kernel.innovations(
                 m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
                 m.extra_inertia, self.alpha, level, m.steps, m.unsure, p, out, spread, speeds, self.hidden[j],

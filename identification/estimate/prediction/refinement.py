@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,11 +13,12 @@ from identification.estimate.assemble import RISES, typical_error
 from identification.estimate.prediction import stages as staged
 from identification.estimate.prediction.acceptance import try_refinements
 from identification.estimate.prediction.covariance import covariances, named_covariances
-from identification.estimate.prediction.problem import unpack
+from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.problem import Problem, pack, unpack
 from identification.estimate.prediction.rehearsed import Bias, likelihood_bias
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import Convergence, MeasuredNoise, Starts
 from identification.estimate.uncertainty import Spread, block_sandwich
 from identification.model.ladder import NOMINAL
@@ -78,21 +80,8 @@ def refine(
     )
     if bias is None:
         return found
-    if bias.rehearsals:
-        found = _with_instruments(found, refined, bias.rehearsals)
-    return _unbiased(found, bias)
-
-
-def _with_instruments(found: Found, refined: Refined, rehearsals: Sequence[Rehearsal]) -> Found:
-    """Solve the inertia's equation with the rehearsals' instruments too; the others follow. The floor is theirs."""
-    joint, names = refined.joint, refined.names
-    solved = covariances(joint, rehearsals)
-    x = joint.origin()
-    x[: len(solved.step)] += solved.step
-    values = {**found.values, **unpack(joint.parameters(x), names)}
-    achieved, floor = named_covariances(solved, joint, names)
-    spread = replace(found.spread, covariance=achieved)
-    return replace(found, values=values, spread=spread, floors=floors_of(names, floor))
+    found = _unbiased(found, bias)
+    return _with_instruments(found, refined.joint, bias) if bias.rehearsals else found
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
@@ -102,9 +91,33 @@ def _unbiased(found: Found, bias: Bias) -> Found:
     positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
     if not (rises and positive):
         return found
-    names = found.spread.names
-    covariance = found.spread.covariance + np.diag([bias.variances[name] for name in names])
+    covariance = found.spread.covariance + _left_open(bias, found.spread.names)
     return replace(found, values=values, spread=replace(found.spread, covariance=covariance))
+
+
+def _left_open(bias: Bias, names: Sequence[str]) -> Array:
+    return np.diag([bias.variances[name] for name in names])
+
+
+def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
+    """Solve the inertia's equation with the rehearsals' instruments too; the others follow. The floor is theirs.
+
+    It is solved where the likelihood's bias is taken off already, as rehearsals solve it at their true values: what the
+    others are off by moves it in second order, and several deviations of that count.
+    """
+    names, there = found.spread.names, copy(joint)
+    there.start = pack(found.values)
+    settle(there, CLIP)
+    there.weigh()
+    if there.seek_breakaways(CLIP):
+        settle(there, CLIP)
+    solved = covariances(there, bias.rehearsals)
+    x = there.origin()
+    x[: len(solved.step)] += solved.step
+    values = {**found.values, **unpack(there.parameters(x), names)}
+    achieved, floor = named_covariances(solved, there, names)
+    spread = replace(found.spread, covariance=achieved + _left_open(bias, names))
+    return replace(found, values=values, spread=spread, floors=floors_of(names, floor))
 
 
 def refine_recordings(

@@ -25,14 +25,14 @@ import numpy as np
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.information import settle
 from identification.estimate.prediction.instrumental import doubted
-from identification.estimate.prediction.noise_level import CLIP
+from identification.estimate.prediction.noise_level import CLIP, torque_noise
 from identification.estimate.prediction.problem import Problem, static_limit, unpack
 from identification.estimate.prediction.stretches import Motion, motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import Array, Model
 from identification.simulate.seen_loop import drive_loop
-from identification.simulate.servo_loop import Loop, respond
+from identification.simulate.servo_loop import Loop, Response, respond
 
 PAIRS, MOST_PAIRS = 3, 6
 """Noises, each taken both ways: at first, and where these leave the bias too uncertain."""
@@ -42,9 +42,11 @@ _TRIED, _ENOUGH = 9, 2
 """Pairs tried where rehearsals fail, as one in which a shaft that all but stops is lost; and those that are enough."""
 _LARGE, _TURNS = 2.0, 3
 """Deviations of a bias beyond which values nearer to the true ones are rehearsed in turn, and how often at most."""
-_HALF = math.sqrt(0.5)
-"""Of the torque's noise in the torque itself, and in its measurement alike: which of the two it is rests on the drive's
-current loop, and both ends have been seen."""
+_UNSEEN = 0.5
+"""Share of the noise's variance that the logged torque holds, where the recordings do not show it: which of the two the
+noise is in rests on the drive's current loop, and both ends have been seen."""
+_DRAW = 1000
+"""Number of the noise that the drive's answer to noise is simulated with."""
 _HEADROOM = 2.0
 """The drive's greatest torque over the greatest in the recordings."""
 _FARTHEST = 20.0
@@ -69,8 +71,7 @@ class Bias:
 def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     """Return by how much the likelihood puts parameters off at a problem's start.
 
-    The inertia, which is not found by likelihood, has no bias of it; its equation has its own
-    (:func:`identification.estimate.prediction.inertia.equation_bias`). None where that cannot be rehearsed: the
+    The inertia, which is not found by likelihood, has no bias of it. None where that cannot be rehearsed: the
     recordings do not show the drive's loop, hold loads that a weight does not make, or the filter does not follow.
 
     Args:
@@ -80,19 +81,20 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     loop = _loop(joint.motions)
     if loop is None or kernel.OFFSET in joint.free:
         return None
+    share = logged_share(joint, loop)
     start, found = joint.start, None
     played: tuple[Rehearsal, ...] = ()
     for turn in range(1, _TURNS + 1):
         there = copy(joint)
         there.start = start
         noises = iter(range(_TRIED))
-        pairs = list(islice(_pairs(there, loop, noises), PAIRS))
+        pairs = list(islice(_pairs(there, loop, share, noises), PAIRS))
         if len(pairs) < _ENOUGH:
             break
         mean = np.mean(_even(pairs), axis=0)
         last = turn == _TURNS or float(np.max(np.abs(mean) / _deviation(pairs))) < _LARGE
         while last and len(pairs) < MOST_PAIRS and _uncertain(pairs):
-            more = next(_pairs(there, loop, noises), None)
+            more = next(_pairs(there, loop, share, noises), None)
             if more is None:
                 break
             pairs.append(more)
@@ -107,6 +109,28 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     moved = np.array([_named(joint, pair, names) for pair in found])
     mean, spread = _named(joint, np.mean(found, axis=0), names), np.var(moved, axis=0, ddof=1) / len(moved)
     return Bias(dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)), played)
+
+
+def logged_share(joint: Problem, loop: Loop) -> float:
+    """Return the share of the torque noise's variance that is in the logged torque and not in the true one.
+
+    A drive's current loop follows the noise of its own sensor as far as its bandwidth reaches: that part turns the
+    shaft and is not logged. What the logged torque scatters from sample to sample beyond what the drive answers to the
+    other part is noise of the measurement. Where that answer hides it, half is taken.
+
+    Args:
+        joint: At the estimate; it is not changed.
+        loop: The drive's.
+    """
+    noise = joint.noise.torque
+    if not noise > 0.0:
+        return _UNSEEN
+    rng = np.random.default_rng(_DRAW)
+    answers = [_response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque for m in joint.motions]
+    answer = torque_noise([replace(m, torque=torque) for m, torque in zip(joint.motions, answers, strict=True)])
+    if answer > noise:
+        return _UNSEEN
+    return float(np.clip((torque_noise(joint.motions) ** 2 - answer**2) / noise**2, 0.0, 1.0))
 
 
 @dataclass(frozen=True)
@@ -128,16 +152,17 @@ _Pair = tuple[_Scored, _Scored]
 """Rehearsals with one noise, and with its sign turned."""
 
 
-def _pairs(there: Problem, loop: Loop, noises: Iterator[int]) -> Iterator[_Pair]:
+def _pairs(there: Problem, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
     """Yield pairs of rehearsals that both work, until the noises are used up.
 
     Args:
         there: The problem whose experiment is simulated, at the values that are simulated.
         loop: The drive's.
+        share: Of the noise's variance that is logged.
         noises: Their numbers.
     """
     for noise in noises:
-        one, other = (_step(there, loop, noise, sign) for sign in (1.0, -1.0))
+        one, other = (_step(there, loop, share, noise, sign) for sign in (1.0, -1.0))
         if one is not None and other is not None:
             yield one, other
 
@@ -185,10 +210,10 @@ def _step_of_encoder(m: Motion) -> float:
     return math.sqrt(12.0 * m.angle_variance)
 
 
-def _step(joint: Problem, loop: Loop, seed: int, sign: float) -> _Scored | None:
+def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
     """Rehearse once and return one step of the likelihood; None where the filter does not follow."""
     rng = np.random.default_rng(seed)
-    motions = [_rehearsed(joint, m, loop, sign, rng) for m in joint.motions]
+    motions = [_rehearsed(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions]
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
@@ -234,18 +259,28 @@ def _scored(problem: Problem, noise: int) -> _Scored | None:
     return _Scored(step, deviation, rehearsal)
 
 
-def _rehearsed(joint: Problem, m: Motion, loop: Loop, sign: float, rng: np.random.Generator) -> Motion | None:
-    """Return what the bench would log of a recording's commands at the problem's values."""
+def _drawn(joint: Problem, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
+    """Return what the true torque falls short by and what the logged one is off by, N m, shape (2, n)."""
+    rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
+    return rows * np.sqrt([[1.0 - share], [share]])
+
+
+def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Response:
+    """Return what the shaft does under a recording's commands at the problem's values."""
     r = m.recording
     values = unpack(joint.start, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
     values["J"] += m.extra_inertia
-    noise = joint.noise.drawn(rng, (2, len(m.time)), r.period, sign * _HALF)
     command = np.asarray(r.channels["command"], dtype=np.float64)
-    moment = float(np.median(m.moment))
-    response = respond(command, r.period, values, moment, joint.alpha, loop, noise[0])
+    return respond(command, r.period, values, float(np.median(m.moment)), joint.alpha, loop, disturbance)
+
+
+def _rehearsed(joint: Problem, m: Motion, loop: Loop, noise: Array) -> Motion | None:
+    """Return what the bench would log of a recording's commands at the problem's values, with noise of shape (2, n)."""
+    r = m.recording
+    response = _response(joint, m, loop, noise[0])
     step = _step_of_encoder(m)
     channels = {
-        "time": r.period * np.arange(len(command)),
+        "time": r.period * np.arange(len(response.angle)),
         "angle": np.floor(response.angle / step) * step,
         "torque": response.torque + noise[1],
     }

@@ -44,6 +44,9 @@ _APART = 0.1
 """Difference of the Stribeck speed, or of the rise, over itself, at which two ends are not in one basin."""
 SAME_END = 1.0
 """-2 log likelihood within which two searches count as ended alike: half a standard error of one parameter."""
+_AS_LIKELY = 4.0
+"""The same, within which the recordings do not tell which of two ends is right: two standard errors."""
+_SEVERAL = 2.0
 
 
 def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> list[tuple[Array, list[Array]]]:
@@ -133,16 +136,20 @@ def likeliest_together(problem: Problem, starts: Sequence[tuple[Array, list[Arra
     """Begin the joint problem where its search, with the inertia held, comes to the likeliest end.
 
     The loaded stage's searches hold what the first stage found. With its errors a wrong basin may be likelier by
-    hundreds, and with all parameters free the right one is by thousands.
+    hundreds, and with all parameters free the right one is by thousands. An end as likely, of several times the
+    Stribeck speed, is taken before the likeliest: toward a speed that no sample resolves the likelihood is flat, and
+    with another inertia the search would slide there.
     """
     free, ends = problem.free, []
     problem.free = tuple(k for k in free if k != kernel.INERTIA)
     for vector, times in starts:
         problem.start, problem.begins = vector, times
         refine(problem, (1.0,))
-        ends.append((not _resolved(problem), _deviance(problem)))
+        ends.append((not _resolved(problem), _deviance(problem), float(problem.start[kernel.OMEGA_SL])))
     problem.free = free
-    problem.start, problem.begins = starts[ends.index(min(ends))]
+    unresolved, least, speed = best = min(ends)
+    slower = [e for e in ends if e[0] == unresolved and e[1] < least + _AS_LIKELY and e[2] > _SEVERAL * speed]
+    problem.start, problem.begins = starts[ends.index(max(slower, key=lambda e: e[2], default=best))]
 
 
 def _missed(problem: Problem, end: _End) -> bool:
