@@ -346,6 +346,18 @@ def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_oth
     assert abs(covariances(problem, bias.rehearsals).step[j]) < 0.1 * abs(found.step[j])
 
 
+def test_instruments_of_a_rehearsal_are_what_it_shows_from_sample_to_sample() -> None:
+    """The drive's answer to single counts is in them, and a smoothed mean would have none of it."""
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+    problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
+    own = slopes(problem)
+    rough = replace(own, parameters=own.parameters * np.resize([1.0, -1.0], len(own.own))[:, None])
+    rehearsal = Rehearsal(problem, rough, np.zeros(len(own.own)), 0)
+    found = rehearsed_instruments(problem, instruments(problem, own), [rehearsal])
+    inside = np.flatnonzero(np.diff(problem.owners[: len(own.own) - problem.breakaways]) == 0)  # all but the last
+    assert found.parameters[inside] == pytest.approx(rough.parameters[inside], rel=1e-9)
+
+
 def test_the_floor_is_that_of_a_bench_without_noise() -> None:
     """Its sensitivities hold none, and at the noise levels of the noisy one give the bound itself."""
     over = []

@@ -69,7 +69,9 @@ def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
 def rehearsed_instruments(problem: Problem, plain: Arrow, rehearsals: Sequence[Rehearsal]) -> Arrow:
     """Return the instruments of every residual as rehearsals of its own stretch have them; ``plain`` where none has.
 
-    Strokes alike are few, and each is a little another motion; a rehearsal is the same motion with another noise.
+    Strokes alike are few, and each is a little another motion; a rehearsal is the same motion with another noise. Its
+    mean is not smoothed: the drive answers to its command's and encoder's steps alike each time, from sample to sample,
+    and at coarse counts that is what tells most of the inertia.
 
     Args:
         problem: At its start.
@@ -83,7 +85,7 @@ def rehearsed_instruments(problem: Problem, plain: Arrow, rehearsals: Sequence[R
         here, doubt = stretch.rows, problem.doubt[stretch.number]
         mean, seen = stretch.mean(stretch.curves)
         alike = np.column_stack([parameters[here], own[here]])
-        mean = _smooth(np.where(seen > 0.0, mean, alike * doubt), stretch.onset) / doubt
+        mean = np.where(seen > 0.0, mean / doubt, alike)
         parameters[here], own[here] = mean[:, :-1], mean[:, -1]
     return replace(plain, parameters=parameters, own=own)
 
