@@ -65,6 +65,14 @@ def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) 
     problem.begins = problem.times(x)
 
 
+def settle_anywhere(problem: Problem, threshold: float) -> None:
+    """Settle each breakaway time of a problem in the likeliest of its minima, the parameters held."""
+    settle(problem, threshold)
+    problem.weigh()
+    if problem.seek_breakaways(threshold):
+        settle(problem, threshold)
+
+
 def reduce(problem: Problem, threshold: float = np.inf) -> Reduced:
     """Return the reduced normal equations at a problem's start.
 

@@ -133,6 +133,56 @@ def _predict(
     return angle, omega, p11, p12, p22, hidden, p13, p23, p33
 
 
+@inlined
+def _reading_at_rest(here: float, p11: float, error: float, angle_noise: float, staying: float) -> tuple[float, float]:
+    """Return the angle of rest and its variance after one more reading, ``error`` off.
+
+    It tells of the angle only as far as noise makes it another one each time: ``staying`` of the variance
+    ``angle_noise`` of a reading is the same for all readings at rest.
+    """
+    unknown = p11 - staying
+    if unknown > 0.0:
+        share = unknown / (unknown + angle_noise - staying)
+        here += share * error
+        p11 -= share * unknown
+    return here, p11
+
+
+@inlined
+def _corrected(state: State, error: float, variance: float, new: float, unsure: float, side: float) -> State:
+    """Return the state after a reading that is ``error`` off, of that ``variance``; the speed keeps its ``side``.
+
+    ``new`` is the share of the period that has passed since the breakaway: so early the reading errs as that of the
+    rest does, and the filter is to be smooth in the breakaway time. ``unsure`` is what the speed's variance gains.
+    """
+    angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
+    g1 = p11 / variance
+    g2 = p12 / variance
+    less = new * (2.0 - new)
+    angle += new * g1 * error
+    omega += new * g2 * error
+    missing = max(_LEAST_SPEED - side * omega, 0.0)
+    omega += side * missing
+    p22 += missing * missing - less * g2 * p12 + unsure
+    if p33 > 0.0:
+        g3 = p13 / variance
+        hidden += new * g3 * error
+        p33 -= less * g3 * p13
+        p23 -= less * g3 * p12
+        p13 *= 1.0 - less * g1
+    return (
+        angle,
+        omega,
+        p11 * (1.0 - less * g1),
+        p12 * (1.0 - less * g1),
+        p22,
+        hidden,
+        p13,
+        p23,
+        p33,
+    )
+
+
 @compiled
 def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
     """Return the mean square speed that noise gives before the mean torque reaches the static limit, (rad/s)^2.
@@ -235,30 +285,17 @@ def innovations(
             out[k] = error
             spread[k] = math.sqrt(variance)
             if start >= time[k]:
-                unknown = p11 - noise[STAYING]
-                if unknown > 0.0:
-                    share = unknown / (unknown + noise[ANGLE] - noise[STAYING])
-                    here += share * error
-                    p11 -= share * unknown
+                here, p11 = _reading_at_rest(here, p11, error, noise[ANGLE], noise[STAYING])
                 speeds[k] = omega
                 continue
-            g1 = p11 / variance
-            g2 = p12 / variance
-            # So early the reading errs as that of the rest does, and the filter is to be smooth in the breakaway time.
-            new = (time[k] - start) / (time[k] - time[k - 1])
-            less = new * (2.0 - new)
-            here += new * g1 * error
-            omega += new * g2 * error
-            missing = max(_LEAST_SPEED - side * omega, 0.0)
-            omega += side * missing
-            p22 += missing * missing - less * g2 * p12 + unsure[k]
-            if correlated:
-                g3 = p13 / variance
-                hidden += new * g3 * error
-                p33 -= less * g3 * p13
-                p23 -= less * g3 * p12
-                p13 *= 1.0 - less * g1
-                hiddens[k] = hidden
-            p12 *= 1.0 - less * g1
-            p11 *= 1.0 - less * g1
+            here, omega, p11, p12, p22, hidden, p13, p23, p33 = _corrected(
+                (here, omega, p11, p12, p22, hidden, p13, p23, p33),
+                error,
+                variance,
+                (time[k] - start) / (time[k] - time[k - 1]),
+                unsure[k],
+                side,
+            )
             speeds[k] = omega
+            if correlated:
+                hiddens[k] = hidden

@@ -13,7 +13,7 @@ from identification.estimate.assemble import RISES, typical_error
 from identification.estimate.prediction import stages as staged
 from identification.estimate.prediction.acceptance import try_refinements
 from identification.estimate.prediction.covariance import covariances, named_covariances
-from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.information import settle_anywhere
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import Problem, pack, unpack
 from identification.estimate.prediction.rehearsed import Bias, likelihood_bias
@@ -107,10 +107,7 @@ def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
     """
     names, there = found.spread.names, copy(joint)
     there.start = pack(found.values)
-    settle(there, CLIP)
-    there.weigh()
-    if there.seek_breakaways(CLIP):
-        settle(there, CLIP)
+    settle_anywhere(there, CLIP)
     solved = covariances(there, bias.rehearsals)
     x = there.origin()
     x[: len(solved.step)] += solved.step

@@ -23,7 +23,7 @@ from itertools import islice
 import numpy as np
 
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.information import settle
+from identification.estimate.prediction.information import settle_anywhere
 from identification.estimate.prediction.instrumental import doubted
 from identification.estimate.prediction.noise_level import CLIP, torque_noise
 from identification.estimate.prediction.problem import Problem, static_limit, unpack
@@ -220,10 +220,7 @@ def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _
     problem = Problem(seen, joint.start, [], Model(alpha=joint.alpha), joint.noise)
     problem.free = tuple(k for k in joint.free if k != kernel.INERTIA)
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
-    settle(problem, CLIP)
-    problem.weigh()
-    if problem.seek_breakaways(CLIP):
-        settle(problem, CLIP)
+    settle_anywhere(problem, CLIP)
     problem.doubt = doubted(problem)
     problem.free = joint.free
     return _scored(problem, seed)
