@@ -14,7 +14,7 @@ import yaml
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.simulate.servo_loop import respond, usual_loop
 from rig import cli
-from rig.run import RECORDING_FILE
+from rig.run_record import RECORDING_FILE
 from rig.truth import JOINT_FIELDS
 
 SPREAD = 0.4
