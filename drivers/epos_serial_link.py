@@ -22,6 +22,8 @@ _FRAMES_KEPT: Final = 1 << 16
 _LINE: Final = 0
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
+_LONGEST_WAIT_NS: Final = 50_000_000
+"""Longest time in one wait for bytes: the guard is fed in between."""
 _ACCEPTED: Final = ERROR.pack(0)
 _SUBINDICES: Final = (1, 2, 3, 4)
 
@@ -230,6 +232,8 @@ class EposSerialLink(Link):
 
     def _send(self, frame: bytes) -> None:
         port = self._opened()
+        if self.guard is not None:
+            self.guard.feed()
         self._decoder.clear()
         try:
             port.discard()
@@ -244,8 +248,10 @@ class EposSerialLink(Link):
         clock = self.clock
         while True:
             left = deadline_ns - clock.now_ns()
+            if self.guard is not None:
+                self.guard.feed()
             try:
-                data = port.read(max(left, 0) / NS)
+                data = port.read(min(max(left, 0), _LONGEST_WAIT_NS) / NS)
             except OSError as error:
                 raise self._gone(error) from error
             if data:

@@ -12,7 +12,7 @@ from identification.recording import Bench as BenchConstants
 from rig import clocks, run_samples
 from rig.alignment import aligned
 from rig.bench import Bench
-from rig.errors import InputError
+from rig.errors import InputError, StorageError
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
@@ -45,9 +45,20 @@ class RunFolder:
         """Replace ``run.json`` as a whole, so that no reader ever sees half of it.
 
         Raises:
-            OSError: It cannot be written; the last version is kept.
+            StorageError: It cannot be written; the last version is kept.
         """
-        write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        try:
+            write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        except OSError as error:
+            reason = error.strerror or str(error)
+            text = f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
+            raise StorageError(text) from error
+
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """Write the ending down the moment it is known."""
+        record = self.record
+        record.state, record.message, record.de_energised = state, message, de_energised
+        self.save()
 
     def stage_started(self, index: int) -> None:
         """Note that a stage begins; what it left behind before is not used any more."""

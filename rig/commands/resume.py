@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 
-from drivers.errors import LinkError
 from rig.aftermath import conclude
+from rig.attendance import connected, require_attendance
 from rig.calibration import require_current
-from rig.connect import connect
 from rig.errors import InputError
 from rig.feedforward import load_feedforward
-from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.operator import AutomaticOperator, ConsoleOperator
 from rig.places import require_file
 from rig.plan import make_plan
 from rig.progress import RunProgress
+from rig.prompt import at_terminal
 from rig.provenance import utc_now
 from rig.reference import load_reference
 from rig.resume import prepare, stopped_words
 from rig.run import bench_constants
 from rig.run_record import FEEDFORWARD_INPUT
+from rig.screen import Screen
 from rig.session import Inputs, execute
+from rig.stop_button import StopButton
 
 
 @click.command("resume")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
+@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
 @click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
@@ -85,14 +88,18 @@ def command(
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
-    with (
-        connect(resumed.bench, seed, record.realtime, torque_offset=feedforward is not None) as devices,
-        StopButton() as stop,
-    ):
-        operator = AutomaticOperator() if yes else ConsoleOperator(resumed.bench.value.prompt_timeout_s)
-        with RunProgress(plan.cycle_s, plan.duration_s) as progress:
-            try:
+    bench = resumed.bench
+    screen = Screen()
+    require_attendance(plan, bench, yes, at_terminal())
+    with closing(screen), StopButton(screen.say) as stop:
+        offset = feedforward is not None
+        with connected(stop, bench, seed, record.realtime, torque_offset=offset) as devices:
+            patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
+            operator = (
+                AutomaticOperator(screen=screen)
+                if yes
+                else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
+            )
+            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress, record=record)
-            except OSError as error:
-                raise LinkError(f"{run}: the recording cannot be started: {error.strerror}; nothing moved") from error
-    return conclude(folder, outcome, reference, json_file)
+        return conclude(folder, outcome, reference, json_file, screen)
