@@ -1,4 +1,4 @@
-"""The error boundary of the ports: every exception of a library becomes an OSError, and closing never raises.
+"""The error boundary of the ports: what a library raises becomes OSError; closing never raises.
 
 pyserial, termios, python-can and its backends have no exception class in common: on an unplugged
 adapter, a closed port or a garbled line they raise OSError, termios.error, CanError, ValueError,
@@ -18,7 +18,7 @@ _R = TypeVar("_R")
 
 
 def words(error: Exception) -> str:
-    """Return what an exception says; with its type where that comes from Python itself and is seldom a sentence."""
+    """Return what an exception says, with its type where that is a built-in one."""
     if isinstance(error, termios.error):
         # As an OSError says it; its own text is a tuple.
         return str(OSError(*error.args))
@@ -50,8 +50,8 @@ def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
 def close_all(*closers: Callable[[], object]) -> None:
     """Call every closer, in this order, whatever the ones before it raise.
 
-    Exceptions are dropped: what could not be closed has failed before, and was reported then. KeyboardInterrupt and
-    SystemExit are raised after the last closer.
+    Exceptions are dropped: what could not be closed has failed before, and was reported then.
+    KeyboardInterrupt and SystemExit are raised after the last closer.
     """
     with ExitStack() as stack:
         for closer in reversed(closers):

@@ -1,4 +1,4 @@
-"""How a link reaches a serial line: bytes out, bytes in, over a port of the operating system or a simulated line."""
+"""How a link reaches a serial line: bytes out, bytes in, on a real or a simulated line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SERIAL_FLAG: Final = 0x10000000
 """Set in :attr:`RawFrame.identifier` for bytes of a serial line; the low bits are the line's number."""
 
 WRITE_LIMIT_S: Final = 0.1
-"""How long a line may take to accept what is written. A request has some 30 bytes, for which every driver has room."""
+"""How long a line may take to accept what is written: some 30 bytes, for which drivers have room."""
 
 _FRAME_BYTES: Final = 8
 _CHUNK: Final = 4096
@@ -63,7 +63,7 @@ class BytePort(Protocol):
 
 
 class InheritedPort:
-    """A serial port that is open and set up already, by another program or by :class:`PySerialPort`.
+    """A serial port that another program, or :class:`PySerialPort`, has opened and set up.
 
     Args:
         descriptor: Its file descriptor; closed by :meth:`close`.
@@ -82,7 +82,8 @@ class InheritedPort:
     def write(self, data: bytes) -> None:
         """Send bytes.
 
-        What the line has not taken in time is dropped: an old request must not go out when the line moves again.
+        What the line has not taken in time is dropped: an old request must not go out when the line
+        moves again.
 
         Raises:
             OSError: The line is gone.
@@ -119,7 +120,7 @@ class InheritedPort:
             return b""
         if not data:
             # An unplugged adapter reports this for ever, at once and without an error.
-            raise OSError("the line is hung up, as by an unplugged adapter, or another program reads it too")
+            raise OSError("the line is hung up (adapter unplugged), or another program reads it too")
         return data
 
     @os_errors
@@ -148,7 +149,10 @@ class InheritedPort:
             close_all(partial(self._drain, descriptor), partial(os.close, descriptor))
 
     def _drain(self, descriptor: int) -> None:
-        """Let what was written go out, then drop the rest: to close a line that takes nothing can last 30 s."""
+        """Let what was written go out, then drop the rest.
+
+        The kernel waits up to 30 s for it when a line that takes nothing is closed.
+        """
         deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
         while struct.unpack("i", fcntl.ioctl(descriptor, termios.TIOCOUTQ, bytes(4)))[0]:
             if self._clock.now_ns() >= deadline:
@@ -160,8 +164,9 @@ class InheritedPort:
 class PySerialPort(InheritedPort):
     """A serial port of the operating system, 8N1, held by this program alone.
 
-    pyserial opens it and sets it up. Reading and writing go by its file descriptor: pyserial's own write has no limit
-    that a stalled line is sure to meet, and its exceptions on a port that has vanished are of many types.
+    pyserial opens it and sets it up. Reading and writing go by the file descriptor: pyserial raises
+    exceptions of many types on a port that has vanished, and its write with a time limit waits for
+    room even after the last byte.
 
     Args:
         path: Of the device.
@@ -181,7 +186,8 @@ class PySerialPort(InheritedPort):
                 raise
             raise OSError(f"{path} is held by another program") from error
         try:
-            # Cuts the 16 ms that FTDI adapters hold bytes back to some 6 ms; other ports do not have it.
+            # Cuts the 16 ms that FTDI adapters hold bytes back to some 6 ms; other ports do not
+            # have it.
             with suppress(ValueError, OSError, AttributeError, NotImplementedError):
                 port.set_low_latency_mode(True)
             # The lock goes with the open file, not with the descriptor.
