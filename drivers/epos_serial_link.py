@@ -14,8 +14,9 @@ from drivers.can_timing import ANSWER_SHARE
 from drivers.clock import NS, Clock
 from drivers.epos_serial import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
 from drivers.epos_serial_node import IDENTITY, EposSerialNode, Guard
-from drivers.errors import ConfigurationError, LinkError
+from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Link, RawFrame
+from drivers.port_errors import close_all, words
 from drivers.serial_port import BytePort, raw_frames
 
 _FRAMES_KEPT: Final = 1 << 16
@@ -103,18 +104,20 @@ class EposSerialLink(Link):
             return
         try:
             self._port = self._connect()
-        except (OSError, ValueError) as error:
+        except DeviceError:
+            raise
+        except Exception as error:
             raise LinkError(
-                f"{self._name} cannot be opened: {error}; check the port, the adapter and the rights to use it"
+                f"{self._name} cannot be opened: {words(error)}; check the port, the adapter and the rights to use it"
             ) from error
         self._in_step = False
         self._marks.clear()
 
     def close(self) -> None:
-        """Close the port; safe to call twice and after a failure."""
+        """Close the port; safe to call twice and after a failure. Raises nothing."""
         port, self._port = self._port, None
         if port is not None:
-            port.close()
+            close_all(port.close)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
         """Set the cycle time, the same for all devices, and learn what to find the step by.
@@ -211,6 +214,9 @@ class EposSerialLink(Link):
                 if found[-1].data == wanted:
                     self._in_step = True
                     return True
+                # Of a line that never falls silent there is always more to read.
+                if self.clock.now_ns() >= deadline_ns:
+                    break
             return False
         while self._receive(self.clock.now_ns() + _QUIET_NS):
             if self.clock.now_ns() >= deadline_ns:
@@ -238,7 +244,7 @@ class EposSerialLink(Link):
         try:
             port.discard()
             port.write(frame)
-        except OSError as error:
+        except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
 
@@ -252,13 +258,13 @@ class EposSerialLink(Link):
                 self.guard.feed()
             try:
                 data = port.read(min(max(left, 0), _LONGEST_WAIT_NS) / NS)
-            except OSError as error:
+            except Exception as error:
                 raise self._gone(error) from error
             if data:
                 self._frames.extend(raw_frames(clock.now_ns(), _LINE, data, False))
                 if found := self._decoder.feed(data):
                     return found
-            elif left <= 0:
+            if left <= 0:
                 return []
 
     def _opened(self) -> BytePort:
@@ -266,5 +272,5 @@ class EposSerialLink(Link):
             raise LinkError(f"{self._name} is not open: call open() first")
         return self._port
 
-    def _gone(self, error: OSError) -> LinkError:
-        return LinkError(f"{self._name} is gone: {error}; check the adapter and its cable")
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(f"{self._name} is gone: {words(error)}; check the adapter and its cable")

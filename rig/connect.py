@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
@@ -37,9 +37,6 @@ _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER
 
 _ENCODER_NODES = (2, 3)
 """Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
-_OPTIONS: Mapping[str, Mapping[str, object]] = {"slcan": {"timeout": 1e-4}}
-"""Of python-can's interfaces: by itself slcan waits a millisecond wherever nothing has come in."""
-
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
@@ -142,9 +139,7 @@ def _link(
     twin, clock = _twin(bench, servo, bus.bitrate, seed, attach)
     if twin is not None:
         return CanopenLink(clock, lambda: twin.bus, name="simulated bus"), twin
-    return CanopenLink.on_interface(
-        clock, bus.interface, bus.channel or "", bus.bitrate, _OPTIONS.get(bus.interface)
-    ), None
+    return CanopenLink.on_interface(clock, bus.interface, bus.channel or "", bus.bitrate), None
 
 
 def _dbc_servo(
