@@ -11,6 +11,7 @@ from typing import Protocol
 from drivers.clock import NS, Clock
 from drivers.interfaces import Encoder, Link, PressureTransmitter, RawFrame, Servo
 from rig.guard import Guard
+from rig.locks import Lock
 from rig.operator import StopButton
 from rig.phases import Phase
 from rig.safety import Latch, Limits, Trip, check_stage_time
@@ -34,6 +35,7 @@ class Devices:
         pressure: The transmitter on the gas generator's chamber; None where there is none.
         ignite: Lights a simulated gas generator; None where a person does.
         guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
+        lock: What keeps other programs from the bench; None where nobody has to be kept from it.
     """
 
     link: Link
@@ -45,6 +47,7 @@ class Devices:
     guard: Guard | None = None
     pressure: PressureTransmitter | None = None
     ignite: Callable[[], None] | None = None
+    lock: Lock | None = None
 
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its process data. No power.

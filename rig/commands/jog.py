@@ -15,6 +15,7 @@ from rig.connect import connect
 from rig.cycle import Devices
 from rig.jog import move, plan_jog
 from rig.operator import StopButton
+from rig.ownership import say_taken_over
 from rig.places import require_file, write_asked
 from rig.progress import RunProgress
 from rig.provenance import utc_now
@@ -54,7 +55,8 @@ def command(
     require_file(json_file, "--json")
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
-    with connect(document, seed, realtime) as devices, StopButton() as stop:
+    with connect(document, seed, realtime, purpose="rig jog") as devices, StopButton() as stop:
+        say_taken_over(devices.lock)
         outcome = None
         for batch in [angles] if angles else _asked():
             outcome = _move(document.value, batch, speed, devices, stop, reset_fault)

@@ -12,7 +12,9 @@ from rig.calibration import require_current
 from rig.connect import connect
 from rig.errors import InputError
 from rig.feedforward import load_feedforward
+from rig.locks import hold_folder
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file
 from rig.plan import make_plan
 from rig.progress import RunProgress
@@ -64,6 +66,7 @@ def command(
       rig resume runs/20261120T101500Z-figure10
     """
     require_file(json_file, "--json")
+    until_the_end(hold_folder(run, "rig resume"))
     try:
         resumed = prepare(run)
     except OSError as error:
@@ -86,9 +89,10 @@ def command(
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
     with (
-        connect(resumed.bench, seed, record.realtime, torque_offset=feedforward is not None) as devices,
+        connect(resumed.bench, seed, record.realtime, None, feedforward is not None, "rig resume") as devices,
         StopButton() as stop,
     ):
+        say_taken_over(devices.lock)
         operator = AutomaticOperator() if yes else ConsoleOperator(resumed.bench.value.prompt_timeout_s)
         with RunProgress(plan.cycle_s, plan.duration_s) as progress:
             try:

@@ -16,6 +16,7 @@ from rig.feedforward import load_feedforward
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file, require_folder
 from rig.plan import make_plan
 from rig.plan_text import describe
@@ -120,11 +121,17 @@ def command(
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
     with (
         connect(
-            bench_file, seed, realtime, None if saboteur is None else saboteur.attach, feedforward is not None
+            bench_file,
+            seed,
+            realtime,
+            None if saboteur is None else saboteur.attach,
+            feedforward is not None,
+            "rig run",
         ) as devices,
         StopButton() as stop,
     ):
-        create_folder(path)
+        say_taken_over(devices.lock)
+        until_the_end(create_folder(path, "rig run"))
         operator = AutomaticOperator() if yes else ConsoleOperator(patience_s)
         carry_out = execute if saboteur is None else saboteur.execute
         with RunProgress(plan.cycle_s, plan.duration_s) as progress:
