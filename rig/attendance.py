@@ -45,6 +45,7 @@ def connected(
     realtime: bool,
     attach: Attach | None = None,
     torque_offset: bool = False,
+    purpose: str = "rig",
 ) -> Iterator[Devices]:
     """Open a bench as :func:`rig.connect.connect` does; a stop interrupts the opening, where nothing has power.
 
@@ -53,5 +54,5 @@ def connected(
     """
     with ExitStack() as stack:
         with stop.interruptible():
-            devices = stack.enter_context(connect(document, seed, realtime, attach, torque_offset))
+            devices = stack.enter_context(connect(document, seed, realtime, attach, torque_offset, purpose))
         yield devices

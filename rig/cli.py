@@ -13,7 +13,7 @@ import click
 
 from drivers.errors import DeviceError
 from rig.allocation import keep_freed_memory
-from rig.errors import InputError, StorageError
+from rig.errors import InputError, InUseError, StorageError
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "run": ("rig.commands.run:command", "Run a sequence on a bench."),
@@ -110,6 +110,9 @@ def status(arguments: list[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         click.echo("stopped by the operator", err=True)
         return STOPPED
+    except InUseError as error:
+        click.echo(f"in use: {error}", err=True)
+        return DEVICE_FAILED
     except DeviceError as error:
         click.echo(f"device error: {error}", err=True)
         return DEVICE_FAILED

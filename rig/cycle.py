@@ -12,6 +12,7 @@ from drivers.clock import NS, Clock
 from drivers.interfaces import Encoder, Link, PressureTransmitter, RawFrame, Servo
 from rig.errors import StorageError
 from rig.guard import Guard
+from rig.locks import Lock
 from rig.phases import Phase
 from rig.safety import Latch, Limits, Trip, check_stage_time
 from rig.sample import Sample
@@ -35,6 +36,7 @@ class Devices:
         pressure: The transmitter on the gas generator's chamber; None where there is none.
         ignite: Lights a simulated gas generator; None where a person does.
         guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
+        lock: What keeps other programs from the bench; None where nobody has to be kept from it.
     """
 
     link: Link
@@ -46,6 +48,7 @@ class Devices:
     guard: Guard | None = None
     pressure: PressureTransmitter | None = None
     ignite: Callable[[], None] | None = None
+    lock: Lock | None = None
 
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its process data. No power.

@@ -19,8 +19,8 @@ class InputError(Exception):
 
 
 class StorageError(Exception):
-    """The recording or the run folder cannot be written; the command line exits with status 4."""
+    """A recording, a run folder or a lock file cannot be written; the command line exits with status 4."""
 
 
 class InUseError(Exception):
-    """Another program holds the bench or the run folder; the command line exits with status 4."""
+    """A bench or a run folder is held by another program; the command line exits with status 4."""

@@ -38,7 +38,6 @@ class Guard:
         node: Node identifier of the drive.
         eds: Its EDS file.
         scales: Its units.
-        keep: Descriptors that the guardian holds on to for as long as it lives: the bench's lock.
     """
 
     def __init__(
@@ -48,7 +47,6 @@ class Guard:
         node: int,
         eds: Path,
         scales: ServoScales,
-        keep: Sequence[int] = (),
     ) -> None:
         self.name = f"EPOS4 at {port}"
         self._path, self._baud = port, baud
@@ -58,7 +56,7 @@ class Guard:
             "eds": str(eds.resolve()),
             "scales": dataclasses.asdict(scales),
         }
-        self._keep = tuple(keep)
+        self._keep: tuple[int, ...] = ()
         self._folder: Path | None = None
         self._port: PySerialPort | None = None
         self._process: subprocess.Popen[bytes] | None = None
@@ -76,6 +74,10 @@ class Guard:
         """
         self._port = PySerialPort(self._path, self._baud)
         return self._port
+
+    def keep(self, descriptors: Sequence[int]) -> None:
+        """Have the guardian hold the bench's lock, given as file descriptors, for as long as it lives."""
+        self._keep = tuple(descriptors)
 
     def record_in(self, folder: Path) -> None:
         """Have what the guardian does written into this folder."""
@@ -149,7 +151,7 @@ class Guard:
         descriptor = self._port.fileno()
         # In a session of its own, so that neither Ctrl-C nor a closed terminal reaches it.
         process = subprocess.Popen(
-            [sys.executable, "-m", "rig.guardian", str(descriptor)],
+            [sys.executable, "-m", "rig.guardian", *map(str, (descriptor, *self._keep))],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             pass_fds=(descriptor, *self._keep),

@@ -32,6 +32,7 @@ from drivers.epos_serial_link import EposSerialLink
 from drivers.interfaces import Servo
 from drivers.serial_port import InheritedPort
 from drivers.units import ServoScales
+from rig.locks import inherited
 from rig.screen import Screen
 from rig.teardown import SafeState, make_safe
 
@@ -205,7 +206,7 @@ def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) ->
 
 
 def main() -> int:
-    """Be the guardian of the port whose file descriptor is given."""
+    """Be the guardian of the port whose file descriptor is given first; those after it are the bench's lock."""
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
         # The end of the input is what ends it.
         signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -217,7 +218,8 @@ def main() -> int:
             # The other program died before it could say anything; nothing was under power.
             return 0
         ward.hear(data)
-    servo, clock = drive_on(int(sys.argv[1]), ward)
+    port, *lock = map(int, sys.argv[1:])
+    servo, clock = drive_on(port, ward)
     _speak(speaking, READY)
     while True:
         cause = watch(listening, ward, _wait)
@@ -225,6 +227,8 @@ def main() -> int:
             return 0
         if cause is Cause.SILENT:
             _speak(speaking, TOOK_OVER)
+        else:
+            inherited(lock).note("the guardian of a program that died")
         deed = act(servo, clock, ward, cause, screen)
         if cause is Cause.GONE:
             screen.drain(_SHOW_S)

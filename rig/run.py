@@ -13,6 +13,7 @@ from rig import clocks, run_samples
 from rig.alignment import aligned
 from rig.bench import Bench
 from rig.errors import InputError, StorageError
+from rig.locks import OWNER_FILE, Lock, hold_folder
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
@@ -130,20 +131,41 @@ def bench_constants(bench: Bench) -> BenchConstants:
     )
 
 
-def create_folder(path: Path) -> None:
-    """Make the folder of a new run.
+def create_folder(path: Path, purpose: str) -> Lock:
+    """Make the folder of a new run, and lock it; whoever gets the lock releases it.
+
+    Args:
+        path: The folder.
+        purpose: The command that makes it, as whoever finds it in use is told.
 
     Raises:
         InputError: It exists and is not empty, or cannot be made.
+        InUseError: Another program uses it.
+        StorageError: It cannot be locked.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        occupied = next(path.iterdir(), None)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
+    lock = hold_folder(path, purpose)
+    try:
+        # Looked at under the lock, so that of two programs only one can find it empty.
+        _require_empty(path)
+    except BaseException:
+        lock.release()
+        raise
+    return lock
+
+
+def _require_empty(path: Path) -> None:
+    """Check that there is nothing in a folder, but for the lock."""
+    try:
+        occupied = next((item.name for item in path.iterdir() if item.name != OWNER_FILE), None)
     except OSError as error:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:
         raise InputError(
-            f"{path}: not empty (holds {occupied.name}); give --out a new folder, so that no run is overwritten"
+            f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is overwritten"
         )
 
 

@@ -53,9 +53,11 @@ def run_simulated(
     if not bench.value.simulated:
         raise InputError(bench.problem(("bus",), "this runs unattended, so the bench must be simulated"))
     plan = make_plan(sequence, bench, feedforward=feedforward)
-    create_folder(folder)
     inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)
-    with connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices:
+    with (
+        create_folder(folder, "rig"),
+        connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices,
+    ):
         _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
     if outcome.error is not None:
         raise outcome.error

@@ -17,6 +17,7 @@ from rig.configuration import Document
 from rig.connect import connect, device_files
 from rig.cycle import Devices
 from rig.drive_limits import loosened, show
+from rig.ownership import say_taken_over
 from rig.places import require_file, write_asked
 from rig.plan import bench_limits, servo_limits
 from rig.provenance import sha256_file, utc_now, versions
@@ -46,7 +47,8 @@ def command(bench: str, seed: int, json_file: Path | None) -> int:
     """
     require_file(json_file, "--json")
     document = load_bench(bench)
-    with connect(document, seed, realtime=False) as devices:
+    with connect(document, seed, realtime=False, purpose="rig check") as devices:
+        say_taken_over(devices.lock)
         findings = examine(document, devices, seed)
     click.echo(describe(findings))
     write_asked(json_file, findings)

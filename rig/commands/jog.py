@@ -16,6 +16,7 @@ from rig.cli import DONE
 from rig.cycle import Devices
 from rig.errors import InputError
 from rig.jog import Jog, move, plan_jog
+from rig.ownership import say_taken_over
 from rig.places import require_file, write_asked
 from rig.progress import RunProgress
 from rig.prompt import InputEndedError, Prompt
@@ -60,7 +61,12 @@ def command(
     plan_jog(document.value, angles, speed)
     screen = Screen()
     outcome = None
-    with closing(screen), StopButton(screen.say) as stop, connected(stop, document, seed, realtime) as devices:
+    with (
+        closing(screen),
+        StopButton(screen.say) as stop,
+        connected(stop, document, seed, realtime, purpose="rig jog") as devices,
+    ):
+        say_taken_over(devices.lock, screen)
         batches = [angles] if angles else _asked(Prompt(screen), stop, screen)
         for batch in batches:
             try:

@@ -12,7 +12,9 @@ from rig.attendance import connected, require_attendance
 from rig.calibration import require_current
 from rig.errors import InputError
 from rig.feedforward import load_feedforward
+from rig.locks import hold_folder
 from rig.operator import AutomaticOperator, ConsoleOperator
+from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file
 from rig.plan import make_plan
 from rig.progress import RunProgress
@@ -67,6 +69,7 @@ def command(
       rig resume runs/20261120T101500Z-figure10
     """
     require_file(json_file, "--json")
+    until_the_end(hold_folder(run, "rig resume"))
     try:
         resumed = prepare(run)
     except OSError as error:
@@ -93,7 +96,8 @@ def command(
     require_attendance(plan, bench, yes, at_terminal())
     with closing(screen), StopButton(screen.say) as stop:
         offset = feedforward is not None
-        with connected(stop, bench, seed, record.realtime, torque_offset=offset) as devices:
+        with connected(stop, bench, seed, record.realtime, torque_offset=offset, purpose="rig resume") as devices:
+            say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
             operator = (
                 AutomaticOperator(screen=screen)

@@ -16,6 +16,7 @@ from rig.feedforward import load_feedforward
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
 from rig.operator import AutomaticOperator, ConsoleOperator
+from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file, require_folder
 from rig.plan import make_plan
 from rig.plan_text import describe
@@ -125,8 +126,9 @@ def command(
     require_attendance(plan, bench_file, yes, at_terminal())
     with closing(screen), StopButton(screen.say) as stop:
         attach = None if saboteur is None else saboteur.attach
-        with connected(stop, bench_file, seed, realtime, attach, feedforward is not None) as devices:
-            create_folder(path)
+        with connected(stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run") as devices:
+            say_taken_over(devices.lock, screen)
+            until_the_end(create_folder(path, "rig run"))
             operator = (
                 AutomaticOperator(screen=screen)
                 if yes
