@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import click
 
 from rig.cli import BAD_VERDICT, DEVICE_FAILED, DONE, STOPPED
+from rig.go_on import go_on_words
 from rig.label_check import comparable, off_label
 from rig.places import write_asked
 from rig.reference import Reference
@@ -28,20 +31,20 @@ STATUS: Mapping[Ending, int] = {
 
 
 def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None) -> int:
-    """Check the labels, write the page of the run, tell the operator, and return the exit status.
+    """Check the labels, tell the operator, write the page of the run, and return the exit status.
+
+    What the operator must know is told before the page is drawn, which may take its time and may fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.
     """
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
-    try:
-        if wrong:
+    if wrong:
+        with suppress(OSError):  # The warnings are told all the same, and the run has ended.
             folder.save()
-        write_run_report(folder.path, record)
-    except OSError as error:
-        click.echo(f"{folder.path}: the page of the run cannot be written: {error.strerror}", err=True)
     _tell(folder, outcome)
+    write_page(folder.path, record)
     write_asked(json_file, dataclasses.asdict(record))
     return BAD_VERDICT if wrong else STATUS[outcome.ending]
 
@@ -76,3 +79,16 @@ def _tell(folder: RunFolder, outcome: Outcome) -> None:
     for warning in record.warnings:
         click.echo(f"warning: {warning}", err=True)
     click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
+    if words := go_on_words(record, folder.path):
+        click.echo(words, err=True)
+
+
+def write_page(folder: Path, record: RunRecord) -> None:
+    """Write the page of a run and say where it is; where it cannot be written, say that. Never raises."""
+    try:
+        click.echo(f"page: {write_run_report(folder, record)}")
+    except OSError as error:
+        click.echo(f"{folder}: the page of the run cannot be written: {error.strerror}", err=True)
+    except KeyboardInterrupt:
+        again = f"rig recover {shlex.quote(str(folder))}"
+        click.echo(f"{folder}: the page of the run is not finished; `{again}` writes it", err=True)

@@ -199,7 +199,7 @@ def test_the_operator_gives_up_at_the_second_prompt(runner: Any, fake_bench: Any
     folder, outcome = runner(bench, operator=GivesUp())
     assert outcome.ending is Ending.STOPPED
     assert bench.hung == [0.0]
-    assert [s.state for s in folder.record.stages] == ["done", "running"]
+    assert [s.state for s in folder.record.stages] == ["done", "stopped"]
     assert_safe_and_readable(runner, bench, folder, outcome)
     assert len(load_run(folder.path).recordings) == 2
 
