@@ -196,5 +196,5 @@ def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
     monkeypatch.setitem(identify.METHODS, "paper", refuses)
     with pytest.raises(InputError, match="too short; without --partial finished excitations alone are taken"):
         identify.identify_source(folder.path, ["paper"], None, 0, lambda *_: None, take_partial=True)
-    with pytest.raises(InputError, match="too short$"):
+    with pytest.raises(InputError, match=r"too short$"):
         identify.identify_source(folder.path, ["paper"], None, 0, lambda *_: None)
