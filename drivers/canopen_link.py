@@ -14,6 +14,7 @@ from drivers.can_port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
 from drivers.can_timing import ANSWER_SHARE
 from drivers.canopen_node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
 from drivers.clock import NS, Clock
+from drivers.eds_file import read_eds
 from drivers.emergency import explain
 from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
@@ -109,10 +110,7 @@ class CanopenLink(Link):
         """
         if not 1 <= node_id <= 127 or node_id == self.master_id or node_id in self._nodes:
             raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
-        try:
-            dictionary = canopen.import_od(str(eds), node_id)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"EDS file {eds} of node {node_id} cannot be read: {error}") from error
+        dictionary = read_eds(eds, node_id)
         node = CanopenNode(node_id, dictionary, self)
         self._network.add_node(node.remote)
         self._nodes[node_id] = node

@@ -96,9 +96,9 @@ def move(
                 servo.reset_fault()
             devices.prepare(bench.cycle_s)
             own = servo.read_limits()
-            require_within_own(wanted, own)
+            require_within_own(wanted, own, servo.limit_steps())
             servo.write_limits(wanted)
-            require_held(servo.read_limits(), wanted)
+            require_held(servo.read_limits(), wanted, servo.limit_steps())
             here = _enable(cycle, devices, bench)
             for angle in jog.angles:
                 _go(cycle, here, angle, jog.speed, bench.cycle_s)

@@ -240,12 +240,13 @@ class Sequencer:
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
         devices.prepare(plan.cycle_s)
+        steps = devices.servo.limit_steps()
         if self._own_limits is None:
             own = devices.servo.read_limits()
-            require_within_own(plan.servo_limits, own)
+            require_within_own(plan.servo_limits, own, steps)
             self._own_limits = own
         devices.servo.write_limits(plan.servo_limits)
-        require_held(devices.servo.read_limits(), plan.servo_limits)
+        require_held(devices.servo.read_limits(), plan.servo_limits, steps)
         self._recorder.event(self._cycle.now_ns, "stage start", stage=self._stage.name)
         return Event.DONE
 
