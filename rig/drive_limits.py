@@ -125,16 +125,10 @@ def require_held(held: ServoLimits, wanted: ServoLimits, steps: LimitSteps | Non
 
 
 def _list(rows: list[Row], first: str, second: str) -> str:
-    return "; ".join(f"{row.name} ({row.objects}): {_beside(row, first, second)}" for row in rows)
-
-
-def _beside(row: Row, first: str, second: str) -> str:
-    """Show both limits of a row, with as many digits as tell them apart."""
-    for digits in range(4, 17):
-        shown = show(row.field, row.first, digits), show(row.field, row.second, digits)
-        if shown[0] != shown[1]:
-            break
-    return f"{first} {shown[0]}, {second} {shown[1]}"
+    return "; ".join(
+        f"{row.name} ({row.objects}): {first} {show(row.field, row.first)}, {second} {show(row.field, row.second)}"
+        for row in rows
+    )
 
 
 def _looser(field: str, first: float | None, second: float | None, step: float) -> bool:
@@ -151,13 +145,16 @@ def _looser(field: str, first: float | None, second: float | None, step: float) 
     return not first <= second + margin
 
 
-def show(field: str, value: float | None, digits: int = 4) -> str:
-    """Return a limit as the bench file states it: degrees for angles, with its unit."""
+def show(field: str, value: float | None) -> str:
+    """Return a limit as the bench file states it: degrees for angles, with its unit.
+
+    Four digits tell any two limits apart that are not the same.
+    """
     if value is None:
         return "off"
     if field == "quick_stop_option":
         return f"{value:g}"
     unit = next(unit for _, _, name, unit, _ in _ROWS if name == field)
     if unit.startswith("rad"):
-        return f"{math.degrees(value):.{digits}g} {unit.replace('rad', 'deg')}"
-    return f"{value:.{digits}g} {unit}"
+        return f"{math.degrees(value):.4g} {unit.replace('rad', 'deg')}"
+    return f"{value:.4g} {unit}"
