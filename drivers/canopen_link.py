@@ -19,6 +19,8 @@ from drivers.emergency import explain
 from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
 
+MASTER_ID: Final = 0x7F
+"""Node identifier of this program's own heartbeat."""
 _FRAMES_KEPT: Final = 1 << 16
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
@@ -61,7 +63,7 @@ class CanopenLink(Link):
         clock: Clock,
         connect: Callable[[], FramePort],
         name: str = "CAN bus",
-        master_id: int = 0x7F,
+        master_id: int = MASTER_ID,
         sdo_timeout_s: float = 0.3,
     ) -> None:
         self.clock = clock

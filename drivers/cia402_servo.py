@@ -36,6 +36,8 @@ FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, _SUPPLY_EVERY))
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
 """The same where the torque offset is mapped."""
 TORQUE_OFFSET: Final = (0x60B2, 0)
+WATCH_S: Final = 0.1
+"""The drive stops by itself when it hears no heartbeat for so long, s."""
 _ABORT_IS_FAULT: Final = 1
 _POSITION: Final = (0x6064, 0)
 _TARGET: Final = (0x607A, 0)
@@ -74,7 +76,7 @@ class Cia402Servo(Servo):
         channel: ProcessChannel,
         link: Link,
         scales: ServoScales,
-        watch_s: float = 0.1,
+        watch_s: float = WATCH_S,
         state_timeout_s: float = 1.0,
         torque_offset: bool = False,
     ) -> None:

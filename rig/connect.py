@@ -40,6 +40,7 @@ _ENCODER_NODES = (2, 3)
 _OPTIONS: Mapping[str, Mapping[str, object]] = {"slcan": {"timeout": 1e-4}}
 """Of python-can's interfaces: by itself slcan waits a millisecond wherever nothing has come in."""
 
+NO_BUS = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
@@ -66,8 +67,7 @@ def connect(
     """
     bench = document.value
     if bench.bus is None:
-        text = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
-        raise InputError(document.problem(("bus",), text))
+        raise InputError(document.problem(("bus",), NO_BUS))
     twin: SimulatedBench | None = None
     hang: Hang | None
     link: Link
@@ -81,18 +81,18 @@ def connect(
     else:
         link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
-        drive = link.add_node(bench.servo.node, _eds(document, "servo"))
+        drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         scales = servo_scales(bench.servo, bench.machine.gear_ratio)
         servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
-        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, _eds(document, "pressure")))
+        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, eds_path(document, "pressure")))
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
-        node = link.add_node(bench.encoder.node, _eds(document, "encoder"))
+        node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     ignite = None if twin is None or pressure is None else twin.machine.ignite
     link.open()
@@ -112,7 +112,7 @@ def _epos(
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
-    eds, node = _eds(document, "servo"), bench.servo.node
+    eds, node = eds_path(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine.gear_ratio)
     guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
     link = epos_link(bus, twin, clock, guard)
@@ -176,16 +176,20 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
     if isinstance(bench.servo, DbcServoSection):
         found["servo.dbc"] = dbc_path(bench.servo, document.path)
     else:
-        found["servo.eds"] = _eds(document, "servo")
+        found["servo.eds"] = eds_path(document, "servo")
     if isinstance(bench.encoder, EncoderSection):
-        found["encoder.eds"] = _eds(document, "encoder")
+        found["encoder.eds"] = eds_path(document, "encoder")
     if bench.pressure is not None:
-        found["pressure.eds"] = _eds(document, "pressure")
+        found["pressure.eds"] = eds_path(document, "pressure")
     return found
 
 
-def _eds(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
-    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs."""
+def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
+    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs.
+
+    Raises:
+        InputError: A real device has none.
+    """
     bench = document.value
     named: str | None = getattr(bench, section).eds
     if named is not None:

@@ -127,7 +127,19 @@ def create_folder(path: Path) -> None:
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        occupied = next(path.iterdir(), None)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
+    require_unused(path)
+
+
+def require_unused(path: Path) -> None:
+    """Check that a folder is not there, or is empty; makes nothing.
+
+    Raises:
+        InputError: It is not empty, or cannot be looked into.
+    """
+    try:
+        occupied = next(path.iterdir(), None) if path.exists() else None
     except OSError as error:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:

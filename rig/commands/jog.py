@@ -16,6 +16,7 @@ from rig.cycle import Devices
 from rig.jog import move, plan_jog
 from rig.operator import StopButton
 from rig.places import require_file, write_asked
+from rig.preflight import require_startable
 from rig.progress import RunProgress
 from rig.provenance import utc_now
 from rig.sequencer import Ending, Outcome
@@ -54,6 +55,7 @@ def command(
     require_file(json_file, "--json")
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
+    require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
     with connect(document, seed, realtime) as devices, StopButton() as stop:
         outcome = None
         for batch in [angles] if angles else _asked():

@@ -8,13 +8,13 @@ import click
 
 from drivers.errors import LinkError
 from rig.aftermath import conclude
-from rig.calibration import require_current
 from rig.connect import connect
 from rig.errors import InputError
 from rig.feedforward import load_feedforward
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
 from rig.places import require_file
 from rig.plan import make_plan
+from rig.preflight import require_startable
 from rig.progress import RunProgress
 from rig.provenance import utc_now
 from rig.reference import load_reference
@@ -71,7 +71,7 @@ def command(
     for problem in resumed.mended:
         click.echo(problem)
     click.echo(stopped_words(resumed.record))
-    require_current(resumed.bench, utc_now().date())
+    require_startable(resumed.bench, utc_now().date(), lambda words: click.echo(words, err=True))
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record

@@ -8,21 +8,24 @@ import click
 
 from drivers.errors import LinkError
 from rig.aftermath import STATUS, conclude
-from rig.bench import load_bench
-from rig.calibration import require_current
-from rig.cli import DONE
+from rig.bench import Bench, load_bench
+from rig.cli import BAD_VERDICT, DONE
+from rig.configuration import Document
 from rig.connect import connect
+from rig.dry_run import describe_dry_run, dry_run_record
+from rig.dry_run import dry_run as compute_dry_run
 from rig.feedforward import load_feedforward
+from rig.friction_model import FrictionModel, friction_model
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
 from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
-from rig.places import require_file, require_folder
-from rig.plan import make_plan
-from rig.plan_text import describe
+from rig.places import require_file, require_folder, write_asked
+from rig.plan import Plan, make_plan
+from rig.preflight import require_startable
 from rig.progress import RunProgress
 from rig.provenance import utc_now
 from rig.reference import load_reference
-from rig.run import bench_constants, create_folder
+from rig.run import bench_constants, create_folder, require_unused
 from rig.sequence import load_sequence
 from rig.session import Inputs, execute
 
@@ -33,7 +36,7 @@ from rig.session import Inputs, execute
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty. [default: runs/<utc>-<name>]")
 @click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
-@click.option("--dry-run", is_flag=True, help="Print the plan; connect to nothing, move nothing.")
+@click.option("--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
 @click.option(
     "--faults",
@@ -67,7 +70,12 @@ from rig.session import Inputs, execute
     type=click.FloatRange(min=0, min_open=True),
     help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of the bench file]",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(path_type=Path),
+    help="Also write run.json to this file, or what --dry-run finds.",
+)
 def command(
     sequence: str,
     bench: str,
@@ -108,16 +116,16 @@ def command(
     plan = make_plan(sequence_file, bench_file, low, feedforward)
     if feedforward is not None and feedforward.remark:
         click.echo(feedforward.remark, err=True)
-    if dry_run:
-        click.echo(describe(plan))
-        return DONE
     path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
-    require_current(bench_file, utc_now().date())
+    require_unused(path)
+    require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
+    if dry_run:
+        return _dry_run(bench_file, plan, friction_model(constants, identification or feedforward_file), yes, json_file)
     with (
         connect(
             bench_file, seed, realtime, None if saboteur is None else saboteur.attach, feedforward is not None
@@ -136,3 +144,10 @@ def command(
     if saboteur is not None:
         click.echo(describe_findings(saboteur.conclude(STATUS[outcome.ending], outcome.message)))
     return status
+
+
+def _dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, yes: bool, json_file: Path | None) -> int:
+    computed = compute_dry_run(bench, plan, model, asks=not yes)
+    click.echo(describe_dry_run(computed))
+    write_asked(json_file, dry_run_record(computed))
+    return BAD_VERDICT if computed.problems else DONE
