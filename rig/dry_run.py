@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 from rig.bench import Bench
-from rig.bench_text import Watcher, bench_line, watcher_of
+from rig.bench_text import Watcher, watcher_of
 from rig.configuration import Document
 from rig.friction_model import FrictionModel
-from rig.plan import Plan, PlannedStage
+from rig.plan import Plan
 from rig.plan_text import describe
-from rig.predicted_load import WARNING_SHARE, PredictedPeak, predicted_peaks
+from rig.predicted_load import WARNING_SHARE, PredictedPeak, moves_to_start, predicted_peaks
 from rig.provenance import utc_now, versions
-from rig.sequence import approach
 from rig.tables import percent, table
 
 SCHEMA = "loadrig.dry_run/1"
@@ -102,20 +101,10 @@ def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool
         asks: Whether somebody has to answer the prompts.
     """
     prompts = len(plan.stages) if asks else 0
-    duration = Duration(plan.duration_s, sum(_moves_s(stage, plan) for stage in plan.stages), prompts)
+    cycles = sum(len(move) for stage in plan.stages for move in moves_to_start(stage, plan))
+    duration = Duration(plan.duration_s, cycles * plan.cycle_s, prompts)
     peaks = predicted_peaks(plan, bench.value, model)
     return DryRun(bench, plan, model, peaks, watcher_of(bench.value), duration)
-
-
-def _moves_s(stage: PlannedStage, plan: Plan) -> float:
-    """Return how long the moves to the start of each part of a stage take, s, the first of them from 0 deg."""
-    parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
-    ends = [0.0, *(float(targets[-1]) for targets in parts)]
-    moves = (
-        approach(end, float(targets[0]), plan.approach_speed, plan.cycle_s)
-        for end, targets in zip(ends, parts, strict=False)
-    )
-    return sum(len(move) for move in moves) * plan.cycle_s
 
 
 def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
@@ -132,7 +121,7 @@ def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
 
 
 def describe_dry_run(run: DryRun) -> str:
-    """Return everything for the terminal, the bench first."""
+    """Return everything for the terminal."""
     head = ["stage", "part", "peak N m", "limit N m", "share", "peak A", "limit A", "share"]
     rows = [
         [
@@ -148,7 +137,6 @@ def describe_dry_run(run: DryRun) -> str:
         for peak in run.peaks
     ]
     lines = [
-        bench_line(run.bench),
         describe(run.plan),
         "",
         f"Predicted from {run.model.source}. {NOT_PREDICTED}",

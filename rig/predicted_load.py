@@ -13,7 +13,7 @@ from rig.friction_model import FrictionModel
 from rig.hot_fire import steady_force
 from rig.plan import Plan, PlannedStage
 from rig.safety import Limits
-from rig.sequence import Array
+from rig.sequence import Array, approach
 
 WARNING_SHARE = 0.8
 """Share of a limit beyond which a predicted peak is warned of."""
@@ -77,8 +77,24 @@ def _peaks(stage: PlannedStage, plan: Plan, bench: Bench, model: FrictionModel) 
         fastest = stage.peak_speed_rad_s
         breaking = _at_speed(0.0, moments, model) + model.values["J"] * fastest / LOOP_S
         torque = max(breaking, _at_speed(fastest, moments, model))
-    torque = max(torque, _at_speed(plan.approach_speed, moments[:1], model))
+    for move in moves_to_start(stage, plan):
+        held = np.full(len(move), np.max(moments[:1], initial=0.0))
+        torque = max(torque, peak_torque(move, plan.cycle_s, held, model))
     yield _peak(stage.name, "stage", torque, plan.limits)
+
+
+def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
+    """Return the joint angles of each move to the start of a part of a stage, rad, the first of them from 0.
+
+    Empty where the joint is at the start already.
+    """
+    parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
+    moves, here = [], 0.0
+    for targets in parts:
+        move = approach(here, float(targets[0]), plan.approach_speed, plan.cycle_s)
+        moves += [np.concatenate([[here], move])] if len(move) else []
+        here = float(targets[-1])
+    return moves
 
 
 def _peak(stage: str, part: str, torque: float, limits: Limits) -> PredictedPeak:

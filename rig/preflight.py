@@ -86,10 +86,13 @@ def device_findings(
         yield Finding(Cause.STATE, str(error))
     elif state is ServoState.FAULT and not reset_fault:
         yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
-    yield from _refused(Cause.DRIVE, servo.refusals(cycle_s))
+    settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
+    yield from settings
     yield from _refused(Cause.ENCODER, devices.encoder.refusals(cycle_s))
     if devices.pressure is not None:
         yield from _refused(Cause.PRESSURE, devices.pressure.refusals(cycle_s))
+    if settings:
+        return  # limits in units that are not the drive's say nothing
     try:
         require_within_own(wanted, servo.read_limits(), servo.limit_steps())
     except ConfigurationError as refused:

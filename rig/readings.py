@@ -107,7 +107,9 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
         (readings.supply_V, calm._replace(supply_voltage=readings.supply_V)),
     ]
     if pressure is not None:
-        shown.append((pressure, calm._replace(pressure=pressure)))
+        # What it presses with depends on where the valve is; an angle beyond its limit has been judged above.
+        at = angle if limits.angle_min <= angle <= limits.angle_max else calm.angle
+        shown.append((pressure, calm._replace(pressure=pressure, angle=at, motor_angle=at * gear)))
     for value, sample in shown:
         if not math.isnan(value) and (trip := check(sample, 0.0, 0.0, limits)) is not None:
             yield Finding(Cause.READINGS, trip.now)

@@ -11,7 +11,9 @@ import numpy as np
 
 from drivers.mock.plant import constants
 
-_BISECTIONS = 40
+_BISECTIONS = 60
+_ADVISED_SHARE = 0.5
+"""Of the gain at the edge of stability: a gain margin of 6 dB."""
 
 
 def unstable_current_loop(machine: constants.Machine) -> str | None:
@@ -31,14 +33,11 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     if radius < 1.0:
         return None
     motor, loops = machine.motor, machine.loops
-    stable = _greatest_stable_gain(machine)
-    remedy = (
-        "raise rate_Hz, or lower current_integral_1_s" if stable is None else f"lower it to {0.5 * stable:.2g} or less"
-    )
+    advised = _ADVISED_SHARE * _greatest_stable_gain(machine)
     return (
         f"with {motor.inductance_H:g} H and {motor.resistance_ohm:g} ohm at {loops.rate_Hz:g} Hz the current loop of "
-        f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each period); {remedy}: it "
-        "would trip on current or torque as a jam does"
+        f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each period), and may trip on "
+        f"current or torque as a jam does; lower it to {advised:.2g} or less, or raise rate_Hz"
     )
 
 
@@ -55,10 +54,10 @@ def _radius(machine: constants.Machine, gain: float) -> float:
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 
 
-def _greatest_stable_gain(machine: constants.Machine) -> float | None:
-    """Return the gain at the edge of stability, V/A; None where no gain is stable."""
+def _greatest_stable_gain(machine: constants.Machine) -> float:
+    """Return the gain at the edge of stability, V/A; below it all are stable."""
     low, high = 0.0, machine.loops.current_gain_V_A
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if _radius(machine, middle) < 1.0 else (low, middle)
-    return low if low > 0.0 else None
+    return low

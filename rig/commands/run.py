@@ -9,6 +9,7 @@ import click
 from drivers.errors import LinkError
 from rig.aftermath import STATUS, conclude
 from rig.bench import Bench, load_bench
+from rig.bench_text import bench_line
 from rig.cli import BAD_VERDICT, DONE
 from rig.configuration import Document
 from rig.connect import connect
@@ -110,6 +111,7 @@ def command(
     """
     require_file(json_file, "--json")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    click.echo(bench_line(bench_file))
     constants = bench_constants(bench_file.value)
     feedforward = None if feedforward_file is None else load_feedforward(feedforward_file, constants)
     low = True if first_pass is None and identification else first_pass
