@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
@@ -11,8 +11,9 @@ from drivers.canopen_link import CanopenLink
 from drivers.clock import NS
 from drivers.dbc_channel import DbcChannel, Slot
 from drivers.dbc_wiring import Wiring
-from drivers.errors import ConfigurationError, LinkError
+from drivers.errors import ConfigurationError
 from drivers.interfaces import RawFrame
+from drivers.port_errors import close_all
 
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
@@ -68,13 +69,13 @@ class DbcLink(CanopenLink):
         return _RESERVED.get(identifier, "")
 
     def close(self) -> None:
-        """Send each drive that was commanded its stop frame, close the bus; safe to call twice and after a failure."""
-        if self._port is not None:
-            for channel in self._channels:
-                if channel.commanded:
-                    with suppress(LinkError):
-                        self.send(*channel.wiring.stop_frame)
-        super().close()
+        """Send each drive that was commanded its stop frame, then close the bus.
+
+        Safe to call twice and after a failure. Raises nothing.
+        """
+        commanded = [channel for channel in self._channels if channel.commanded] if self._port is not None else []
+        stops = [partial(self.send, *channel.wiring.stop_frame) for channel in commanded]
+        close_all(*stops, super().close)
 
     def exchange(self) -> None:
         """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the cycle.

@@ -140,7 +140,7 @@ class RawFrame(NamedTuple):
 
 
 class Link(ABC):
-    """A bus or port with the devices on it, exchanged once a cycle.
+    """A bus or port with the devices on it, exchanged once a cycle. Its methods raise nothing but DeviceError.
 
     Attributes:
         clock: Real or simulated; goes with the bus.
@@ -160,7 +160,7 @@ class Link(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the bus; safe to call twice and after a failure."""
+        """Close the bus; safe to call twice and after a failure. Raises nothing."""
 
     @abstractmethod
     def exchange(self) -> None:

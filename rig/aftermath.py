@@ -6,15 +6,15 @@ import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 
-import click
-
-from rig.cli import BAD_VERDICT, DEVICE_FAILED, DONE, STOPPED
+from rig.cli import BAD_VERDICT, CRASHED, DEVICE_FAILED, DONE, STOPPED
+from rig.errors import StorageError
 from rig.label_check import comparable, off_label
 from rig.places import write_asked
 from rig.reference import Reference
 from rig.run import RunFolder, load_run
 from rig.run_record import RunRecord
 from rig.run_report import write_run_report
+from rig.screen import Screen
 from rig.sequencer import Ending, Outcome
 from rig.tables import table
 from rig.timing import summary
@@ -24,14 +24,20 @@ STATUS: Mapping[Ending, int] = {
     Ending.TRIPPED: BAD_VERDICT,
     Ending.STOPPED: STOPPED,
     Ending.FAILED: DEVICE_FAILED,
+    Ending.CRASHED: CRASHED,
 }
 
 
-def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None) -> int:
-    """Check the labels, write the page of the run, tell the operator, and return the exit status.
+def conclude(
+    folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None, screen: Screen
+) -> int:
+    """Check the labels, write the page of the run, tell the operator the rest, and return the exit status.
+
+    How the run ended was shown and written down before; nothing here can hide it.
 
     Raises:
         InputError: ``json_file`` cannot be written.
+        BaseException: What nobody foresaw during the run.
     """
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
@@ -39,10 +45,13 @@ def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, j
         if wrong:
             folder.save()
         write_run_report(folder.path, record)
-    except OSError as error:
-        click.echo(f"{folder.path}: the page of the run cannot be written: {error.strerror}", err=True)
-    _tell(folder, outcome)
+    except (OSError, StorageError) as error:
+        screen.say(f"{folder.path}: the page of the run cannot be written: {error}")
+    _tell(folder, screen)
+    screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
+    if outcome.error is not None:
+        raise outcome.error
     return BAD_VERDICT if wrong else STATUS[outcome.ending]
 
 
@@ -66,13 +75,11 @@ def _worth_reading(record: RunRecord) -> bool:
     return len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
 
 
-def _tell(folder: RunFolder, outcome: Outcome) -> None:
+def _tell(folder: RunFolder, screen: Screen) -> None:
     record = folder.record
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
-    click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
+    screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
     part = record.parts[-1]
-    click.echo(f"{part.cycles} cycles; recorded in {folder.recording}")
-    click.echo(summary(part.timing))
+    screen.say(f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False)
     for warning in record.warnings:
-        click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
+        screen.say(f"warning: {warning}")

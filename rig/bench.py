@@ -174,9 +174,13 @@ class Calibration(Schema):
 class Bench(Schema):
     """One bench, as written in its file.
 
-    ``overdue_calibration`` says what a run does where the day of a calibration has passed, ``prompt_timeout_s`` how
-    long an answer of the operator is waited for; null is for ever. ``weights_kg`` are the masses that can be hung
-    on the lever; a planned experiment chooses from them. ``pressure`` and ``gas_generator`` are for hot firings.
+    ``overdue_calibration`` says what a run does where the day of a calibration has passed,
+    ``prompt_timeout_s`` how long an answer of the operator is waited for; null is for ever.
+    ``weights_kg`` are the masses that can be hung on the lever; a planned experiment chooses from
+    them. ``weight_tolerance`` is the share of the planned mass by which the one that the operator
+    types may differ. ``weights_hung_by: hoist`` says that a machine hangs the weights and that what
+    it hung is certain, so that ``--yes`` may answer the prompts of a real bench. ``pressure`` and
+    ``gas_generator`` are for hot firings.
     """
 
     bench: Literal[1]
@@ -198,6 +202,8 @@ class Bench(Schema):
     cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
     limits: LimitsSection
     weights_kg: tuple[Positive, ...] = ()
+    weight_tolerance: Annotated[float, Field(gt=0, le=0.05)] = 0.005
+    weights_hung_by: Literal["operator", "hoist"] = "operator"
     calibrations: tuple[Calibration, ...] = ()
     overdue_calibration: Literal["warn", "refuse"] = "warn"
     prompt_timeout_s: Positive | None = None

@@ -13,7 +13,7 @@ import click
 
 from drivers.errors import DeviceError
 from rig.allocation import keep_freed_memory
-from rig.errors import InputError
+from rig.errors import InputError, InUseError, StorageError
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "run": ("rig.commands.run:command", "Run a sequence on a bench."),
@@ -36,7 +36,7 @@ GARBAGE_THRESHOLD = 200_000
 """Allocations between two garbage collections. What importing allocates stays for good, and the default of 700 would
 walk over it again and again: a tenth of a second of every command."""
 
-DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED = 0, 1, 2, 3, 4
+DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
 
 
 class LazyGroup(click.Group):
@@ -110,7 +110,13 @@ def status(arguments: list[str]) -> int:
     except (KeyboardInterrupt, click.Abort):
         click.echo("stopped by the operator", err=True)
         return STOPPED
+    except InUseError as error:
+        click.echo(f"in use: {error}", err=True)
+        return DEVICE_FAILED
     except DeviceError as error:
         click.echo(f"device error: {error}", err=True)
+        return DEVICE_FAILED
+    except StorageError as error:
+        click.echo(f"storage error: {error}", err=True)
         return DEVICE_FAILED
     return result if isinstance(result, int) else DONE

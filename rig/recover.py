@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.errors import InputError
+from rig.locks import hold_folder
 from rig.mcap_layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.mcap_reader import Log
 from rig.places import write_json
@@ -34,15 +35,36 @@ class Recovery:
         damage: What was wrong with each file that was damaged, beginning with its name.
         samples: How many samples there are now.
         record: ``run.json`` as it stands now.
+        taken_over: Who had left the folder locked, in words; None for nobody.
     """
 
     damage: tuple[str, ...]
     samples: int
     record: RunRecord
+    taken_over: str | None = None
 
 
-def recover(folder: Path) -> Recovery:
+def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
+    """Lock a run folder meanwhile, and :func:`mend` it.
+
+    Args:
+        folder: The run.
+        purpose: The command that does it, as whoever finds the folder in use is told.
+
+    Raises:
+        InputError: There is no readable recording, or an earlier recovery is in the way.
+        InUseError: The run is still going, or another program works on it.
+        StorageError: The folder cannot be locked.
+        OSError: The folder cannot be written.
+    """
+    with hold_folder(folder, purpose) as lock:
+        return dataclasses.replace(mend(folder), taken_over=lock.taken_over)
+
+
+def mend(folder: Path) -> Recovery:
     """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``. A whole run is left alone.
+
+    The caller holds the folder.
 
     Raises:
         InputError: There is no readable recording, or an earlier recovery is in the way.

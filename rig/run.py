@@ -12,7 +12,8 @@ from identification.recording import Bench as BenchConstants
 from rig import clocks, run_samples
 from rig.alignment import aligned
 from rig.bench import Bench
-from rig.errors import InputError
+from rig.errors import InputError, StorageError
+from rig.locks import OWNER_FILE, Lock, hold_folder
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
@@ -45,9 +46,20 @@ class RunFolder:
         """Replace ``run.json`` as a whole, so that no reader ever sees half of it.
 
         Raises:
-            OSError: It cannot be written; the last version is kept.
+            StorageError: It cannot be written; the last version is kept.
         """
-        write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        try:
+            write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        except OSError as error:
+            reason = error.strerror or str(error)
+            text = f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
+            raise StorageError(text) from error
+
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """Write the ending down the moment it is known."""
+        record = self.record
+        record.state, record.message, record.de_energised = state, message, de_energised
+        self.save()
 
     def stage_started(self, index: int) -> None:
         """Note that a stage begins; what it left behind before is not used any more."""
@@ -119,32 +131,46 @@ def bench_constants(bench: Bench) -> BenchConstants:
     )
 
 
-def create_folder(path: Path) -> None:
-    """Make the folder of a new run.
+def create_folder(path: Path, purpose: str) -> Lock:
+    """Make the folder of a new run, and lock it; whoever gets the lock releases it.
+
+    Args:
+        path: The folder.
+        purpose: The command that makes it, as whoever finds it in use is told.
 
     Raises:
         InputError: It exists and is not empty, or cannot be made.
+        InUseError: Another program uses it.
+        StorageError: It cannot be locked.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
-    require_unused(path)
+    lock = hold_folder(path, purpose)
+    try:
+        # Looked at under the lock, so that of two programs only one can find it empty.
+        require_unused(path)
+    except BaseException:
+        lock.release()
+        raise
+    return lock
 
 
 def require_unused(path: Path) -> None:
-    """Check that a folder is not there, or is empty; makes nothing.
+    """Check that a folder is not there, or that there is nothing in it but for the lock; makes nothing.
 
     Raises:
         InputError: It is not empty, or cannot be looked into.
     """
     try:
-        occupied = next(path.iterdir(), None) if path.exists() else None
+        items = path.iterdir() if path.exists() else ()
+        occupied = next((item.name for item in items if item.name != OWNER_FILE), None)
     except OSError as error:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:
         raise InputError(
-            f"{path}: not empty (holds {occupied.name}); give --out a new folder, so that no run is overwritten"
+            f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is overwritten"
         )
 
 

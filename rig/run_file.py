@@ -135,8 +135,8 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
             yield ("segments", index, "stage_index"), f"there are {len(record.stages)} stages, numbered from 0"
         elif segment.stage != record.stages[segment.stage_index].stage:
             yield ("segments", index, "stage"), "differs from its stage's"
-        elif segment.weight_kg != record.stages[segment.stage_index].weight_kg:
-            yield ("segments", index, "weight_kg"), "differs from its stage's"
+        elif segment.kept and segment.weight_kg != record.stages[segment.stage_index].mass_kg:
+            yield ("segments", index, "weight_kg"), "differs from its stage's confirmed mass"
         if not 1 <= segment.part <= len(record.parts):
             yield ("segments", index, "part"), f"there are {len(record.parts)} recordings, numbered from 1"
 

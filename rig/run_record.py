@@ -38,6 +38,11 @@ class StageRecord:
     confirmed_kg: float | None = None
     role: Role = "fit"
 
+    @property
+    def mass_kg(self) -> float:
+        """The mass that was confirmed, or the planned one where none was yet, kg."""
+        return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
+
     def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
         """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
         name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
@@ -45,7 +50,7 @@ class StageRecord:
             index,
             name,
             self.stage,
-            self.weight_kg,
+            self.mass_kg,
             start,
             self.samples,
             stage_index=stage_index,

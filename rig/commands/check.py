@@ -11,6 +11,7 @@ from rig.bench_text import bench_line, watcher
 from rig.check import describe, examine, require_connectable
 from rig.cli import BAD_VERDICT, DONE
 from rig.connect import connect
+from rig.ownership import say_taken_over
 from rig.places import require_file, write_asked
 
 
@@ -33,7 +34,8 @@ def command(bench: str, seed: int, json_file: Path | None) -> int:
     document = load_bench(bench)
     click.echo(bench_line(document))
     found = require_connectable(document)
-    with connect(document, seed, realtime=False) as devices:
+    with connect(document, seed, realtime=False, purpose="rig check") as devices:
+        say_taken_over(devices.lock)
         findings, readings = examine(document, devices, seed, found)
         watching = watcher(devices)
     click.echo(describe(findings, readings, watching))

@@ -31,6 +31,8 @@ def command(run: Path, json_file: Path | None) -> int:
         recovery = recover(run)
     except OSError as error:
         raise InputError(f"{run}: cannot be written: {error.strerror}") from error
+    if recovery.taken_over is not None:
+        click.echo(recovery.taken_over, err=True)
     if not recovery.damage:
         click.echo(f"recording whole: {recovery.samples} samples")
     for problem in recovery.damage:

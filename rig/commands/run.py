@@ -2,40 +2,44 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 
-from drivers.errors import LinkError
 from rig.aftermath import STATUS, conclude
+from rig.attendance import connected, require_attendance
 from rig.bench import Bench, load_bench
 from rig.bench_text import bench_line
 from rig.cli import BAD_VERDICT, DONE
 from rig.configuration import Document
-from rig.connect import connect
 from rig.dry_run import describe_dry_run, dry_run_record
 from rig.dry_run import dry_run as compute_dry_run
 from rig.feedforward import load_feedforward
 from rig.friction_model import FrictionModel, friction_model
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
-from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.operator import AutomaticOperator, ConsoleOperator
+from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file, require_folder, write_asked
 from rig.plan import Plan, make_plan
 from rig.preflight import require_startable
 from rig.progress import RunProgress
+from rig.prompt import at_terminal
 from rig.provenance import utc_now
 from rig.reference import load_reference
 from rig.run import bench_constants, create_folder, require_unused
+from rig.screen import Screen
 from rig.sequence import load_sequence
 from rig.session import Inputs, execute
+from rig.stop_button import StopButton
 
 
 @click.command("run")
 @click.argument("sequence")
 @click.option("--bench", default="practical", show_default=True, help="Bench file, or the name of a packaged one.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty. [default: runs/<utc>-<name>]")
-@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
+@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
 @click.option("--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
@@ -126,23 +130,24 @@ def command(
     inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
+    require_attendance(plan, bench_file, yes, dry_run or at_terminal())
     if dry_run:
         return _dry_run(bench_file, plan, friction_model(constants, identification or feedforward_file), yes, json_file)
-    with (
-        connect(
-            bench_file, seed, realtime, None if saboteur is None else saboteur.attach, feedforward is not None
-        ) as devices,
-        StopButton() as stop,
-    ):
-        create_folder(path)
-        operator = AutomaticOperator() if yes else ConsoleOperator(patience_s)
-        carry_out = execute if saboteur is None else saboteur.execute
-        with RunProgress(plan.cycle_s, plan.duration_s) as progress:
-            try:
+    screen = Screen()
+    with closing(screen), StopButton(screen.say) as stop:
+        attach = None if saboteur is None else saboteur.attach
+        with connected(stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run") as devices:
+            say_taken_over(devices.lock, screen)
+            until_the_end(create_folder(path, "rig run"))
+            operator = (
+                AutomaticOperator(screen=screen)
+                if yes
+                else ConsoleOperator(screen, patience_s=patience_s, tolerance=bench_file.value.weight_tolerance)
+            )
+            carry_out = execute if saboteur is None else saboteur.execute
+            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
-            except OSError as error:
-                raise LinkError(f"{path}: the recording cannot be started: {error.strerror}; nothing moved") from error
-    status = conclude(folder, outcome, reference, json_file)
+        status = conclude(folder, outcome, reference, json_file, screen)
     if saboteur is not None:
         click.echo(describe_findings(saboteur.conclude(STATUS[outcome.ending], outcome.message)))
     return status

@@ -34,7 +34,7 @@ from rig.tables import number, table
 from rig.timing import summary
 from rig.truth import true_parameters
 
-PROMPT = "Mass on the lever now, kg: "
+PROMPT = "Mass on the lever, kg: "
 
 
 def quietly(*words: str) -> None:

@@ -24,12 +24,13 @@ from rig.cli import COMMANDS, status
 from rig.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.mcap_layout import decode_frames
 from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator, StopButton
+from rig.operator import AutomaticOperator
 from rig.packaged import resolve
 from rig.progress import RunProgress
 from rig.run import load_run, read_record
 from rig.session import execute
 from rig.sources import load_source
+from rig.stop_button import StopButton
 
 
 @pytest.fixture(autouse=True)

@@ -14,10 +14,11 @@ from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
 from rig.mcap_reader import read_run
 from rig.mcap_writer import McapWriter
-from rig.operator import AutomaticOperator, OperatorStopError, StopButton
+from rig.operator import AutomaticOperator
 from rig.phases import TRANSITIONS, Event, Phase, next_phase
 from rig.run import load_run, read_record
 from rig.sequencer import Ending
+from rig.stop_button import OperatorStopError, StopButton
 
 
 def throw(error: BaseException) -> Callable[[], None]:
@@ -263,12 +264,16 @@ def test_a_full_disk(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPat
 def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
     bench.faults["exchange", 700] = throw(ZeroDivisionError("a defect"))
-    with pytest.raises(ZeroDivisionError):
-        runner(bench)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.CRASHED
+    assert isinstance(outcome.error, ZeroDivisionError)
+    assert outcome.safe.verified
+    assert "the program broke down (ZeroDivisionError: a defect); the drive is de-energised" in outcome.message
     assert bench.drive_state is ServoState.SWITCH_ON_DISABLED
-    assert bench.order[-1] == "state"
+    assert bench.order[-2:] == ["state", "write_limits"]
     assert read_run(runner.folder / "recording.mcap").damage is None
-    assert read_record(runner.folder).state == "failed"
+    record = read_record(runner.folder)
+    assert (record.state, record.de_energised) == ("crashed", True)
 
 
 def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
