@@ -1,4 +1,7 @@
-"""``rig check``: what a bench is, shows and holds, and whether a run would refuse it. Nothing is written or moved."""
+"""``rig check``: what a bench is, shows and holds, and whether a run would refuse it.
+
+Nothing is written, energised or moved.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from rig.tables import table
 
 SCHEMA = "loadrig.check/1"
 _UNSET_RAD = 2000.0 * math.pi
-"""A drive in which nothing was set holds the ends of its range; a thousand joint turns (a second) are no limit."""
+"""A drive in which nothing was set holds the ends of its range: more than this is no limit."""
 
 
 def require_connectable(document: Document[Bench]) -> list[Finding]:
@@ -132,7 +135,7 @@ def _devices(found: dict[str, Any]) -> str:
 
 
 def _limits(found: dict[str, Any]) -> str:
-    """Return the limits side by side; a run writes the bench's into the drive, and the drive's own back."""
+    """Return the limits of drive and bench file side by side."""
     held = found["limits"]
     return table(
         ["limit", "drive holds now", "bench file", "unit"],

@@ -1,4 +1,4 @@
-"""Node identifiers and device files of a bench, checked without a bus: devices are declared on a link never opened."""
+"""Node identifiers and device files of a bench, checked on a link that is never opened."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``rig run --dry-run``: what a run would do and ask of the bench, without connecting to anything."""
+"""``rig run --dry-run``: what a run would do and ask of the bench, without connecting to it."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ SCHEMA = "loadrig.dry_run/1"
 PROMPT_S = 60.0
 """Time that is assumed for hanging a weight and answering its prompt, s."""
 NOT_PREDICTED = (
-    "What the drive's own loops add where the joint breaks away, sticks and slips is not in it: on the simulated "
-    "benches that is up to a fifth."
+    "What the drive's loops add where the joint breaks away, sticks and slips is not in it; on the "
+    "simulated benches that is up to a fifth."
 )
 
 

@@ -1,7 +1,8 @@
-"""The friction and inertia that a run is predicted with: an identification of the bench, or the paper's values."""
+"""Friction and inertia to predict a run with: an identification of the bench, or the paper's values."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -47,7 +48,7 @@ def friction_model(bench: BenchConstants, named: Path | None = None, runs: Path 
     Args:
         bench: Its constants.
         named: Result of ``rig identify --json`` to use.
-        runs: Where to look for the newest one otherwise, of a run on a bench with the same constants.
+        runs: Where to look otherwise for the newest one of a bench with the same constants.
 
     Raises:
         InputError: ``named`` cannot be read, or is no such result.
@@ -66,6 +67,34 @@ def friction_model(bench: BenchConstants, named: Path | None = None, runs: Path 
     )
     arm = bench.moment_arm or 0.0
     return FrictionModel(NOMINAL, NOMINAL_ALPHA, arm, moment_per_kg(bench), words, measured=False)
+
+
+def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
+    """Return a warning where an identification lies beside a run on a bench of other constants.
+
+    Args:
+        path: Result of ``rig identify --json``.
+        bench: Constants of the bench that it is to be used on.
+    """
+    try:
+        recorded = recorded_bench(read_record(path.parent))
+    except InputError:
+        return None  # not beside a run: nothing is known of its bench
+    if recorded == bench:
+        return None
+    differing = [
+        f"{field.name} {_shown(getattr(recorded, field.name))}, here {_shown(getattr(bench, field.name))}"
+        for field in dataclasses.fields(bench)
+        if getattr(recorded, field.name) != getattr(bench, field.name)
+    ]
+    return (
+        f"{path}: identified on a bench of other constants ({'; '.join(differing)}); "
+        "identify a run on this bench, or check the bench file"
+    )
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float | int) else "other" if value is not None else "none"
 
 
 def _newest_first(runs: Path) -> list[Path]:

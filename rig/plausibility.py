@@ -1,4 +1,4 @@
-"""Are the constants of a bench file physically plausible? A moment arm of 95 m is a moment arm in millimetres."""
+"""Are the constants of a bench file physically plausible? A moment arm of 95 m was given in millimetres."""
 
 from __future__ import annotations
 

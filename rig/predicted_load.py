@@ -1,4 +1,4 @@
-"""What the stages of a plan will ask of motor and gear: peak torque and current, by eq. 9 to 13 and the inertia."""
+"""Peak torque and current of the stages of a plan, from friction and load (eq. 9 to 13) and inertia."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rig.sequence import Array, approach
 WARNING_SHARE = 0.8
 """Share of a limit beyond which a predicted peak is warned of."""
 LOOP_S = 0.005
-"""Time over which a stiff drive spreads a step of the commanded speed, s; softer ones take longer, and less torque."""
+"""Time in which a stiff drive makes a step of the commanded speed, s; a softer one takes less torque."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ def _peaks(stage: PlannedStage, plan: Plan, bench: Bench, model: FrictionModel) 
 
 
 def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
-    """Return the joint angles of each move to the start of a part of a stage, rad, the first of them from 0.
+    """Return the joint angles of each move to the start of a part of a stage, rad.
 
-    Empty where the joint is at the start already.
+    The first is from 0. A part that begins where the joint is has none.
     """
     parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
     moves, here = [], 0.0
@@ -105,8 +105,8 @@ def _peak(stage: str, part: str, torque: float, limits: Limits) -> PredictedPeak
 def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionModel) -> float:
     """Return the greatest torque at the joint while it follows commanded angles, N m.
 
-    It breaks away from rest against the static friction, and follows against friction, working load and inertia
-    (eq. 15). What feedback adds to that, as where the joint sticks and slips, is not predicted.
+    It breaks away from rest against the static friction, and follows against friction, working load
+    and inertia (eq. 15). What feedback adds, as where the joint sticks and slips, is not predicted.
 
     Args:
         angle: Commanded joint angles, rad, one a cycle, shape (n,), at least two.
@@ -130,8 +130,8 @@ def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:
 
 
 def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
-    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static friction at rest."""
-    # The sign of eq. 9 and 12 is 0 at rest; the smallest speed there is has that of the motion to come.
+    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static at rest."""
+    # The sign of eq. 9 and 12 is 0 at rest; the smallest speed has the sign of the motion to come.
     speed = np.maximum(speed, np.finfo(np.float64).tiny)
     return np.asarray(
         system_friction(speed, model.values, model.alpha) + moments * load_coefficient(speed, model.values, model.alpha)
@@ -139,7 +139,7 @@ def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
 
 
 def _acceleration(speed: Array, cycle_s: float) -> Array:
-    """Return the acceleration that the drive makes of commanded speeds, rad/s^2, shape (n,): their mean slope."""
+    """Return the mean slope of commanded speeds over :data:`LOOP_S`, rad/s^2, shape (n,)."""
     half = max(1, round(0.5 * LOOP_S / cycle_s))
     held = np.concatenate([np.zeros(half), speed, np.zeros(half)])
     return np.asarray((held[2 * half :] - held[: -2 * half]) / (2 * half * cycle_s))

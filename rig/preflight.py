@@ -1,7 +1,7 @@
-"""The checks before a run, in one list: those that need only the bench file, and those that need its devices.
+"""The checks before a run, in one list: those of the bench file, and those of the devices.
 
-``rig run``, ``resume`` and ``jog`` refuse what these find, ``rig check`` and ``rig run --dry-run`` report it, all in
-the same words. A check that needs a write into a device is left to the run.
+``rig run``, ``resume`` and ``jog`` refuse what these find; ``rig check`` and ``rig run --dry-run``
+report it in the same words. A check that needs a write into a device is left to the run.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def require_startable(document: Document[Bench], today: date, warn: Callable[[st
 def device_findings(
     devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
 ) -> Iterator[Finding]:
-    """Yield what a run with these limits would refuse of the devices, as far as reading tells. Writes nothing.
+    """Yield what a run with these limits would refuse of the devices. Reads, and writes nothing.
 
     Args:
         devices: On an opened link; not prepared.
@@ -118,7 +118,7 @@ def require_ready(devices: Devices, wanted: ServoLimits, cycle_s: float, reset_f
 
 
 def energised(state: ServoState) -> StateError | None:
-    """Return why no weight may be asked for in this state of the drive; None where it is de-energised."""
+    """Return why no weight may be asked for in this state of the drive; None if it is off."""
     if not state.energised:
         return None
     return StateError(f"the drive is in {state.value!r} before the weight prompt; it must be de-energised")

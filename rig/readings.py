@@ -1,4 +1,4 @@
-"""What the devices of a bench show now, read without preparing them, and whether a run could begin like this."""
+"""What the devices of a bench show, read without preparing them, and whether a run could begin so."""
 
 from __future__ import annotations
 
@@ -93,8 +93,8 @@ def take_readings(devices: Devices, gear_ratio: float) -> Readings:
 def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
     """Yield the readings with which a run would end as soon as the drive is enabled.
 
-    Each is judged by the check of a run, :func:`rig.safety.check`, with all others well inside their limits. What is
-    not available is not judged.
+    Each is judged by the check of a run, :func:`rig.safety.check`, with all others inside their
+    limits. What is not available is not judged.
     """
     gear, angle, pressure = limits.gear_ratio, readings.joint_encoder_rad, readings.pressure_Pa
     calm = _calm(limits)
@@ -107,7 +107,7 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
         (readings.supply_V, calm._replace(supply_voltage=readings.supply_V)),
     ]
     if pressure is not None:
-        # What it presses with depends on where the valve is; an angle beyond its limit has been judged above.
+        # Its force depends on where the valve is. An angle beyond its limit was judged above.
         at = angle if limits.angle_min <= angle <= limits.angle_max else calm.angle
         shown.append((pressure, calm._replace(pressure=pressure, angle=at, motor_angle=at * gear)))
     for value, sample in shown:

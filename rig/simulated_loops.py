@@ -1,6 +1,6 @@
 """Is the current loop of a simulated drive stable with the motor that it is to drive?
 
-An unstable one looks like a jam: the current swings to its limit at once, and the run trips on torque or current.
+An unstable one looks like a jam: the current swings to its limit, and the run trips on torque or current.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ _ADVISED_SHARE = 0.5
 
 
 def unstable_current_loop(machine: constants.Machine) -> str | None:
-    """Return what is wrong with the gains of a simulated drive's current loop, and what would be right.
+    """Return what is wrong with the gain of a simulated drive's current loop, and what would be right.
 
-    The loop is a PI controller with a zero-order hold on resistance and inductance of the motor (eq. 1). It is linear,
-    so its eigenvalues decide. A supply at its limit only bounds how far it swings.
+    The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
+    (eq. 1). It is linear, so its eigenvalues decide; the supply only bounds how far it swings.
 
     Args:
         machine: The simulated machine.
@@ -42,14 +42,14 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
 
 
 def _radius(machine: constants.Machine, gain: float) -> float:
-    """Return by how much the loop's error grows each period: the greatest magnitude of an eigenvalue."""
+    """Return by what factor the loop's error grows each period: the greatest magnitude of an eigenvalue."""
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz
     integral = gain * loops.current_integral_1_s * period
     constant_s = motor.inductance_H / motor.resistance_ohm
     kept = math.exp(-period / constant_s) if constant_s > 0.0 else 0.0
     rise = (1.0 - kept) / motor.resistance_ohm
-    # State: current, and the voltage that the integral holds. The integral takes the error of this period in first.
+    # State: current, and the voltage that the integral holds, which takes in this period's error first.
     loop = np.array([[kept - rise * (gain + integral), rise], [-integral, 1.0]])
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 

@@ -16,7 +16,7 @@ from rig.configuration import Document
 from rig.dry_run import describe_dry_run, dry_run_record
 from rig.dry_run import dry_run as compute_dry_run
 from rig.feedforward import load_feedforward
-from rig.friction_model import FrictionModel, friction_model
+from rig.friction_model import FrictionModel, friction_model, of_another_bench
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
 from rig.operator import AutomaticOperator, ConsoleOperator
@@ -131,6 +131,9 @@ def command(
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
     require_attendance(plan, bench_file, yes, dry_run or at_terminal())
+    for words in (of_another_bench(file, constants) for file in (identification, feedforward_file) if file):
+        if words is not None:
+            click.echo(f"warning: {words}", err=True)
     if dry_run:
         return _dry_run(bench_file, plan, friction_model(constants, identification or feedforward_file), yes, json_file)
     screen = Screen()

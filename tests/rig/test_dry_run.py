@@ -14,7 +14,7 @@ from rig.bench import load_bench
 from rig.cli import status
 from rig.dry_run import PROMPT_S
 from rig.errors import InputError
-from rig.friction_model import friction_model
+from rig.friction_model import friction_model, of_another_bench
 from rig.run import bench_constants
 
 from .benches import variant
@@ -168,7 +168,9 @@ def test_a_damaged_identification_is_said(text: str) -> None:
         friction_model(bench_constants(load_bench("practical").value), Path("bad.json"))
 
 
-def test_the_newest_identification_of_the_same_bench_is_found(tmp_path: Path) -> None:
+def test_the_newest_identification_of_the_same_bench_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     bench = load_bench("practical")
     constants = bench_constants(bench.value)
     assert not friction_model(constants).measured
@@ -193,6 +195,13 @@ def test_the_newest_identification_of_the_same_bench_is_found(tmp_path: Path) ->
     assert "runs/old/identify.json" in model.source
     assert friction_model(bench_constants(load_bench(other).value)).values["J"] == 0.4
     assert friction_model(constants, result(Path("named.json"), J=0.6)).values["J"] == 0.6
+    assert of_another_bench(Path("runs/old/identify.json"), constants) is None
+    assert of_another_bench(Path("named.json"), constants) is None
+    capsys.readouterr()
+    assert dry("--identification", "runs/other/identify.json")[0] == 0
+    assert "other constants (moment_arm 0.1, here 0.095)" in capsys.readouterr().err
+    assert dry("--feedforward", "runs/old/identify.json")[0] == 0
+    assert "other constants" not in capsys.readouterr().err
 
 
 def test_a_folder_in_use_is_refused_in_a_dry_run_too(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,7 @@ from rig.findings import Cause
 from rig.plan import bench_limits
 from rig.readings import NOT_AVAILABLE, Readings, reading_findings
 from rig.safety import Limits
+from rig.serial_bus import UNWATCHED_SHARE
 
 from .benches import variant
 
@@ -177,7 +178,6 @@ SERIAL = (
     ("port: mock, baud: 1000000", "port: /dev/none, baud: 1000000"),
     ("port: mock, baud: 2", "port: /dev/no, baud: 2"),
 )
-DBC_REAL = ("{interface: mock, bitrate", "{interface: virtual, channel: nobody, bitrate"), ("file: null", "file: x.dbc")
 UNWATCHED = ("watchdog_ms: 100", "watchdog_ms: null")
 
 
@@ -187,7 +187,7 @@ UNWATCHED = ("watchdog_ms: 100", "watchdog_ms: null")
         ("practical", (), False, Watcher("drive", 0.1)),
         ("practical", (REAL,), True, Watcher("drive", 0.1)),
         ("practical_serial", (), False, Watcher("nobody")),
-        ("practical_serial", SERIAL, True, Watcher("guardian")),
+        ("practical_serial", SERIAL, True, Watcher("guardian", 0.2)),
         ("practical_dbc", (), False, Watcher("drive", 0.1)),
         ("practical_dbc", (UNWATCHED,), False, Watcher("nobody")),
     ],
@@ -201,11 +201,18 @@ def test_the_first_line_says_real_in_capitals_and_the_file_says_who_watches(
     assert watcher_of(document.value) == watch
     assert ("NOBODY" in watch.words) is (watch.kind == "nobody")
     assert ("100 ms" in watch.words) is (watch.kind == "drive")
+    assert ("200 ms" in watch.words) is (watch.kind == "guardian")
+    share = 1.0 if watch.kind == "drive" else UNWATCHED_SHARE
+    assert document.value.limits.torque_N_m == pytest.approx(share * 75.0)
 
 
 @pytest.mark.parametrize(
     ("watchdog", "guard", "expected"),
-    [(True, None, Watcher("drive", 0.1)), (False, object(), Watcher("guardian")), (False, None, Watcher("nobody"))],
+    [
+        (True, None, Watcher("drive", 0.1)),
+        (False, object(), Watcher("guardian", 0.2)),
+        (False, None, Watcher("nobody")),
+    ],
 )
 def test_who_watches_a_connected_bench(fake_bench: Any, watchdog: bool, guard: Any, expected: Watcher) -> None:
     bench = fake_bench()
