@@ -15,12 +15,15 @@ from drivers.can_port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
 from drivers.can_timing import ANSWER_SHARE
 from drivers.canopen_node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
 from drivers.clock import NS, Clock
+from drivers.eds_file import read_eds
 from drivers.emergency import explain
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
 from drivers.port_errors import close_all, words
 from drivers.slcan_port import open_slcan
 
+MASTER_ID: Final = 0x7F
+"""Node identifier of this program's own heartbeat."""
 _FRAMES_KEPT: Final = 1 << 16
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
@@ -63,7 +66,7 @@ class CanopenLink(Link):
         clock: Clock,
         connect: Callable[[], FramePort],
         name: str = "CAN bus",
-        master_id: int = 0x7F,
+        master_id: int = MASTER_ID,
         sdo_timeout_s: float = 0.3,
     ) -> None:
         self.clock = clock
@@ -115,10 +118,7 @@ class CanopenLink(Link):
         """
         if not 1 <= node_id <= 127 or node_id == self.master_id or node_id in self._nodes:
             raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
-        try:
-            dictionary = canopen.import_od(str(eds), node_id)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"EDS file {eds} of node {node_id} cannot be read: {error}") from error
+        dictionary = read_eds(eds, node_id)
         node = CanopenNode(node_id, dictionary, self)
         self._network.add_node(node.remote)
         self._nodes[node_id] = node

@@ -123,7 +123,8 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
         ConfigurationError: The EDS has no such object.
     """
     found = dictionary.get_variable(index, subindex)
-    if found is None:
+    # For an object without members canopen returns that object, whatever the subindex.
+    if found is None or found.subindex != subindex:
         raise ConfigurationError(
             f"object {index:04X}h:{subindex:02X}h is not in the device's EDS; use its own EDS file"
         )

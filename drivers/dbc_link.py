@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from functools import partial
 from types import MappingProxyType
 from typing import Final
@@ -42,19 +42,25 @@ class DbcLink(CanopenLink):
             LinkError: It cannot be opened.
             ConfigurationError: Two devices use one identifier.
         """
-        routes: dict[int, tuple[DbcChannel, Slot]] = {}
-        for channel in self._channels:
-            wiring = channel.wiring
-            sent = (wiring.stop_frame[0], *(message.identifier for message in wiring.sent.values()))
-            for identifier in (*sent, *channel.slots):
-                if identifier in routes or (owner := self._canopen_owner(identifier)):
-                    who = "another drive" if identifier in routes else owner
-                    raise ConfigurationError(
-                        f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
-                    )
-            routes.update((identifier, (channel, slot)) for identifier, slot in channel.slots.items())
+        for conflict in self.conflicts():
+            raise ConfigurationError(conflict)
+        routes = {
+            identifier: (channel, slot) for channel in self._channels for identifier, slot in channel.slots.items()
+        }
         self._routes = routes
         super().open()
+
+    def conflicts(self) -> Iterator[str]:
+        """Yield in words each CAN identifier of a drive that something else on this bus uses as well."""
+        taken: set[int] = set()
+        for channel in self._channels:
+            wiring = channel.wiring
+            sent = (*wiring.sent.values(), *wiring.settings.values())
+            for identifier in dict.fromkeys((wiring.stop_frame[0], *(m.identifier for m in sent), *channel.slots)):
+                if identifier in taken or (owner := self._canopen_owner(identifier)):
+                    who = "another drive" if identifier in taken else owner
+                    yield f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
+            taken.update(channel.slots)
 
     def _canopen_owner(self, identifier: int) -> str:
         node = identifier & 0x7F

@@ -8,10 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-import canopen
-
 from drivers.can_timing import ANSWER_SHARE
 from drivers.clock import NS, Clock
+from drivers.eds_file import read_eds
 from drivers.epos_serial import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
 from drivers.epos_serial_node import IDENTITY, EposSerialNode, Guard
 from drivers.errors import ConfigurationError, DeviceError, LinkError
@@ -87,10 +86,7 @@ class EposSerialLink(Link):
         """
         if not 1 <= node_id <= 127 or node_id in self._nodes:
             raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
-        try:
-            dictionary = canopen.import_od(str(eds), node_id)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"EDS file {eds} of node {node_id} cannot be read: {error}") from error
+        dictionary = read_eds(eds, node_id)
         node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self)
         return node
 

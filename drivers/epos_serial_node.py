@@ -214,6 +214,10 @@ class EposSerialNode:
         """
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
 
+    def require_fit(self, index: int, subindex: int, value: int) -> None:
+        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`. Sends nothing."""
+        self._written(index, subindex, value)
+
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object, sending it even while the line is out of step; raises as :meth:`write`."""
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True)
@@ -240,6 +244,12 @@ class EposSerialNode:
             if len(answer) != 2 or answer[0] != len(chunk) or answer[1] & TOGGLE != toggle:
                 raise self._malformed(index, subindex, len(answer))
             toggle ^= TOGGLE
+
+    def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
+        """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`. Sends nothing."""
+        for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
+            if address != _HOST_TIME:
+                self._packing(*address)
 
     def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
         """Start the node, and list what every cycle writes and reads.

@@ -296,6 +296,8 @@ class Bench(Schema):
     @property
     def watched(self) -> bool:
         """Whether the drive stops by itself when the control loop does."""
+        if isinstance(self.servo, DbcServoSection):
+            return self.servo.watchdog_ms is not None
         return not isinstance(self.bus, SerialBus)
 
     @property

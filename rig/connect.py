@@ -39,6 +39,7 @@ _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER
 
 _ENCODER_NODES = (2, 3)
 """Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
+NO_BUS = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
@@ -75,8 +76,7 @@ def connect(
     """
     bench = document.value
     if bench.bus is None:
-        text = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
-        raise InputError(document.problem(("bus",), text))
+        raise InputError(document.problem(("bus",), NO_BUS))
     twin: SimulatedBench | None = None
     hang: Hang | None
     link: Link
@@ -90,18 +90,18 @@ def connect(
     else:
         link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
-        drive = link.add_node(bench.servo.node, _eds(document, "servo"))
+        drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         scales = servo_scales(bench.servo, bench.machine.gear_ratio)
         servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
-        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, _eds(document, "pressure")))
+        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, eds_path(document, "pressure")))
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
-        node = link.add_node(bench.encoder.node, _eds(document, "encoder"))
+        node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     ignite = None if twin is None or pressure is None else twin.machine.ignite
     with hold_bench(bench.name, resources(bench), purpose) as lock:
@@ -124,7 +124,7 @@ def _epos(
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
-    eds, node = _eds(document, "servo"), bench.servo.node
+    eds, node = eds_path(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine.gear_ratio)
     guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
     link = epos_link(bus, twin, clock, guard)
@@ -186,16 +186,20 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
     if isinstance(bench.servo, DbcServoSection):
         found["servo.dbc"] = dbc_path(bench.servo, document.path)
     else:
-        found["servo.eds"] = _eds(document, "servo")
+        found["servo.eds"] = eds_path(document, "servo")
     if isinstance(bench.encoder, EncoderSection):
-        found["encoder.eds"] = _eds(document, "encoder")
+        found["encoder.eds"] = eds_path(document, "encoder")
     if bench.pressure is not None:
-        found["pressure.eds"] = _eds(document, "pressure")
+        found["pressure.eds"] = eds_path(document, "pressure")
     return found
 
 
-def _eds(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
-    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs."""
+def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
+    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs.
+
+    Raises:
+        InputError: A real device has none.
+    """
     bench = document.value
     named: str | None = getattr(bench, section).eds
     if named is not None:

@@ -6,9 +6,10 @@ import shlex
 from pathlib import Path
 
 from drivers.interfaces import ServoState
+from rig.preflight import RESET_HINT
 from rig.run_record import RunRecord
 from rig.safety import Check, remedy
-from rig.sequencer import RESET_HINT, Ending
+from rig.sequencer import Ending
 
 NOT_READ_BACK = "switch the main supply off, or make sure that the drive is off: that was not read back"
 NEW_RUN = (

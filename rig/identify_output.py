@@ -16,12 +16,11 @@ from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_
 from rig.partial import partial_names
 from rig.places import write_json
 from rig.report import write_report
-from rig.results import identification_record
+from rig.results import RESULT_FILE, identification_record
 from rig.tables import number, percent, table
 from rig.transfer_output import transfer_notes, transfer_record, transfer_table
 from rig.uncertainty_output import uncertainty_notes, uncertainty_record, uncertainty_tables
 
-RESULT_FILE = "identify.json"
 _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 

@@ -136,10 +136,10 @@ def _moves(
             servo.reset_fault()
         devices.prepare(bench.cycle_s)
         held = servo.read_limits()
-        require_within_own(wanted, held)
+        require_within_own(wanted, held, servo.limit_steps())
         own.append(held)
         servo.write_limits(wanted)
-        require_held(servo.read_limits(), wanted)
+        require_held(servo.read_limits(), wanted, servo.limit_steps())
         here = _enable(cycle, devices, bench)
         for angle in jog.angles:
             _go(cycle, here, angle, jog.speed, bench.cycle_s)

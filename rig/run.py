@@ -154,17 +154,22 @@ def create_folder(path: Path, purpose: str) -> Lock:
     lock = hold_folder(path, purpose)
     try:
         # Looked at under the lock, so that of two programs only one can find it empty.
-        _require_empty(path)
+        require_unused(path)
     except BaseException:
         lock.release()
         raise
     return lock
 
 
-def _require_empty(path: Path) -> None:
-    """Check that there is nothing in a folder, but for the lock."""
+def require_unused(path: Path) -> None:
+    """Check that a folder is not there, or that there is nothing in it but for the lock; makes nothing.
+
+    Raises:
+        InputError: It is not empty, or cannot be looked into.
+    """
     try:
-        occupied = next((item.name for item in path.iterdir() if item.name != OWNER_FILE), None)
+        items = path.iterdir() if path.exists() else ()
+        occupied = next((item.name for item in items if item.name != OWNER_FILE), None)
     except OSError as error:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from drivers.errors import DeviceError, DriveFault, StateError
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoLimits, ServoState
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
@@ -18,6 +18,7 @@ from rig.journal import Journal
 from rig.operator import Operator, Verb
 from rig.phases import Event, Phase, next_phase
 from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage, with_mass
+from rig.preflight import RESET_HINT, energised, require_ready
 from rig.recorder import Recorder
 from rig.safety import Check, Trip
 from rig.sample import Sample
@@ -56,7 +57,6 @@ class WeightError(Exception):
     """The friction of a stage is not that of the confirmed mass."""
 
 
-RESET_HINT = "; once its cause is removed, --reset-fault clears it"
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
 """Trips that say that a device, the bus or this computer failed, rather than that the bench went too far."""
 
@@ -217,9 +217,11 @@ class Sequencer:
 
     def _load(self) -> Event:
         devices, stage = self._devices, self._plan.stages[self._stage_index]
-        state = devices.servo.state()
-        if state.energised:
-            raise StateError(f"the drive is in {state.value!r} before the weight prompt; it must be de-energised")
+        if (error := energised(devices.servo.state())) is not None:
+            raise error
+        if devices.hang is None and self._own_limits is None:
+            # Before a person hangs a weight for a run that would be refused.
+            require_ready(devices, self._plan.servo_limits, self._plan.cycle_s, self._reset_fault)
         self._journal.stage_started(self._stage_index)
         self._recorder.event(
             self._cycle.now_ns, "prompt", stage=stage.name, index=self._stage_index, weight_kg=stage.weight_kg
@@ -259,12 +261,13 @@ class Sequencer:
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
         devices.prepare(plan.cycle_s)
+        steps = devices.servo.limit_steps()
         if self._own_limits is None:
             own = devices.servo.read_limits()
-            require_within_own(plan.servo_limits, own)
+            require_within_own(plan.servo_limits, own, steps)
             self._own_limits = own
         devices.servo.write_limits(plan.servo_limits)
-        require_held(devices.servo.read_limits(), plan.servo_limits)
+        require_held(devices.servo.read_limits(), plan.servo_limits, steps)
         self._recorder.event(self._cycle.now_ns, "stage start", stage=self._stage.name)
         return Event.DONE
 

@@ -18,6 +18,7 @@ from rig.errors import InputError
 from rig.jog import Jog, move, plan_jog
 from rig.ownership import say_taken_over
 from rig.places import require_file, write_asked
+from rig.preflight import require_startable
 from rig.progress import RunProgress
 from rig.prompt import InputEndedError, Prompt
 from rig.provenance import utc_now
@@ -59,6 +60,7 @@ def command(
     require_file(json_file, "--json")
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
+    require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
     screen = Screen()
     outcome = None
     with (

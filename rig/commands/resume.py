@@ -9,7 +9,6 @@ import click
 
 from rig.aftermath import conclude
 from rig.attendance import connected, require_attendance
-from rig.calibration import require_current
 from rig.errors import InputError
 from rig.feedforward import load_feedforward
 from rig.locks import hold_folder
@@ -17,6 +16,7 @@ from rig.operator import AutomaticOperator, ConsoleOperator
 from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file
 from rig.plan import make_plan
+from rig.preflight import require_startable
 from rig.progress import RunProgress
 from rig.prompt import at_terminal
 from rig.provenance import utc_now
@@ -77,7 +77,7 @@ def command(
     for problem in resumed.mended:
         click.echo(problem)
     click.echo(stopped_words(resumed.record))
-    require_current(resumed.bench, utc_now().date())
+    require_startable(resumed.bench, utc_now().date(), lambda words: click.echo(words, err=True))
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record

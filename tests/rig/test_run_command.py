@@ -253,7 +253,8 @@ def test_check_reads_the_bench_and_moves_nothing(capsys: pytest.CaptureFixture[s
     assert status(["check", "practical", "--json", "check.json"]) == 0
     text = capsys.readouterr().out
     assert "simulated drive" in text
-    assert "switch on disabled (good)" in text
+    assert "state of the drive: switch on disabled\n" in text
+    assert text.splitlines()[-1] == "verdict: good: a run would start"
     assert [line.split()[-3] for line in text.splitlines() if line.startswith("angle m")] == ["set", "set"]
     assert "e+0" not in text
     found = json.loads(Path("check.json").read_text())
