@@ -49,6 +49,7 @@ def conclude(
         with suppress(StorageError):  # The warnings are told all the same, and the run has ended.
             folder.save()
     _tell(folder, screen)
+    screen.drain()
     write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
     screen.drain()
     write_asked(json_file, dataclasses.asdict(record))

@@ -63,6 +63,7 @@ class RunFolder:
         """Write the ending down the moment it is known."""
         record = self.record
         record.state, record.message, record.de_energised = state, message, de_energised
+        record.stage_ended(state)
         self.save()
 
     def stage_started(self, index: int) -> None:

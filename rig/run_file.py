@@ -83,7 +83,7 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
     if isinstance(raw.get("state"), str) and raw["state"] in STAGE_ENDS and isinstance(raw.get("stages"), list):
-        raw = {**raw, "stages": [_ended(stage, raw["state"]) for stage in raw["stages"]]}
+        raw = {**raw, "stages": [_ended(stage, STAGE_ENDS[raw["state"]]) for stage in raw["stages"]]}
     if "parts" in raw or not isinstance(raw.get("stages"), list):
         return raw
     part = {"operator": None, **{key: raw[key] for key in _PART_KEYS if key in raw}, "file": RECORDING_FILE}

@@ -11,8 +11,10 @@ from rig.aftermath import write_page
 from rig.cli import DONE
 from rig.errors import InputError
 from rig.go_on import go_on_words
+from rig.locks import hold_folder
+from rig.ownership import until_the_end
 from rig.places import require_file, write_asked
-from rig.recover import damaged_name, recover
+from rig.recover import damaged_name, mend
 from rig.run_report import REPORT_FILE
 from rig.tables import table
 
@@ -30,12 +32,11 @@ def command(run: Path, json_file: Path | None) -> int:
       rig recover runs/20261120T101500Z-figure10
     """
     require_file(json_file, "--json")
+    until_the_end(hold_folder(run, "rig recover"))
     try:
-        recovery = recover(run)
+        recovery = mend(run)
     except OSError as error:
         raise InputError(f"{run}: cannot be written: {error.strerror}") from error
-    if recovery.taken_over is not None:
-        click.echo(recovery.taken_over, err=True)
     if not recovery.damage:
         click.echo(f"recording whole: {recovery.samples} samples")
     for problem in recovery.damage:

@@ -199,13 +199,17 @@ def chart(panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | No
     beyond = any(_broken(bound, first) for bound in bounds)
     size = max(float(np.nanmax(np.abs([c.bins.low, c.bins.high]))) for c in curves)
     always = beyond or tall or size == 0.0
+    reading = "" if panel.categories else _reading(low, high, bounds, panel)
+    if tripped is not None and not panel.categories:
+        # The value is not always among the samples: lateness on a bench held to real time is not.
+        reading = f"tripped at {panel.scale * tripped.value:.4g} {panel.unit}; {reading}"
     shown = [b for b in bounds if always or min(abs(value) for _, value in b.steps) <= _SEEN * size]
     return Chart(
         panel.title,
         panel.unit,
         curves,
         shown,
-        "" if panel.categories else _reading(low, high, bounds, len(shown) < len(bounds), panel),
+        reading + (" (outside this chart)" if len(shown) < len(bounds) else ""),
         beyond,
         panel.categories,
         tall,
@@ -247,10 +251,10 @@ def _broken(bound: Bound, bins: Bins) -> bool:
     return bool(np.any(bins.high[:, 0] > values) if bound.upper else np.any(bins.low[:, 0] < values))
 
 
-def _reading(low: float, high: float, bounds: Sequence[Bound], hidden: bool, panel: Panel) -> str:
+def _reading(low: float, high: float, bounds: Sequence[Bound], panel: Panel) -> str:
     unit, least = panel.unit, max(1e-6 * max(abs(low), abs(high)), 1e-3 * panel.least)
     words = " to ".join(f"{value if abs(value) > least else 0.0:.4g}" for value in (low, high)) + f" {unit}"
     if not bounds:
         return f"{words}; {'limit not known' if panel.checks else 'no limit'}"
     limits = " and ".join(f"{value:.4g}" for value in sorted({bound.steps[-1][1] for bound in bounds}))
-    return f"{words}; limit {limits} {unit}{' (outside this chart)' if hidden else ''}"
+    return f"{words}; limit {limits} {unit}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import re
 import shlex
 from pathlib import Path
@@ -156,6 +157,28 @@ def test_a_lost_link_leaves_the_drive_unknown(runner: Any, fake_bench: Any) -> N
     assert folder.record.de_energised is False
     assert folder.record.drive_state == "unknown"
     assert go_on_words(folder.record, folder.path).startswith(f"first: {NOT_READ_BACK}\n")
+
+
+@pytest.mark.parametrize(("run", "stage"), [*STAGE_ENDS.items(), ("running", "running")])
+def test_a_stage_that_an_older_program_left_running_has_the_end_of_its_run(
+    runner: Any, fake_bench: Any, run: str, stage: str
+) -> None:
+    folder, _ = runner(fake_bench())
+    path = folder.path / "run.json"
+    raw = json.loads(path.read_text())
+    raw["state"], raw["stages"][1]["state"] = run, "running"
+    path.write_text(json.dumps(raw))
+    assert [s.state for s in read_record(folder.path).stages] == ["done", stage]
+
+
+def test_the_ending_of_the_stage_is_written_with_that_of_the_run(runner: Any, fake_bench: Any) -> None:
+    """At once, so that what breaks down after the verdict leaves no stage running on disk."""
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=1000.0)
+    folder, _ = runner(bench)
+    folder.record.stages[0].state = "running"
+    folder.ended("tripped", "words", de_energised=True)
+    assert json.loads((folder.path / "run.json").read_text())["stages"][0]["state"] == "tripped"
 
 
 @pytest.mark.parametrize(("run", "stage"), [*STAGE_ENDS.items(), ("done", "failed"), ("running", "failed")])

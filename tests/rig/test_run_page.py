@@ -105,6 +105,7 @@ def test_a_trip_is_shown_first_with_its_limit_and_its_moment(what: str, tight: A
     first = last.partition("</figure>")[0]
     assert f">{folder.record.state} {trip['time']:.3f} s</span>" in first
     if check is not Check.DRIVE_STATE:
+        assert "tripped at " in first
         assert "BEYOND THE LIMIT" in first
         assert 'stroke="#a30000"' in first
         assert "limit" in first
