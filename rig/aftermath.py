@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import shlex
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from rig.cli import BAD_VERDICT, CRASHED, DEVICE_FAILED, DONE, STOPPED
 from rig.errors import StorageError
+from rig.go_on import go_on_words
 from rig.label_check import comparable, off_label
 from rig.places import write_asked
 from rig.reference import Reference
@@ -31,9 +34,10 @@ STATUS: Mapping[Ending, int] = {
 def conclude(
     folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None, screen: Screen
 ) -> int:
-    """Check the labels, write the page of the run, tell the operator the rest, and return the exit status.
+    """Check the labels, tell the operator the rest, write the page of the run, and return the exit status.
 
-    How the run ended was shown and written down before; nothing here can hide it.
+    How the run ended was shown and written down before; nothing here can hide it. What the operator must know is told
+    before the page is drawn, which may take its time and may fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.
@@ -41,13 +45,11 @@ def conclude(
     """
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
-    try:
-        if wrong:
+    if wrong:
+        with suppress(StorageError):  # The warnings are told all the same, and the run has ended.
             folder.save()
-        write_run_report(folder.path, record)
-    except (OSError, StorageError) as error:
-        screen.say(f"{folder.path}: the page of the run cannot be written: {error}")
     _tell(folder, screen)
+    write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
     screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
     if outcome.error is not None:
@@ -83,3 +85,16 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
     screen.say(f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False)
     for warning in record.warnings:
         screen.say(f"warning: {warning}")
+    if words := go_on_words(record, folder.path):
+        screen.say(words)
+
+
+def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
+    """Write the page of a run and say where it is; where it cannot be written, say that. Never raises."""
+    try:
+        say(f"page: {write_run_report(folder, record)}", True)
+    except OSError as error:
+        say(f"{folder}: the page of the run cannot be written: {error.strerror}", False)
+    except KeyboardInterrupt:
+        again = f"rig recover {shlex.quote(str(folder))}"
+        say(f"{folder}: the page of the run is not finished; `{again}` writes it", False)

@@ -342,7 +342,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
         document.require((("bus", "baud"), text) for text in overload(bench.bus, bench.cycle_s))
     elif bench.bus is not None:
         document.require((("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench))
-    return document if bench.watched else dataclasses.replace(document, value=_cut(bench))
+    return in_force(document)
 
 
 def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -357,11 +357,15 @@ def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...]
         yield ("motor", "rotor_inertia_kg_m2"), light
 
 
-def _cut(bench: Bench) -> Bench:
-    """Return a bench with the limits that are in force where nothing but this program watches the drive."""
+def in_force(document: Document[Bench]) -> Document[Bench]:
+    """Return a bench with the limits in force: cut, where nothing but this program watches the drive."""
+    bench = document.value
+    if bench.watched:
+        return document
     names = ("torque_N_m", "current_A", "speed_deg_s")
     cut = {name: UNWATCHED_SHARE * getattr(bench.limits, name) for name in names}
-    return bench.model_copy(update={"limits": bench.limits.model_copy(update=cut)})
+    limits = bench.limits.model_copy(update=cut)
+    return dataclasses.replace(document, value=bench.model_copy(update={"limits": limits}))
 
 
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:

@@ -220,6 +220,7 @@ def main() -> int:
         ward.hear(data)
     port, *lock = map(int, sys.argv[1:])
     servo, clock = drive_on(port, ward)
+    bench = inherited(lock)
     _speak(speaking, READY)
     while True:
         cause = watch(listening, ward, _wait)
@@ -228,9 +229,11 @@ def main() -> int:
         if cause is Cause.SILENT:
             _speak(speaking, TOOK_OVER)
         else:
-            inherited(lock).note("the guardian of a program that died")
+            bench.note("the guardian of a program that died")
         deed = act(servo, clock, ward, cause, screen)
         if cause is Cause.GONE:
+            if deed.safe.verified:
+                bench.release()
             screen.drain(_SHOW_S)
             return 0 if deed.safe.verified else 1
         ward.armed = False

@@ -13,6 +13,7 @@ from rig.errors import InputError
 from rig.identify import Outcome
 from rig.ladder_output import ladder_notes, ladder_record, ladder_table
 from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_notes
+from rig.partial import partial_names
 from rig.places import write_json
 from rig.report import write_report
 from rig.results import RESULT_FILE, identification_record
@@ -75,6 +76,7 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     first = outcome.results[0]
     record = identification_record(first, outcome.provenance) | uncertainty_record(first)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
+    record["partial"] = partial_names(outcome.dataset)
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)

@@ -1,4 +1,4 @@
-"""The words about who holds a lock: written into the lock file as JSON, read back with distrust, put into sentences."""
+"""Who holds a lock: written into the lock file as JSON, read back with distrust, put into words."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Holder:
 
     @classmethod
     def parse(cls, content: bytes) -> Self | None:
-        """Return the holder that a lock file names; None where it is empty, damaged or names none."""
+        """Return the holder that a lock file names; None where it is empty or damaged."""
         try:
             told = json.loads(content)
         except (ValueError, RecursionError):
@@ -102,7 +102,7 @@ def _ago(seconds: float) -> str:
 
 
 def _printable(text: Any) -> str:
-    """Return a text as it can be shown at a terminal: nothing in it that moves the cursor or fills the screen."""
+    """Return a text as it can be shown at a terminal: short, and without control characters."""
     if not isinstance(text, str):
         return ""
     return "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST])

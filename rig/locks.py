@@ -1,12 +1,12 @@
-"""One owner of a bench and of a run folder: advisory locks, and words about the holder for the second.
+"""One owner of a bench and of a run folder: advisory locks that name their holder.
 
-A lock is an ``flock`` of the operating system. It ends when the last process that has the file open is gone,
-however that process ends; a stopped process keeps it, and so does a child that inherits the descriptor. What
-stands in the file names the holder. It makes the words of a refusal and decides nothing, so that damaged content
-does no harm.
+A lock is an ``flock`` of the operating system. It ends when the last process that has the file
+open is gone, however that process ends; a stopped process keeps it, and so does a child that
+inherits the descriptor. What stands in the file names the holder. It makes the words of a refusal
+and decides nothing, so that damaged content does no harm.
 
-The files of benches stay, empty while nobody holds them. The file in a run folder is removed by its holder; who
-locks it checks afterwards that it still is the file of that name.
+The files of benches stay, empty while nobody holds them. The file in a run folder is removed by
+its holder; whoever locks it checks afterwards that it still is the file of that name.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ _READABLE: Final = 40
 _CONTENT_BYTES: Final = 16_384
 _ATTEMPTS: Final = 25
 _PAUSE_S: Final = 0.02
-"""A program that has just taken a lock needs a moment to write itself in; a refusal waits that long for its name."""
+"""So long a refusal waits for the name of a holder that has not written itself in yet."""
 
 
 @dataclass(frozen=True, order=True)
@@ -46,7 +46,8 @@ class Resource:
     """A part of a bench that one program at a time may use.
 
     Attributes:
-        key: What is the same whichever way it is written: the real path of a device, else ``interface:channel``.
+        key: What is the same whichever way it is written: the real path of a device, else
+            ``interface:channel``.
         label: What the operator calls it, such as ``port /dev/ttyUSB0``.
     """
 
@@ -68,18 +69,18 @@ class Lock:
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """File descriptors: a child process that inherits them holds the lock until it ends as well."""
+        """File descriptors; a child process that inherits them holds the lock until it ends."""
         return tuple(item.descriptor for item in self._held)
 
     def note(self, command: str) -> None:
-        """Write this process in as the holder, under that name; never raises, as the lock holds without it."""
+        """Write this process in as the holder, under that name; never raises."""
         for item in self._held:
             before = Holder.parse(item.read())
             holder = Holder.here(command, "" if before is None else before.what)
             item.write(holder if before is None else replace(holder, since=before.since))
 
     def release(self) -> None:
-        """Give it back; never raises. What a child that goes on holding it has written about itself stays."""
+        """Give it back; never raises. The name of a child that goes on holding it stays."""
         held, self._held = self._held, ()
         for item in reversed(held):
             item.close()
@@ -131,7 +132,7 @@ def hold_folder(folder: Path, command: str) -> Lock:
 
 
 def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
-    """Return the lock that a process holds by inheritance; its holder is written in by :meth:`Lock.note`.
+    """Return the lock that a process has inherited; :meth:`Lock.note` writes it in as the holder.
 
     Args:
         descriptors: Of all that is held.
@@ -143,7 +144,7 @@ def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
 
 
 def file_name(key: str) -> str:
-    """Return the name of a resource's lock file: its readable end, and a digest that tells all resources apart."""
+    """Return the name of a resource's lock file: a readable part, and a digest of all of it."""
     digest = sha256(key.encode("utf-8", "surrogatepass")).hexdigest()[:20]
     return f"{sub('[^A-Za-z0-9]+', '-', key)[-_READABLE:].strip('-')}-{digest}.lock"
 
@@ -236,7 +237,7 @@ def _take(place: _Place) -> tuple[_Held, bytes]:
 
 
 def _attempt(place: _Place) -> _Held | Holder | None:
-    """Return the locked file, else its holder as far as known. Also None where the file was removed meanwhile."""
+    """Return the locked file, else its holder; None where that is not known, or the file is gone."""
     fcntl = _fcntl(place)
     with _folder(place) as folder:
         item = _Held(_open(place, folder, fcntl))
@@ -274,7 +275,7 @@ def _locked(descriptor: int, fcntl: ModuleType) -> bool:
 
 @contextmanager
 def _folder(place: _Place) -> Iterator[int]:
-    """Open the folder of a lock file; one for all users is made where it is missing, and never a link of somebody's."""
+    """Open the folder of a lock file; that of all users is made if missing, and must be no link."""
     flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
     if place.shared:
         flags |= os.O_NOFOLLOW
@@ -293,7 +294,8 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
     """Open a lock file, or make it; returns a descriptor above those of the standard streams."""
     flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
     try:
-        # First without O_CREAT: fs.protected_regular refuses that for a file of another user in a sticky folder.
+        # First without O_CREAT: in a sticky folder fs.protected_regular refuses that for a file
+        # of another user.
         descriptor = os.open(place.file, flags, dir_fd=folder)
     except FileNotFoundError:
         descriptor = os.open(place.file, flags | os.O_CREAT | os.O_EXCL, _FILE_MODE, dir_fd=folder)
@@ -302,7 +304,8 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
         if not stat.S_ISREG(status.st_mode) or (place.shared and status.st_nlink > 1):
             raise StorageError(_unusable(place, "no plain file of its own"))
         _open_to_all(descriptor, _FILE_MODE)
-        # A standard stream that was closed would leave its number to the lock, and whatever is printed go into it.
+        # A standard stream that was closed would leave its number to the lock, and what is
+        # printed would go into the file.
         above: int = fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
         return above
     finally:
@@ -310,7 +313,7 @@ def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
 
 
 def _open_to_all(descriptor: int, mode: int) -> None:
-    """Set the mode of what this user owns, whatever the umask took from it; some file systems have none."""
+    """Set the mode of what this user owns, whatever the umask is; some file systems have none."""
     status = os.fstat(descriptor)
     if status.st_uid == os.geteuid() and stat.S_IMODE(status.st_mode) != mode:
         with suppress(OSError):
@@ -318,7 +321,7 @@ def _open_to_all(descriptor: int, mode: int) -> None:
 
 
 def _remove(path: Path) -> None:
-    """Remove the lock file of a run folder, unless another program holds it or somebody is named in it."""
+    """Remove the lock file of a run folder, unless it is held or names somebody."""
     import fcntl
 
     with suppress(OSError):

@@ -1,4 +1,4 @@
-"""What a command does with a lock that it has got: keep it until the command ends, and say what was taken over."""
+"""Locks in commands: kept until the command ends, and what was taken over is said."""
 
 from __future__ import annotations
 

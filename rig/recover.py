@@ -35,12 +35,14 @@ class Recovery:
         damage: What was wrong with each file that was damaged, beginning with its name.
         samples: How many samples there are now.
         record: ``run.json`` as it stands now.
+        changed: Whether anything was written.
         taken_over: Who had left the folder locked, in words; None for nobody.
     """
 
     damage: tuple[str, ...]
     samples: int
     record: RunRecord
+    changed: bool
     taken_over: str | None = None
 
 
@@ -79,10 +81,11 @@ def mend(folder: Path) -> Recovery:
         if log.damage is not None:
             damage.append(f"{part.file}: {log.damage}")
             _mend(folder / part.file, log)
-    if damage or record.state == "running":
+    changed = bool(damage) or record.state == "running"
+    if changed:
         _complete(record, logs)
         write_json(folder / RUN_FILE, dataclasses.asdict(record))
-    return Recovery(tuple(damage), sum(len(log.samples["time"]) for log in logs), record)
+    return Recovery(tuple(damage), sum(len(log.samples["time"]) for log in logs), record, changed)
 
 
 def damaged_name(file: str) -> str:
@@ -179,6 +182,7 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     if record.state == Ending.DONE.value and short:
         record.state = Ending.FAILED.value
         record.message = f"samples of {', '.join(short)} are lost from the recording; `rig resume` does that again"
+    record.stage_ended(record.state)
 
 
 def _add_segments(record: RunRecord, part: int, log: Log) -> None:

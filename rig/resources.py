@@ -1,4 +1,4 @@
-"""What a bench consists of that only one program at a time may use: its ports, adapters and channels."""
+"""What of a bench one program at a time may use: its ports, adapters and channels."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ _WITH_RATE: Final = frozenset({"slcan", "robotell"})
 
 
 def resources(bench: Bench) -> tuple[Resource, ...]:
-    """Return what a program that uses this bench must hold; nothing where the devices are simulated within it.
+    """Return what a program that uses this bench must hold; nothing where the bench is simulated.
 
-    A device is the same under each of its names, as links are followed; an interface with a channel is the same in
-    every bench file that names both.
+    A device is the same under each of its names, as links are followed; an interface with a
+    channel is the same in every bench file that names both.
     """
     bus = bench.bus
     if bus is None or bench.simulated:

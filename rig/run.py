@@ -23,6 +23,10 @@ from rig.weight_check import Weighing
 
 AVERAGED = frozenset({"current", "voltage"})
 """Channels whose samples are means over the cycle that ends at their time."""
+PARTIAL = " (partial)"
+"""Added to the name of an excitation that was not finished."""
+LEAST_SAMPLES = 2
+"""Fresh samples that make an excitation that was not finished a recording."""
 
 
 class RunFolder:
@@ -174,36 +178,55 @@ def require_unused(path: Path) -> None:
         )
 
 
-def load_run(folder: Path) -> Dataset:
+def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     """Read a run folder for identification: one recording per finished excitation.
 
     Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was done more than
     once, the last counts.
 
+    Args:
+        folder: The run folder.
+        partial: Whether to take excitations that were not finished as well, up to their last fresh sample. Those too
+            short for a recording are left out.
+
     Raises:
-        InputError: The folder is not a run, its recording is unreadable, or no stage was finished.
+        InputError: The folder is not a run, its recording is unreadable, or no stage was finished (with ``partial``: no
+            excitation was recorded).
     """
     record = read_record(folder)
-    finished = [segment for segment in record.segments if segment.kept and segment.end is not None]
-    if not finished:
-        # A recording that cannot be read at all is the better explanation.
-        run_samples.read_log(folder / RECORDING_FILE)
-        raise InputError(f"{folder}: no stage was finished (state {record.state}: {record.message or 'writer died'})")
+    wanted = [s for s in record.segments if s.kept and (s.end is not None or partial)]
+    if not wanted:
+        raise _nothing(folder, record, partial)
     bench = recorded_bench(record)
     recordings: list[Recording] = []
-    for number in sorted({segment.part for segment in finished}):
+    for number in sorted({segment.part for segment in wanted}):
         part = record.parts[number - 1]
         path = folder / part.file
-        mine = [segment for segment in finished if segment.part == number]
+        mine = [segment for segment in wanted if segment.part == number]
         samples, damage = run_samples.by_segment(path, mine, whole=part.state == "done")
         if damage is not None and part.state == "done":
             raise InputError(f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`")
+        mine = [s for s in mine if s.end is not None or np.count_nonzero(samples[s.index]["fresh"]) >= LEAST_SAMPLES]
         digest = sha256_file(path)
         try:
             recordings += [_recording(s, samples.pop(s.index), damage, bench, path, digest) for s in mine]
         except RecordingError as error:
             raise InputError(f"{path}: {error}") from error
+    if not recordings:
+        raise _nothing(folder, record, partial)
     return Dataset(tuple(recordings))
+
+
+def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
+    """Return the error of a run that holds no recording to be used."""
+    # A recording that cannot be read at all is the better explanation.
+    run_samples.read_log(folder / RECORDING_FILE)
+    state = f"(state {record.state}: {record.message or 'writer died'})"
+    if partial:
+        return InputError(f"{folder}: no excitation was recorded {state}; there is nothing to take from this run")
+    unfinished = any(segment.kept for segment in record.segments)
+    remedy = "--partial takes what was recorded" if unfinished else "no excitation was begun either"
+    return InputError(f"{folder}: no stage was finished {state}; {remedy}")
 
 
 def _recording(
@@ -216,7 +239,11 @@ def _recording(
 ) -> Recording:
     """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be held twice."""
     fresh = samples.pop("fresh") != 0.0
-    if len(fresh) != segment.samples:
+    partial = segment.end is None
+    if partial:
+        stop = int(np.flatnonzero(fresh)[-1]) + 1
+        fresh, samples = fresh[:stop], {name: values[:stop] for name, values in samples.items()}
+    elif len(fresh) != segment.samples:
         raise InputError(
             f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though it was finished"
             f" ({damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
@@ -233,6 +260,9 @@ def _recording(
         time = device_time
     else:
         notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
+    if partial:
+        seconds = f"{time[-1] - time[0]:.4g} s"
+        notes.insert(0, f"partial: the run stopped after {len(fresh)} of {segment.samples} samples, {seconds}")
     if not fresh.all():
         notes.append(f"{int(np.sum(~fresh))} samples left out: the answer of a device was missing")
     left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
@@ -242,7 +272,7 @@ def _recording(
     if words:
         notes.append(words)
     return Recording(
-        name=segment.name,
+        name=f"{segment.name}{PARTIAL}" if partial else segment.name,
         channels=channels,
         bench=bench,
         stage="unloaded" if segment.stage == "unloaded" else "loaded",
@@ -252,4 +282,5 @@ def _recording(
         source=str(path),
         sha256=digest,
         notes=tuple(notes),
+        partial=partial,
     )

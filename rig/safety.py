@@ -55,6 +55,14 @@ _REMEDY = {
     Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
 }
 
+AGAIN = ", then run again"
+"""End of a remedy after which the same run can be tried once more."""
+
+
+def remedy(check: Check) -> str:
+    """Return what to do about a trip before anything moves again."""
+    return _REMEDY[check].removesuffix(AGAIN)
+
 
 @dataclass(frozen=True, slots=True)
 class GasLimits:

@@ -11,6 +11,7 @@ import io
 import os
 import select
 import sys
+import textwrap
 from contextlib import suppress
 from typing import Final, TextIO
 
@@ -118,6 +119,16 @@ class Outlet:
         self._stream = None
 
 
+def _wrapped(words: str, columns: int) -> str:
+    """Break lines that are too long between words; the rows of a table, which double spaces tell, stay as they are."""
+    return "\n".join(
+        textwrap.fill(line, columns, break_long_words=False, break_on_hyphens=False)
+        if len(line) > columns and "  " not in line
+        else line
+        for line in words.split("\n")
+    )
+
+
 class Screen:
     """The operator's view of a run.
 
@@ -157,7 +168,8 @@ class Screen:
     def say(self, words: str, err: bool = True) -> None:
         """Show a message of one or more lines."""
         self._begin_line()
-        (self._err if err else self._out).put(f"{words}\n")
+        outlet = self._err if err else self._out
+        outlet.put(f"{_wrapped(words, outlet.columns) if outlet.terminal else words}\n")
 
     def ask(self, words: str) -> None:
         """Show a prompt; the cursor stays behind it."""

@@ -202,6 +202,7 @@ def _start_recording(
 def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
     """Add a recording to the record of a run."""
     record.state, record.message, record.trip, record.de_energised = "running", "", None, None
+    record.drive_state = None
     part = PartRecord(
         file=part_file(len(record.parts) + 1),
         created=utc_now().isoformat(timespec="seconds"),
@@ -289,10 +290,12 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
     if outcome is None:
         record.state, record.message = Ending.CRASHED.value, "the program broke down"
         part.state = record.state
+        record.stage_ended(record.state)
         return
     record.state, record.message = outcome.ending.value, outcome.message
     part.state = record.state
-    record.de_energised = outcome.safe.verified
+    record.stage_ended(record.state)
+    record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
     if outcome.trip is not None:
         trip = outcome.trip
         value = trip.value if math.isfinite(trip.value) else None

@@ -208,6 +208,14 @@ def test_a_status_line_that_a_narrower_window_broke_is_erased_whole(terminal: Te
     screen.close()
 
 
+def test_long_lines_break_between_words_and_tables_stay(terminal: Terminal) -> None:
+    terminal.resize(20)
+    screen = on(terminal)
+    screen.say("the drive is de-energised now\na  table  that  is  wider")
+    assert terminal.shown() == "the drive is\nde-energised now\na  table  that  is  wider\n"
+    screen.close()
+
+
 def test_a_message_after_an_unanswered_prompt_begins_a_line_of_its_own(terminal: Terminal) -> None:
     screen = on(terminal)
     screen.ask("Mass: ")
