@@ -125,11 +125,11 @@ def command(
     path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
     require_unused(path)
-    require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
+    require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
     require_attendance(plan, bench_file, yes, dry_run or at_terminal())
     for words in (of_another_bench(file, constants) for file in (identification, feedforward_file) if file):
         if words is not None:
