@@ -19,6 +19,7 @@ from rig.feedforward import load_feedforward
 from rig.friction_model import FrictionModel, friction_model, of_another_bench
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
+from rig.locks import OWNER_FILE
 from rig.operator import AutomaticOperator, ConsoleOperator
 from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file, require_folder, write_asked
@@ -124,7 +125,9 @@ def command(
         click.echo(feedforward.remark, err=True)
     path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
-    require_unused(path)
+    # Of a folder that another program works in, its lock says more than what lies there.
+    if not (path / OWNER_FILE).exists():
+        require_unused(path)
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
