@@ -91,7 +91,7 @@ def seconds(bench: PtyBench, sequence: Path, out: Path) -> list[list[str]]:
 
 
 def settled(bench: PtyBench) -> int:
-    """Return how many bytes the bench has read once that stands still: what the first program sent may be on its way."""
+    """Return how many bytes the bench has read, once that stands still: some may be on their way."""
     before, now = -1, bench.bytes_sent()
     while now != before:
         time.sleep(0.1)
