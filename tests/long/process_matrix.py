@@ -1,0 +1,597 @@
+"""What befalls the process of a run, in every phase, on every transport: what came of it, held against what must.
+
+`python -m tests.long.process_matrix` goes through all of it, the transports side by side, and writes tables and
+messages to docs/faults-processes.md. With `--only WORDS`, words with commas between, it goes through what matches all
+of them (a name of a column, transport or phase each) and only prints.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import NS
+from rig.errors import InputError
+from rig.guardian import REPORT_FILE
+from rig.mcap_layout import decode_frames
+from rig.mcap_reader import read_run
+from rig.recover import recover
+
+from .benches import TITLES, TRANSPORTS, Account, Bench, bench_process
+from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams
+from .process_cases import (
+    ASKING,
+    COLUMNS,
+    CYCLING,
+    LIMITS,
+    LOG_GAP_S,
+    NO_POWER,
+    PHASES,
+    SECOND_STAGE,
+    SEQUENCE,
+    STATES,
+    TOLD_S,
+    Must,
+)
+
+PAGE = ROOT / "docs" / "faults-processes.md"
+COLUMNS_BEGIN, COLUMNS_END = "<!-- columns: written by tests/long/process_matrix.py -->", "<!-- end of columns -->"
+BEGIN, END = "<!-- processes: written by tests/long/process_matrix.py -->", "<!-- end of processes -->"
+VERDICT = r"the drive is de-energised \(read back|could NOT be verified"
+BUSY = re.compile(
+    "sample age|lateness of|heartbeat|no SDO response|no good answer|following error|8130h|did not start|encoder against"
+)
+PATIENCE_S = 15.0
+START_S = 40.0
+SUSPENDED_S = 2.0
+STALLED_S = 1.0
+_SHOWN = 240
+REPEATS = 4
+_READ_ONLY = ("unshare", "-m", "sh", "-c", 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"')
+_SIGNALS = {name: getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGTSTP", "SIGQUIT", "SIGKILL")}
+
+
+class MissedError(Exception):
+    """What was to happen in a phase did not happen in it."""
+
+
+@dataclass
+class Scene:
+    """A run that something is about to befall.
+
+    Attributes:
+        column: What happens.
+        phase: When.
+        bench: The bench.
+        folder: Of the cell; the run is in ``disk``.
+        disk: A file system of its own, which can be filled.
+        console: The run's terminal.
+        second: The other program, if there is one.
+        also: What else went wrong.
+    """
+
+    column: str
+    phase: str
+    bench: Bench
+    folder: Path
+    disk: Path
+    console: Console
+    second: Console | None = None
+    also: list[str] = field(default_factory=list)
+
+    @property
+    def run(self) -> Path:
+        """The run folder."""
+        return self.disk / "run"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What came of it.
+
+    Attributes:
+        text: For the table.
+        problems: What is not as it must be.
+        messages: What the operator saw from then on.
+        busy: How often it was repeated because the machine was too busy.
+        seconds: How long the power took to go off, s.
+    """
+
+    text: str
+    problems: tuple[str, ...]
+    messages: tuple[str, ...] = ()
+    busy: int = 0
+    seconds: float | None = None
+
+
+def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> Scene:
+    """Start a run, and whatever must stand by."""
+    bench.renew()
+    file = bench.write_file(folder)
+    sequence = folder / "sequence.yaml"
+    sequence.write_text(SEQUENCE + (SECOND_STAGE if phase == "between" else ""))
+    home = folder / "home"
+    home.mkdir()
+    words = ["run", str(sequence), "--bench", str(file), "--out", str(disk / "run")]
+    if phase == "approach":
+        # Only without a first pass is there a way to go from rest.
+        words.append("--no-first-pass")
+    streams = Streams("pipe" if column == "stdin closed" else "tty", "pipe" if column == "stdout closed" else "tty")
+    stage, name, after_s = PHASES[phase]
+    gate = "" if after_s else f"{stage}/{name}"
+    env = bench.env | {"HOME": str(home)}
+    program, prefix = WITNESS, ()
+    if column == "HOME not writable" and phase == "prompt":
+        _spoil(home)
+        program, prefix = RIG, (*_READ_ONLY, str(ROOT))  # type: ignore[assignment]
+    console = Console(words, folder, env, streams, gate, program, prefix)
+    console.hold = phase == "prompt"
+    scene = Scene(column, phase, bench, folder, disk, console)
+    if column == "second program":
+        scene.second = Console(
+            ["jog", str(file), "--to", "3"], folder, bench.env | {"WITNESS_READY": "1"}, Streams("closed"), "ready"
+        )
+    return scene
+
+
+def _spoil(home: Path) -> None:
+    """Put a file where the folder was: nothing can be written below it, whoever tries."""
+    shutil.rmtree(home)
+    home.write_text("")
+
+
+def fill(disk: Path, pid: int) -> None:
+    """Leave a process no room on a file system of its own; no file may grow where it has none."""
+    if not disk.is_mount():
+        resource.prlimit(pid, resource.RLIMIT_FSIZE, (0, 0))
+        return
+    with open(disk / "filler", "wb", buffering=0) as stream, suppress(OSError):
+        while True:
+            stream.write(bytes(1 << 16))
+    with open(disk / "filler", "ab", buffering=0) as stream, suppress(OSError):
+        while True:
+            stream.write(bytes(256))
+
+
+def befall(scene: Scene) -> int:
+    """Let it happen; returns when, ns."""
+    column, console = scene.column, scene.console
+    now = time.monotonic_ns()
+    if column in _SIGNALS:
+        return console.signal(_SIGNALS[column])
+    match column:
+        case "adapter gone":
+            return scene.bench.unplug()
+        case "line garbage":
+            return scene.bench.garbage(len(scene.phase))
+        case "second program":
+            assert scene.second is not None
+            scene.second.open_gate()
+        case "terminal stalled":
+            console.key(STOP_KEY)
+        case "terminal gone":
+            console.hang_up()
+        case "stdout closed":
+            console.close_stdout()
+        case "stdin closed":
+            console.close_stdin()
+        case "disk full":
+            fill(scene.disk, console.pid)
+        case "HOME not writable":
+            if scene.phase != "prompt":
+                _spoil(scene.folder / "home")
+        case "suspended 2 s":
+            return console.signal(signal.SIGSTOP)
+    return now
+
+
+def reach(scene: Scene) -> None:
+    """Wait until the phase is there.
+
+    Raises:
+        MissedError: It never was.
+    """
+    console = scene.console
+    stage, name, after_s = PHASES[scene.phase]
+    second = scene.second
+    if second is not None and not second.until(lambda: second.notices or second.ended, START_S):
+        raise MissedError("the second program did not start")
+    if scene.phase in ASKING:
+        wanted = 1 + (scene.phase == "between")
+        reached = console.until(lambda: len(console.asked_ns) >= wanted or console.ended, START_S)
+        console.hold = True
+        console.pause(after_s)
+    else:
+        reached = console.until(lambda: console.at(stage, name) or console.ended, START_S)
+        began = console.at(stage, name)
+        if began is not None and after_s:
+            left_s = after_s - (time.monotonic_ns() - began) / NS
+            console.pause(max(0.0, left_s))
+    if not reached or console.ended:
+        raise MissedError(f"phase {scene.phase} was never reached: {_last(console.text())}")
+
+
+def _last(text: str) -> str:
+    return " / ".join(line.strip() for line in text.splitlines() if line.strip())[-_SHOWN:]
+
+
+def aftermath(scene: Scene, ns: int) -> None:
+    """Do what the operator does after that, until the run has ended or should have."""
+    console, column = scene.console, scene.column
+    if not PHASES[scene.phase][2]:
+        console.open_gate()
+    if scene.second is not None:
+        second = scene.second
+        if not second.until(lambda: second.ended, PATIENCE_S):
+            scene.also.append("the second program did not end")
+        console.pause(0.2)
+    if column == "suspended 2 s":
+        time.sleep(max(0.0, SUSPENDED_S - (time.monotonic_ns() - ns) / NS))
+        console.signal(signal.SIGCONT)
+    if column == "terminal stalled":
+        _stalled(scene)
+    console.hold = False
+    stands = column != "suspended 2 s"
+    if not console.until(lambda: console.ended or (stands and console.stops), PATIENCE_S):
+        scene.also.append(f"still running {PATIENCE_S:g} s later: {_last(console.text(ns))}")
+    if column == "SIGKILL":
+        report = scene.run / REPORT_FILE
+        console.until(report.exists, 1.5 if scene.bench.transport == "serial" else 0.5)
+    console.pause(0.3)
+
+
+def _stalled(scene: Scene) -> None:
+    """Wait for the end of a run that nobody can see, then look at it."""
+    console = scene.console
+    if scene.phase in ASKING:
+        console.pause(STALLED_S)
+    else:
+        state = scene.run / "run.json"
+        over = console.until(lambda: console.ended or _state(state) not in ("", "running"), PATIENCE_S / 2)
+        if not over:
+            scene.also.append("the run does not go on while the terminal is stalled")
+        if scene.bench.account().on:
+            scene.also.append("the drive is on while the terminal is stalled and the run is over")
+    console.key(START_KEY)
+
+
+def _state(file: Path) -> str:
+    try:
+        return str(json.loads(file.read_text())["state"])
+    except (OSError, ValueError):
+        return ""
+
+
+def problems(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
+    """Yield what is not as it must be."""
+    console = scene.console
+    text = console.text()
+    yield from scene.also
+    if console.status not in must.statuses:
+        yield f"exit status {console.status}, must be {' or '.join(map(str, must.statuses))}: {_last(console.text(ns))}"
+    if console.stops and scene.column != "suspended 2 s":
+        yield f"it was stopped by signal {console.stops}, and stood"
+    if "Traceback (most recent call last)" in text:
+        yield f"a traceback: {_last(text)}"
+    yield from _power(scene, must, ns, account)
+    yield from _told(scene, must, ns, account)
+    yield from _recording(scene, ns, account)
+    yield from _record(scene, must, account)
+    if scene.second is not None:
+        yield from _second(scene.second, console.pid)
+
+
+def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
+    """Hold the power stage against its time limit."""
+    if must.stays_on:
+        return
+    off_s = account.off_after_s(ns)
+    if off_s is None:
+        yield "the drive is still energised"
+    elif must.off_s is not None and scene.console.status != 0 and off_s > must.off_s:
+        yield f"off after {off_s:.3f} s, limit {must.off_s:g} s"
+    elif scene.console.status == 0:
+        ends = [notice["ns"] for notice in scene.console.notices if notice["phase"] == "release"]
+        late_s = account.off_after_s(ends[-1]) if ends else 0.0
+        if late_s is None or late_s > 0.5:
+            yield f"off {late_s} s after the last stage"
+
+
+def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
+    """Hold what the operator sees against what is so."""
+    if not must.told:
+        return
+    console = scene.console
+    said = console.text(ns)
+    if must.words and not re.search(must.words, said):
+        yield f"the terminal does not say {must.words!r}: {_last(said)}"
+    last = [match.group() for match in re.finditer(VERDICT, said)]
+    if not last:
+        yield f"the terminal does not say how the drive was left: {_last(said)}"
+        return
+    verified = "read back" in last[-1]
+    if must.verified is not None and verified is not must.verified:
+        yield f"it says {last[-1]!r}, must be {'read back' if must.verified else 'not verified'}"
+    if verified and account.on:
+        yield "it says that the drive is off, and it is not"
+    if not verified and "main supply" not in said:
+        yield "it does not say what to do about a drive that may be on"
+    told_ns = console.said_ns(VERDICT, ns)
+    limit_s = TOLD_S + (SUSPENDED_S if scene.column == "suspended 2 s" else 0.0)
+    if scene.phase in CYCLING and console.status != 0 and told_ns is not None and told_ns - ns > limit_s * NS:
+        yield f"it says so {(told_ns - ns) / NS:.2f} s later, limit {limit_s:g} s"
+
+
+def _recording(scene: Scene, ns: int, account: Account) -> Iterator[str]:
+    """Recover a copy, and hold its end against the last that was on the wire before it happened."""
+    (scene.disk / "filler").unlink(missing_ok=True)
+    copy = scene.folder / "copy"
+    try:
+        shutil.copytree(scene.run, copy)
+        recovered = recover(copy).record
+        log = read_run(copy / "recording.mcap")
+    except (InputError, OSError, ValueError) as error:
+        yield f"the recording cannot be read: {error}"
+        return
+    if not any(event["event"] == "prompt" for event in log.events):
+        yield "the recording does not even hold the prompt"
+    if scene.phase in CYCLING:
+        frames = (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data))
+        end = max((time_ns for time_ns in frames), default=0)
+        last = max((heard for heard in account.heard_ns if heard <= ns), default=0)
+        if (last - end) / NS > LOG_GAP_S:
+            yield f"the recording ends {(last - end) / NS:.3f} s before the last that was on the wire"
+    if scene.console.status not in (0, None) and recovered.state in ("done", "running"):
+        yield f"recovered, the run is {recovered.state}"
+
+
+def _record(scene: Scene, must: Must, account: Account) -> Iterator[str]:
+    """Hold run.json against what happened."""
+    status = scene.console.status
+    try:
+        record: dict[str, Any] = json.loads((scene.run / "run.json").read_text())
+    except (OSError, ValueError) as error:
+        yield f"run.json cannot be read: {error}"
+        return
+    ended_as = [status] if status in must.statuses else must.statuses
+    wanted = must.record or tuple(STATES[number] for number in ended_as if number in STATES)
+    if record["state"] not in wanted:
+        yield f"run.json says {record['state']!r}, must be {' or '.join(wanted)}"
+    if record["state"] == "running":
+        return
+    off = record["de_energised"]
+    if off is True and account.on:
+        yield "run.json says that the drive is off, and it is not"
+    if must.verified is not None and off is not must.verified:
+        yield f"run.json says de_energised {off}, must be {must.verified}"
+    ended = {notice["stage"] for notice in scene.console.notices if notice["phase"] == "release"}
+    for stage in record["stages"]:
+        if stage["state"] == "running":
+            yield f"run.json says that stage {stage['name']} is running, and the run has ended"
+        if stage["state"] == "done" and scene.console.notices and stage["name"] not in ended:
+            yield f"run.json says that stage {stage['name']} is done, and it was not"
+    if status == 0 and any(stage["state"] != "done" for stage in record["stages"]):
+        yield "run.json says that not all stages are done"
+
+
+def _second(second: Console, holder: int) -> Iterator[str]:
+    """Hold the other program against what a second one must do."""
+    said = second.text()
+    if second.status != 4:
+        yield f"the second program ended with {second.status}, must be 4: {_last(said)}"
+    if not re.search(rf"\b{holder}\b", said) or "run" not in said:
+        yield f"the second program does not name the holder (run, process {holder}): {_last(said)}"
+    if "Traceback (most recent call last)" in said:
+        yield "a traceback of the second program"
+
+
+def messages(scene: Scene, ns: int) -> tuple[str, ...]:
+    """Return the lines that tell of it: how it ended, why, and what to do."""
+    text = scene.console.text(ns) + ("" if scene.second is None else "\n" + scene.second.text())
+    kinds = r"(done|stopped|tripped|failed|[a-z ]*error|guardian|in use|held)\b.*:"
+    found = []
+    for line in re.split(r"[\r\n]+", text):
+        if re.match(kinds, line.strip()) or "in use" in line or re.search(VERDICT, line):
+            found.append(line.strip())
+    return tuple(dict.fromkeys(found))
+
+
+def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tuple[Cell, bool]:
+    """Do a cell; returns it, and whether the machine was too busy for it to count.
+
+    Raises:
+        MissedError: It did not come to it.
+    """
+    must: Must = COLUMNS[column].must(bench.transport, phase)  # type: ignore[operator]
+    scene = started(column, phase, bench, folder, disk)
+    try:
+        reach(scene)
+        ns = befall(scene)
+        aftermath(scene, ns)
+        _in_phase(scene, ns)
+        account = bench.account()
+        found = tuple(problems(scene, must, ns, account))
+        text, said = scene.console.text(ns), messages(scene, ns)
+        busy = bool(COLUMNS[column].busy and BUSY.search(text)) or any(
+            ns < when < ns + NS for when, _ in account.pauses
+        )
+        return Cell(_cell_text(scene, must, ns, account, found), found, said, 0, account.off_after_s(ns)), busy
+    finally:
+        scene.console.close()
+        if scene.second is not None:
+            scene.second.close()
+
+
+def _in_phase(scene: Scene, ns: int) -> None:
+    """Check that it happened where it should.
+
+    Raises:
+        MissedError: The phase was over.
+    """
+    before = [notice for notice in scene.console.notices if notice["ns"] <= ns]
+    stage, name, _ = PHASES[scene.phase]
+    if before and (before[-1]["stage"], before[-1]["phase"]) != (stage, name):
+        raise MissedError(f"it happened in phase {before[-1]['phase']}, not in {scene.phase}")
+
+
+def _cell_text(scene: Scene, must: Must, ns: int, account: Account, found: Sequence[str]) -> str:
+    status = scene.console.status
+    text = "-" if status is None else f"{status}"
+    off_s = account.off_after_s(ns)
+    if status != 0 or scene.column == "SIGKILL":
+        text += ", ON" if off_s is None else f", {off_s:.2f} s" if account.ever_on(ns, ns + NS) else ", off"
+        if must.verified is False or not must.told:
+            text += "*"
+    return text + (" !!" if found else "")
+
+
+def cell(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> Cell:
+    """Do a cell, again where the machine was too busy for it or the moment was missed."""
+    made = Cell("?", ("never done",))
+    for attempt in range(REPEATS):
+        place = folder / f"{column} {phase} {attempt}".replace(" ", "_")
+        place.mkdir(parents=True)
+        for entry in disk.iterdir():
+            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+        try:
+            made, busy = once(column, phase, bench, place, disk)
+        except MissedError as error:
+            made, busy = Cell("? !!", (str(error),)), True
+        made = Cell(made.text, made.problems, made.messages, attempt, made.seconds)
+        if not made.problems or not busy:
+            break
+    return made
+
+
+@contextmanager
+def small_disk(folder: Path) -> Iterator[Path]:
+    """Make a file system of its own that can be filled; a mere folder where that is not allowed."""
+    disk = folder / "disk"
+    disk.mkdir(parents=True)
+    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)], capture_output=True)
+    if mounted.returncode:
+        print("no file system of its own can be mounted; a full disk is a limit on the size of files instead")
+    try:
+        yield disk
+    finally:
+        if not mounted.returncode:
+            subprocess.run(["umount", "-l", str(disk)], check=True)
+
+
+Cells = dict[tuple[str, str, str], Cell]
+Wanted = Callable[[str, str, str], bool]
+
+
+def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
+    """Do all cells of a transport, one after another."""
+    cells: Cells = {}
+    todo = [(column, phase) for column in COLUMNS for phase in PHASES if wanted(column, transport, phase)]
+    if not todo:
+        return cells
+    with small_disk(folder) as disk, bench_process(transport) as bench:
+        for column, phase in todo:
+            began = time.monotonic()
+            made = cells[column, transport, phase] = cell(column, phase, bench, folder, disk)
+            again = f", {made.busy} repeats" if made.busy else ""
+            print(f"{transport}, {column}, {phase}: {made.text} ({time.monotonic() - began:.1f} s{again})", flush=True)
+            for problem in made.problems:
+                print(f"    {problem}", flush=True)
+    return cells
+
+
+def tables(cells: Cells) -> list[str]:
+    """Return the tables of the page."""
+    lines: list[str] = []
+    for transport in TRANSPORTS:
+        lines += [f"### {TITLES[transport]}", "", f"| | {' | '.join(PHASES)} |", "|---" * (len(PHASES) + 1) + "|"]
+        for column in COLUMNS:
+            row = [cells.get((column, transport, phase), Cell("", ())).text for phase in PHASES]
+            if any(row):
+                lines.append(f"| {column} | {' | '.join(row)} |")
+        lines.append("")
+    return lines
+
+
+def said(cells: Cells) -> list[str]:
+    """Return every message once, with where it was first seen and how often."""
+    seen: dict[str, tuple[str, tuple[str, str, str], int]] = {}
+    for place, made in cells.items():
+        for message in made.messages:
+            key = re.sub(r"[-+]?\d+(\.\d+)?", "#", re.sub(r"stage \w+, phase [\w ]+:|/\S+", "@", message))
+            first = seen.get(key)
+            seen[key] = (message, place, 1) if first is None else (first[0], first[1], first[2] + 1)
+    lines = []
+    for message, (column, transport, phase), count in seen.values():
+        lines += [f"- {column}, {phase}, {transport} ({count} in all):", "", "  ```text", f"  {message}", "  ```"]
+    return lines
+
+
+def main() -> int:
+    """Do the cells; 1 where something is not as it must be."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--only", default="", help="words with commas between; several of one kind are alternatives")
+    parser.add_argument("--json", type=Path, help="keep the cells here")
+    options = parser.parse_args()
+    words = [word.strip() for word in options.only.split(",") if word.strip()]
+    kinds = [[word for word in words if word in kind] for kind in (COLUMNS, TRANSPORTS, PHASES)]
+    if sum(map(len, kinds)) != len(words):
+        parser.error(f"--only takes of {', '.join([*COLUMNS, *TRANSPORTS, *PHASES])}")
+
+    def wanted(*place: str) -> bool:
+        return all(not chosen or name in chosen for name, chosen in zip(place, kinds, strict=True))
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(len(TRANSPORTS)) as pool:
+        futures = [pool.submit(on_transport, t, wanted, Path(name) / t) for t in TRANSPORTS]
+        cells = {place: made for future in futures for place, made in future.result().items()}
+    lines = tables(cells)
+    bad = {place: made for place, made in cells.items() if made.problems}
+    again = sum(made.busy for made in cells.values())
+    print("\n".join(lines))
+    print(
+        f"{len(cells)} cells in {(time.monotonic() - began) / 60:.1f} min; {len(bad)} bad; repeated because the machine "
+        f"was too busy or the moment was missed: {again}, in {sum(bool(made.busy) for made in cells.values())} cells"
+    )
+    if options.json:
+        rows = [{"cell": place, **vars(made)} for place, made in cells.items()]
+        options.json.write_text(json.dumps(rows, indent=1))
+    if not words:
+        write(lines, said(cells), cells)
+    return 1 if bad else 0
+
+
+def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
+    """Put tables and messages into the page."""
+    bad = sum(bool(made.problems) for made in cells.values())
+    again = sum(made.busy for made in cells.values())
+    count = f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
+    body = [count, "", *lines, "## What the operator sees", "", *messages]
+    limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + ["", f"**Limits.** {LIMITS}"]
+    text = between(PAGE.read_text(), COLUMNS_BEGIN, COLUMNS_END, limits)
+    PAGE.write_text(between(text, BEGIN, END, body))
+
+
+def between(text: str, begin: str, end: str, lines: Sequence[str]) -> str:
+    """Return a page with these lines between two marks."""
+    before, after = text.split(begin)[0], text.split(end)[1]
+    return f"{before}{begin}\n\n" + "\n".join(lines) + f"\n\n{end}{after}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
