@@ -17,6 +17,7 @@ import termios
 import time
 import uuid
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -91,6 +92,7 @@ class Console:
     Attributes:
         answers: What the operator types at the next prompts for a mass, in order; the last again and again.
         hold: While true, no prompt is answered.
+        reading: While false, nothing is read from the terminal.
         notices: What the witness told, in order.
         status: Exit status, negative for a signal; None while it lives.
         stops: Signals that stopped it, as a shell would see.
@@ -102,7 +104,7 @@ class Console:
         words: Sequence[str],
         folder: Path,
         env: Mapping[str, str],
-        streams: Streams = Streams(),  # noqa: B008 - frozen
+        streams: Streams = Streams(),
         gate: str = "",
         program: Sequence[str] = WITNESS,
         prefix: Sequence[str] = (),
@@ -110,6 +112,7 @@ class Console:
     ) -> None:
         self.answers: list[str] = ["0"]
         self.hold = False
+        self.reading = True
         self.notices: list[dict[str, Any]] = []
         self.status: int | None = None
         self.stops: list[int] = []
@@ -175,7 +178,7 @@ class Console:
     def pump(self, timeout_s: float = 0.05) -> None:
         """Move whatever has come in within the time, and answer prompts."""
         sources = [self._notices, self._control.fileno()]
-        sources += [end for end in (self._master, self._stdout) if end is not None and end >= 0]
+        sources += [end for end in (self._master if self.reading else None, self._stdout) if end is not None]
         ready, _, _ = select.select([end for end in sources if end >= 0], [], [], timeout_s)
         for end in ready:
             try:
@@ -292,6 +295,18 @@ class Console:
     def open_gate(self) -> None:
         """Let it go on."""
         os.write(self._gate, b"x")
+
+    def stuff(self) -> None:
+        """Stop reading the terminal, and leave no room in it for what the command may write."""
+        self.reading = False
+        writer = os.open(os.ttyname(self._slave), os.O_WRONLY | os.O_NOCTTY | os.O_NONBLOCK)
+        with suppress(BlockingIOError):
+            while True:
+                os.write(writer, b"." * 256)
+        with suppress(BlockingIOError):
+            while True:
+                os.write(writer, b".")
+        os.close(writer)
 
     def hang_up(self) -> None:
         """Take the terminal away, as a connection that drops."""

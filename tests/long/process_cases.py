@@ -24,13 +24,14 @@ LINE_S = 0.6
 """A line that says nonsense shows at once or when samples get too old (0.15 s); then as a stop."""
 TOLD_S = 3.0
 """From what happened under power to the verdict on the terminal."""
+SUSPENDED_S = 2.0
 LOG_GAP_S = 0.2
 LIMITS = (
     f"Power off within {STOP_S:g} s of SIGHUP, SIGTERM, SIGTSTP, a terminal that is gone and an input that ends; "
-    f"{NOW_S:g} s of SIGQUIT; {GUARD_S:g} s of SIGKILL on the serial bench (its guardian), {CAN_WATCH_S:g} s on a CAN bus (the "
-    f"drive's own watch), as of a lost adapter there; {GUARD_DEADLINE_S:g} s of a suspension on the serial bench, "
-    f"{CAN_WATCH_S:g} s on a CAN bus; {LINE_S:g} s of garbage that ends a run; {STORAGE_S:g} s of a full disk. Under power, the "
-    f"verdict is on the terminal {TOLD_S:g} s later."
+    f"{NOW_S:g} s of SIGQUIT; {GUARD_S:g} s of SIGKILL on the serial bench (its guardian), {CAN_WATCH_S:g} s on a CAN "
+    f"bus (the drive's own watch), as of a lost adapter there; {GUARD_DEADLINE_S:g} s of a suspension on the serial "
+    f"bench, {CAN_WATCH_S:g} s on a CAN bus; {LINE_S:g} s of garbage that ends a run; {STORAGE_S:g} s of a full "
+    f"disk. Under power, the verdict is on the terminal {TOLD_S:g} s later."
 )
 
 PHASES: Mapping[str, tuple[str, str, float]] = {
