@@ -41,8 +41,10 @@ pid = os.fork()
 if not pid:
     os.setpgid(0, 0)
     os.tcsetpgrp(tty, os.getpid())
-    for number in (signal.SIGINT, signal.SIGQUIT, signal.SIGTSTP, signal.SIGTTIN, signal.SIGTTOU):
-        signal.signal(number, signal.SIG_DFL)
+    # The harness itself may have been started with some of them ignored, as by nohup.
+    for number in range(1, signal.SIGSYS + 1):
+        if number not in (signal.SIGKILL, signal.SIGSTOP):
+            signal.signal(number, signal.SIG_DFL)
     for at, stream in enumerate(told["streams"]):
         if stream is None:
             os.close(at)

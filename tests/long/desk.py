@@ -26,6 +26,7 @@ STARTS = (
     r"status \d",
 )
 """What begins a line of its own, where the screen is as it should be."""
+STATUS_LINE = re.compile(r"\d ?/ ?\d+ s\b|\bdeg\b.*\bA\b|Mass on the lever")
 START_S = 60.0
 END_S = 25.0
 
@@ -44,6 +45,7 @@ class Desk:
         tmux: The terminal.
         captures: Title to what was on the screen.
         problems: What is not as it must be.
+        remarks: What is not as nice as it could be.
     """
 
     bench: Bench
@@ -51,6 +53,7 @@ class Desk:
     tmux: Tmux
     captures: dict[str, str] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
 
     def notices(self) -> list[dict[str, Any]]:
         """Return what the witness has told."""
@@ -133,6 +136,7 @@ def check_screen(desk: Desk, status: int | None, *wanted: int, verdict: bool = T
         desk.expect(re.search(VERDICT, unwrapped(text)), f"no verdict on the screen: {text[-300:]}")
     desk.expect(not desk.bench.account().on, "the drive is still energised")
     desk.problems += tidy(text, desk.tmux.columns)
+    desk.remarks += wide(text, desk.tmux.columns)
 
 
 def unwrapped(text: str) -> str:
@@ -141,16 +145,23 @@ def unwrapped(text: str) -> str:
 
 
 def tidy(text: str, columns: int) -> Iterator[str]:
-    """Yield what is untidy: lines wider than the terminal (paths aside), and those that begin within others."""
+    """Yield what is garbled: a status line or prompt wider than the terminal, or what begins within another line."""
     for line in text.splitlines():
-        if len(line) > columns and not re.search(r"\S*/\S{10,}", line):
-            yield f"a line of {len(line)} characters on {columns} columns: {line[:60]!r}..."
+        if len(line) > columns and STATUS_LINE.search(line):
+            yield f"a status line of {len(line)} characters on {columns} columns: {line[:100]!r}"
         for start in STARTS:
             for found in re.finditer(start, line):
                 if line[: found.start()].strip() not in ("", "warning:", "^C"):
                     yield f"{found.group()!r} begins in the middle of a line: {line[:100]!r}"
         if "Mass on the lever" in line and not ANSWERED.match(line):
             yield f"a garbled prompt: {line[:100]!r}"
+
+
+def wide(text: str, columns: int) -> Iterator[str]:
+    """Yield the messages that the terminal itself has to break; those with paths aside."""
+    for line in text.splitlines():
+        if len(line) > columns and not re.search(r"\S*/\S{10,}", line):
+            yield f"a message of {len(line)} characters, broken at {columns}: {line[:50]!r}"
 
 
 def sit_down(bench: Bench, folder: Path, columns: int = 80, sequence: str = SEQUENCE + SECOND_STAGE) -> Desk:

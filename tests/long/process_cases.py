@@ -5,7 +5,7 @@ All times in s of real time, with the benches of :mod:`tests.long.benches` at 10
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 CAN_WATCH_S = 0.25
@@ -120,6 +120,11 @@ def _ridden(transport: str, phase: str) -> Must:
     return DONE
 
 
+def _unheard(transport: str, phase: str) -> Must:
+    # A run that is done says so on its standard output.
+    return replace(DONE, told=False)
+
+
 def _stdin(transport: str, phase: str) -> Must:
     return Must((3,), STOP_S, words="prompt") if phase in ASKING else DONE
 
@@ -150,7 +155,7 @@ class Column:
         busy: Whether words on lateness then mean that the machine was too busy, rather than that it happened.
     """
 
-    must: object
+    must: Callable[[str, str], Must]
     words: str
     busy: bool = True
 
@@ -174,7 +179,7 @@ COLUMNS: Mapping[str, Column] = {
     "SIGKILL": Column(_killed, "the signal"),
     "terminal stalled": Column(_ridden, "Ctrl-S; Ctrl-Q once the run is over, or after 1 s at a prompt"),
     "terminal gone": Column(_hung_up, "the terminal is hung up, as by an ssh connection that drops"),
-    "stdout closed": Column(_ridden, "the pipe behind the standard output has no reader any more"),
+    "stdout closed": Column(_unheard, "the pipe behind the standard output has no reader any more"),
     "stdin closed": Column(_stdin, "the pipe before the standard input ends"),
     "disk full": Column(_disk, "the file system of the run folder has no room left"),
     "HOME not writable": Column(
@@ -182,3 +187,12 @@ COLUMNS: Mapping[str, Column] = {
     ),
     "suspended 2 s": Column(_suspended, "SIGSTOP, and SIGCONT 2 s later", busy=False),
 }
+
+START = "start"
+STARTS: Mapping[str, tuple[tuple[str, str], bool, Must]] = {
+    "<&-": (("closed", "tty"), False, Must((2, 3), 0.0, verified=None)),
+    "--yes <&-": (("closed", "tty"), True, DONE),
+    "--yes > /dev/full": (("tty", "/dev/full"), True, Must((0, 4), STOP_S, told=False, record=("done", "failed"))),
+    "--yes >&-": (("tty", "closed"), True, Must((0, 4), STOP_S, told=False, record=("done", "failed"))),
+}
+"""What a run may be started with: standard input and output, whether with ``--yes``, and what must come of it."""

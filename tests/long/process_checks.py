@@ -12,6 +12,7 @@ from typing import Any
 
 from drivers.clock import NS
 from rig.errors import InputError
+from rig.guardian import REPORT_FILE
 from rig.mcap_layout import decode_frames
 from rig.mcap_reader import read_run
 from rig.recover import recover
@@ -58,6 +59,11 @@ class Scene:
     also: list[str] = field(default_factory=list)
 
     @property
+    def guarded(self) -> bool:
+        """Whether the guardian must take the power off, as the run cannot."""
+        return self.bench.transport == "serial" and self.column in ("SIGKILL", "suspended 2 s")
+
+    @property
     def run(self) -> Path:
         """The run folder."""
         return self.disk / "run"
@@ -94,6 +100,8 @@ def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]
     off_s = account.off_after_s(ns)
     if off_s is None:
         yield "the drive is still energised"
+    elif scene.guarded and account.on_at(ns) and not _guardian(scene):
+        yield "the guardian has not written that it took the power off and read that back"
     elif must.off_s is not None and scene.console.status != 0 and off_s > must.off_s:
         yield f"off after {off_s:.3f} s, limit {must.off_s:g} s"
     elif scene.console.status == 0:
@@ -101,6 +109,14 @@ def _power(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]
         late_s = account.off_after_s(ends[-1]) if ends else 0.0
         if late_s is None or late_s > 0.5:
             yield f"off {late_s} s after the last stage"
+
+
+def _guardian(scene: Scene) -> bool:
+    """Whether the guardian has written that the drive is off."""
+    try:
+        return json.loads((scene.run / REPORT_FILE).read_text())["safe"]["verified"] is True
+    except (OSError, ValueError):
+        return False
 
 
 def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:

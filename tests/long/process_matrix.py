@@ -20,45 +20,23 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 from drivers.clock import NS
 from rig.guardian import REPORT_FILE
 
-from .benches import TITLES, TRANSPORTS, Account, Bench, bench_process
+from .benches import TRANSPORTS, Account, Bench, bench_process
 from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams
-from .process_cases import ASKING, COLUMNS, LIMITS, PHASES, SECOND_STAGE, SEQUENCE, SUSPENDED_S, Must
+from .process_cases import ASKING, COLUMNS, CYCLING, PHASES, SECOND_STAGE, SEQUENCE, START, STARTS, SUSPENDED_S, Must
 from .process_checks import BUSY, VERDICT, MissedError, Scene, last_words, problems
+from .process_page import Cell, Cells, said, tables, write
 
-PAGE = ROOT / "docs" / "faults-processes.md"
-COLUMNS_BEGIN, COLUMNS_END = "<!-- columns: written by tests/long/process_matrix.py -->", "<!-- end of columns -->"
-BEGIN, END = "<!-- processes: written by tests/long/process_matrix.py -->", "<!-- end of processes -->"
 PATIENCE_S = 15.0
 START_S = 40.0
 STALLED_S = 1.0
 REPEATS = 4
 _READ_ONLY = ("unshare", "-m", "sh", "-c", 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"')
 _SIGNALS = {name: getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGTSTP", "SIGQUIT", "SIGKILL")}
-
-
-@dataclass(frozen=True)
-class Cell:
-    """What came of it.
-
-    Attributes:
-        text: For the table.
-        problems: What is not as it must be.
-        messages: What the operator saw from then on.
-        busy: How often it was repeated because the machine was too busy.
-        seconds: How long the power took to go off, s.
-    """
-
-    text: str
-    problems: tuple[str, ...]
-    messages: tuple[str, ...] = ()
-    busy: int = 0
-    seconds: float | None = None
 
 
 def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> Scene:
@@ -73,6 +51,10 @@ def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> 
     if phase == "approach":
         # Only without a first pass is there a way to go from rest.
         words.append("--no-first-pass")
+    if column in STARTS:
+        (stdin, stdout), sure, _ = STARTS[column]
+        console = Console([*words, *(["--yes"] if sure else [])], folder, bench.env, Streams(stdin, stdout))
+        return Scene(column, phase, bench, folder, disk, console)
     streams = Streams("pipe" if column == "stdin closed" else "tty", "pipe" if column == "stdout closed" else "tty")
     stage, name, after_s = PHASES[phase]
     gate = "" if after_s else f"{stage}/{name}"
@@ -114,6 +96,8 @@ def befall(scene: Scene) -> int:
     """Let it happen; returns when, ns."""
     column, console = scene.column, scene.console
     now = time.monotonic_ns()
+    if column in STARTS:
+        return now
     if column in _SIGNALS:
         return console.signal(_SIGNALS[column])
     match column:
@@ -148,9 +132,10 @@ def reach(scene: Scene) -> None:
     Raises:
         MissedError: It never was.
     """
-    console = scene.console
+    console, second = scene.console, scene.second
+    if scene.phase == START:
+        return
     stage, name, after_s = PHASES[scene.phase]
-    second = scene.second
     if second is not None and not second.until(lambda: second.notices or second.ended, START_S):
         raise MissedError("the second program did not start")
     if scene.phase in ASKING:
@@ -171,7 +156,7 @@ def reach(scene: Scene) -> None:
 def aftermath(scene: Scene, ns: int) -> None:
     """Do what the operator does after that, until the run has ended or should have."""
     console, column = scene.console, scene.column
-    if not PHASES[scene.phase][2]:
+    if scene.phase != START and not PHASES[scene.phase][2]:
         console.open_gate()
     if scene.second is not None:
         second = scene.second
@@ -185,8 +170,9 @@ def aftermath(scene: Scene, ns: int) -> None:
         _stalled(scene)
     console.hold = False
     stands = column != "suspended 2 s"
-    if not console.until(lambda: console.ended or (stands and console.stops), PATIENCE_S):
-        scene.also.append(f"still running {PATIENCE_S:g} s later: {last_words(console.text(ns))}")
+    patience_s = PATIENCE_S + (START_S if scene.phase == START else 0.0)
+    if not console.until(lambda: console.ended or (stands and console.stops), patience_s):
+        scene.also.append(f"still running {patience_s:g} s later: {last_words(console.text(ns))}")
     if column == "SIGKILL":
         report = scene.run / REPORT_FILE
         console.until(report.exists, 1.5 if scene.bench.transport == "serial" else 0.5)
@@ -232,17 +218,18 @@ def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tup
     Raises:
         MissedError: It did not come to it.
     """
-    must: Must = COLUMNS[column].must(bench.transport, phase)  # type: ignore[operator]
+    at_start = column in STARTS
+    must = STARTS[column][2] if at_start else COLUMNS[column].must(bench.transport, phase)
     scene = started(column, phase, bench, folder, disk)
     try:
         reach(scene)
         ns = befall(scene)
         aftermath(scene, ns)
-        _in_phase(scene, ns)
         account = bench.account()
+        _in_phase(scene, ns, account)
         found = tuple(problems(scene, must, ns, account))
         text, said = scene.console.text(ns), messages(scene, ns)
-        busy = bool(COLUMNS[column].busy and BUSY.search(text)) or any(
+        busy = bool((at_start or COLUMNS[column].busy) and BUSY.search(text)) or any(
             ns < when < ns + NS for when, _ in account.pauses
         )
         return Cell(_cell_text(scene, must, ns, account, found), found, said, 0, account.off_after_s(ns)), busy
@@ -252,16 +239,20 @@ def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tup
             scene.second.close()
 
 
-def _in_phase(scene: Scene, ns: int) -> None:
+def _in_phase(scene: Scene, ns: int, account: Account) -> None:
     """Check that it happened where it should.
 
     Raises:
         MissedError: The phase was over.
     """
+    if scene.phase == START:
+        return
     before = [notice for notice in scene.console.notices if notice["ns"] <= ns]
     stage, name, _ = PHASES[scene.phase]
     if before and (before[-1]["stage"], before[-1]["phase"]) != (stage, name):
         raise MissedError(f"it happened in phase {before[-1]['phase']}, not in {scene.phase}")
+    if scene.phase in CYCLING and not account.on_at(ns):
+        raise MissedError(f"the drive was off in {scene.phase}: {last_words(scene.console.text())}")
 
 
 def _cell_text(scene: Scene, must: Must, ns: int, account: Account, found: Sequence[str]) -> str:
@@ -308,14 +299,14 @@ def small_disk(folder: Path) -> Iterator[Path]:
             subprocess.run(["umount", "-l", str(disk)], check=True)
 
 
-Cells = dict[tuple[str, str, str], Cell]
 Wanted = Callable[[str, str, str], bool]
 
 
 def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
     """Do all cells of a transport, one after another."""
     cells: Cells = {}
-    todo = [(column, phase) for column in COLUMNS for phase in PHASES if wanted(column, transport, phase)]
+    todo = [(column, phase) for column in COLUMNS for phase in PHASES] + [(start, START) for start in STARTS]
+    todo = [(column, phase) for column, phase in todo if wanted(column, transport, phase)]
     if not todo:
         return cells
     with small_disk(folder) as disk, bench_process(transport) as bench:
@@ -329,33 +320,6 @@ def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
     return cells
 
 
-def tables(cells: Cells) -> list[str]:
-    """Return the tables of the page."""
-    lines: list[str] = []
-    for transport in TRANSPORTS:
-        lines += [f"### {TITLES[transport]}", "", f"| | {' | '.join(PHASES)} |", "|---" * (len(PHASES) + 1) + "|"]
-        for column in COLUMNS:
-            row = [cells.get((column, transport, phase), Cell("", ())).text for phase in PHASES]
-            if any(row):
-                lines.append(f"| {column} | {' | '.join(row)} |")
-        lines.append("")
-    return lines
-
-
-def said(cells: Cells) -> list[str]:
-    """Return every message once, with where it was first seen and how often."""
-    seen: dict[str, tuple[str, tuple[str, str, str], int]] = {}
-    for place, made in cells.items():
-        for message in made.messages:
-            key = re.sub(r"[-+]?\d+(\.\d+)?", "#", re.sub(r"stage \w+, phase [\w ]+:|/\S+", "@", message))
-            first = seen.get(key)
-            seen[key] = (message, place, 1) if first is None else (first[0], first[1], first[2] + 1)
-    lines = []
-    for message, (column, transport, phase), count in seen.values():
-        lines += [f"- {column}, {phase}, {transport} ({count} in all):", "", "  ```text", f"  {message}", "  ```"]
-    return lines
-
-
 def main() -> int:
     """Do the cells; 1 where something is not as it must be."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -363,9 +327,10 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="keep the cells here")
     options = parser.parse_args()
     words = [word.strip() for word in options.only.split(",") if word.strip()]
-    kinds = [[word for word in words if word in kind] for kind in (COLUMNS, TRANSPORTS, PHASES)]
+    names = [[*COLUMNS, *STARTS], [*TRANSPORTS], [*PHASES, START]]
+    kinds = [[word for word in words if word in kind] for kind in names]
     if sum(map(len, kinds)) != len(words):
-        parser.error(f"--only takes of {', '.join([*COLUMNS, *TRANSPORTS, *PHASES])}")
+        parser.error(f"--only takes of {', '.join(word for kind in names for word in kind)}")
 
     def wanted(*place: str) -> bool:
         return all(not chosen or name in chosen for name, chosen in zip(place, kinds, strict=True))
@@ -390,23 +355,6 @@ def main() -> int:
     if not words:
         write(lines, said(cells), cells)
     return 1 if bad else 0
-
-
-def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
-    """Put tables and messages into the page."""
-    bad = sum(bool(made.problems) for made in cells.values())
-    again = sum(made.busy for made in cells.values())
-    count = f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
-    body = [count, "", *lines, "## What the operator sees", "", *messages]
-    limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + ["", f"**Limits.** {LIMITS}"]
-    text = between(PAGE.read_text(), COLUMNS_BEGIN, COLUMNS_END, limits)
-    PAGE.write_text(between(text, BEGIN, END, body))
-
-
-def between(text: str, begin: str, end: str, lines: Sequence[str]) -> str:
-    """Return a page with these lines between two marks."""
-    before, after = text.split(begin)[0], text.split(end)[1]
-    return f"{before}{begin}\n\n" + "\n".join(lines) + f"\n\n{end}{after}"
 
 
 if __name__ == "__main__":

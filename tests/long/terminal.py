@@ -25,7 +25,7 @@ from .benches import TRANSPORTS, Bench, bench_process
 from .console import ROOT
 from .desk import MissedError, sit_down, unwrapped
 from .process_checks import BUSY
-from .process_matrix import between
+from .process_page import between
 from .terminal_trials import processes, trials
 from .tmux import HINT, available
 
@@ -36,9 +36,10 @@ _REPEATS = 4
 
 @dataclass(frozen=True)
 class Result:
-    """How a trial went: what is not as it must be, what was on the screen, and how often it was repeated."""
+    """How a trial went: what is not as it must be or could be nicer, the screens, and how often it was repeated."""
 
     problems: tuple[str, ...]
+    remarks: tuple[str, ...]
     captures: Mapping[str, str]
     repeats: int
 
@@ -67,7 +68,7 @@ def trial(name: str, bench: Bench, folder: Path) -> Result:
             os.kill(pid, signal.SIGKILL)
         if not problems or not busy:
             break
-    return Result(tuple(dict.fromkeys(problems)), captures, attempt)
+    return Result(tuple(dict.fromkeys(problems)), tuple(desk.remarks), captures, attempt)
 
 
 def worker(transport: str, todo: queue.Queue[str], results: dict[str, Result]) -> None:
@@ -114,6 +115,8 @@ def main() -> int:
         f"a computer too busy: {again}"
     )
     print(words)
+    for remark in sorted({remark for result in results.values() for remark in result.remarks}):
+        print(f"remark: {remark}")
     lines = page(names, results)
     if options.only:
         print("\n".join(lines))
