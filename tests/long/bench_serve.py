@@ -21,6 +21,7 @@ import time
 import weakref
 from collections import deque
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from drivers.clock import NS
@@ -179,6 +180,9 @@ class Served:
 
     def serve(self) -> None:
         """Live in real time, and obey, until the standard input ends."""
+        with suppress(PermissionError):
+            # Devices do not wait for what else a computer does.
+            os.setpriority(os.PRIO_PROCESS, 0, -15)
         pending = b""
         before = time.monotonic_ns()
         while True:

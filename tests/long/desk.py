@@ -65,9 +65,9 @@ class Desk:
         stage, name, _ = PHASES[phase]
         return any(n.get("stage") == stage and n["phase"] == name for n in self.notices())
 
-    def enabling(self, stage: str) -> bool:
-        """Whether the drive was about to be enabled for a stage."""
-        return any(notice.get("stage") == stage and notice["phase"] == "enable" for notice in self.notices())
+    def answered(self, stage: str) -> bool:
+        """Whether the prompt of a stage was answered, so that the drive is prepared."""
+        return any(notice.get("stage") == stage and notice["phase"] == "prepare" for notice in self.notices())
 
     def wait_for(self, phase: str) -> None:
         """Wait for a phase, then for the moment in it.
