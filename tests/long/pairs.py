@@ -158,8 +158,9 @@ def once(stage: Stage, first: str, second: str, number: int, place: Path, dice: 
         problems = list(_of_the_second(first, second, a, b)) + list(_of_the_first(first, a, one))
         if stage.bench.account().on:
             problems.append("the drive is still energised")
-        if problems and (stage.bench.account().pauses or (a.status != 0 and BUSY.search(a.text()))):
-            # On today's busy computer a run may fail by itself; that it was disturbed shows again.
+        alone = a.text() + ("" if shared(first, second) else b.text())
+        if problems and (stage.bench.account().pauses or BUSY.search(alone)):
+            # On a busy computer a run may fail by itself; one that was disturbed shows that again.
             raise MissedError("; ".join(problems))
         return problems
     finally:
