@@ -192,7 +192,7 @@ START = "start"
 STARTS: Mapping[str, tuple[tuple[str, str], bool, Must]] = {
     "<&-": (("closed", "tty"), False, Must((2, 3), 0.0, verified=None)),
     "--yes <&-": (("closed", "tty"), True, DONE),
-    "--yes > /dev/full": (("tty", "/dev/full"), True, Must((0, 4), STOP_S, told=False, record=("done", "failed"))),
-    "--yes >&-": (("tty", "closed"), True, Must((0, 4), STOP_S, told=False, record=("done", "failed"))),
+    "--yes > /dev/full": (("tty", "/dev/full"), True, Must((0, 4), told=False, record=("done", "failed"))),
+    "--yes >&-": (("tty", "closed"), True, Must((0, 4), told=False, record=("done", "failed"))),
 }
 """What a run may be started with: standard input and output, whether with ``--yes``, and what must come of it."""

@@ -85,9 +85,12 @@ def problems(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[st
         yield f"it was stopped by signal {console.stops}, and stood"
     if "Traceback (most recent call last)" in text:
         yield f"a traceback: {last_words(text)}"
+    if console.status == 2 and 2 in must.statuses and not scene.run.exists():
+        # Refused as it cannot be answered: nothing was begun.
+        return
     yield from _power(scene, must, ns, account)
     yield from _told(scene, must, ns, account)
-    yield from _recording(scene, ns, account)
+    yield from _recording(scene, must, ns, account)
     yield from _record(scene, must, account)
     if scene.second is not None:
         yield from _second(scene.second, console.pid)
@@ -144,7 +147,7 @@ def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
         yield f"it says so {(told_ns - ns) / NS:.2f} s later, limit {limit_s:g} s"
 
 
-def _recording(scene: Scene, ns: int, account: Account) -> Iterator[str]:
+def _recording(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
     """Recover a copy, and hold its end against the last that was on the wire before it happened."""
     (scene.disk / "filler").unlink(missing_ok=True)
     copy = scene.folder / "copy"
@@ -163,7 +166,8 @@ def _recording(scene: Scene, ns: int, account: Account) -> Iterator[str]:
         last = max((heard for heard in account.heard_ns if heard <= ns), default=0)
         if (last - end) / NS > LOG_GAP_S:
             yield f"the recording ends {(last - end) / NS:.3f} s before the last that was on the wire"
-    if scene.console.status not in (0, None) and recovered.state in ("done", "running"):
+    wrong = {"running"} | ({"done"} - set(must.record))
+    if scene.console.status not in (0, None) and recovered.state in wrong:
         yield f"recovered, the run is {recovered.state}"
 
 
