@@ -7,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
@@ -28,6 +28,10 @@ help:
 	@echo "make transports    Figure 10 over every transport: the same parameters"
 	@echo "make fault-matrix  every fault in every phase of a run on each transport (docs/faults.md)"
 	@echo "make kill      kill -9 of the controller: 200 times over slcan with resume, and on the serial line with its guardian"
+	@echo "make process-matrix  adapter, line, terminal, disk or process fails in every phase (docs/faults-processes.md)"
+	@echo "make moments   200 random moments each of SIGSTOP, SIGTSTP and a stalled terminal on the serial bench"
+	@echo "make pairs     two programs on one bench, in all pairs of commands, on every transport"
+	@echo "make terminal  what is on the screen, as an operator in tmux (docs/operator-screens.md)"
 	@echo "make realtime  Figure 10 over slcan in real time, then identified; nothing else should run"
 	@echo "make fuzz      a million frames or bytes for every decoder"
 	@echo "make mutants   small changes of the safety modules, which their tests must notice; their branch coverage"
@@ -117,12 +121,24 @@ fault-matrix: $(VENV)/.dev
 	$(BIN)/python -m tests.long.fault_matrix
 
 kill: $(VENV)/.dev
-	$(BIN)/python tests/long/kill.py
+	$(BIN)/python -m tests.long.kill
 	$(BIN)/python tests/long/kill_identify.py
 	$(BIN)/python -m tests.long.guardian
 
+process-matrix: $(VENV)/.dev
+	$(BIN)/python -m tests.long.process_matrix
+
+moments: $(VENV)/.dev
+	$(BIN)/python -m tests.long.moments
+
+pairs: $(VENV)/.dev
+	$(BIN)/python -m tests.long.pairs
+
+terminal: $(VENV)/.dev
+	$(BIN)/python -m tests.long.terminal
+
 realtime: $(VENV)/.dev
-	$(BIN)/python tests/long/realtime.py
+	$(BIN)/python -m tests.long.realtime
 
 fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/fuzz.py

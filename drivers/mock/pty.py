@@ -8,6 +8,7 @@ import select
 import socket
 import threading
 import tty
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, Self
 
@@ -37,16 +38,22 @@ class Ports:
     def __init__(self) -> None:
         self.traffic: dict[str | int, Traffic] = {}
         self._stations: dict[int, Traffic] = {}
-        self._listeners: dict[int, tuple[socket.socket, Traffic]] = {}
+        self._listeners: dict[int, tuple[socket.socket, Traffic | Callable[[], Station]]] = {}
         self._owned: list[int] = []
+        self._ends: dict[str | int, list[int]] = {}
 
     def open_pty(self, station: Station) -> str:
-        """Put a station behind a pseudo-terminal; returns the path that the host program opens."""
+        """Put a station behind a pseudo-terminal; returns the path that the host program opens.
+
+        What a host that does not read leaves no room for is lost, as in an adapter.
+        """
         ours, theirs = pty.openpty()
         tty.setraw(theirs)
+        os.set_blocking(ours, False)
         # The far end stays open here as well, so that the host may close and open it again.
         self._owned += [ours, theirs]
         path = os.ttyname(theirs)
+        self._ends[path] = [ours, theirs]
         self._stations[ours] = self.traffic[path] = Traffic(station)
         return path
 
@@ -58,13 +65,43 @@ class Ports:
         self._listeners[listener.fileno()] = listener, traffic
         return port
 
+    def open_server(self, connected: Callable[[], Station]) -> int:
+        """Serve any number of connections to a TCP port of 127.0.0.1; returns its number.
+
+        Args:
+            connected: Called at each connection; returns the station behind it.
+        """
+        listener = socket.create_server(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        self._listeners[listener.fileno()] = listener, connected
+        self._ends[port] = []
+        return port
+
+    def unplug(self, name: str | int) -> None:
+        """Take a pseudo-terminal or server away: what the host program has open fails from now on."""
+        for number, (listener, _) in list(self._listeners.items()):
+            if listener.getsockname()[1] == name:
+                del self._listeners[number]
+                listener.close()
+        for descriptor in self._ends.pop(name, []):
+            self._stations.pop(descriptor, None)
+            if descriptor in self._owned:
+                self._owned.remove(descriptor)
+                os.close(descriptor)
+
+    def babble(self, name: str | int, data: bytes) -> None:
+        """Send the host program bytes that no station has said."""
+        for descriptor in self._ends[name]:
+            if descriptor in self._stations:
+                _write(descriptor, data)
+
     def close(self) -> None:
         """Close everything; safe to call twice."""
         for listener, _ in self._listeners.values():
             listener.close()
         for descriptor in self._owned:
             os.close(descriptor)
-        self._owned, self._stations, self._listeners = [], {}, {}
+        self._owned, self._stations, self._listeners, self._ends = [], {}, {}, {}
 
     def wait(self, timeout_s: float, *others: int) -> list[int]:
         """Return what has something to read within the time, of the ports and of ``others``."""
@@ -80,12 +117,17 @@ class Ports:
             self._move(descriptor, traffic, descriptor in ready)
 
     def _accept(self, descriptor: int) -> None:
-        listener, traffic = self._listeners.pop(descriptor)
+        listener, behind = self._listeners[descriptor]
         connection, _ = listener.accept()
-        listener.close()
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._owned.append(connection.fileno())
-        self._stations[connection.detach()] = traffic
+        if isinstance(behind, Traffic):
+            del self._listeners[descriptor]
+            listener.close()
+            self._stations[connection.detach()] = behind
+        else:
+            self._ends[listener.getsockname()[1]].append(connection.fileno())
+            self._stations[connection.detach()] = Traffic(behind())
 
     def _move(self, descriptor: int, traffic: Traffic, readable: bool) -> None:
         try:
@@ -95,11 +137,19 @@ class Ports:
             traffic.taken += len(data)
             answer = traffic.station.receive(data)
             traffic.given += len(answer)
-            while answer:
-                answer = answer[os.write(descriptor, answer) :]
+            _write(descriptor, answer)
         except OSError:
             # The host program is gone; its devices are not.
             del self._stations[descriptor]
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    """Write what there is room for."""
+    try:
+        while data:
+            data = data[os.write(descriptor, data) :]
+    except BlockingIOError:
+        return
 
 
 class RealTimeBench(Ports):

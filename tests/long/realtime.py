@@ -1,6 +1,6 @@
 """The real-time path: Figure 10 over `slcan` on a pseudo-terminal with the machine's own clock, then identified.
 
-python tests/long/realtime.py [--cycle HZ] [--out DIR]
+python -m tests.long.realtime [--cycle HZ] [--out DIR]
 
 The simulated bench lives in a process of its own, as behind a real adapter; nothing is held to simulated time, and a
 run takes as long as on a bench; the operator's answers are typed into its console as the weights are hung. The limits
@@ -15,7 +15,6 @@ import argparse
 import contextlib
 import io
 import json
-import os
 import re
 import subprocess
 import sys
@@ -23,8 +22,6 @@ import tempfile
 import time
 from pathlib import Path
 from typing import Any
-
-from kill import CONTROLLER, bench_file, wait_for_open
 
 from rig.bench import load_bench
 from rig.cli import status
@@ -34,7 +31,10 @@ from rig.tables import number, table
 from rig.timing import summary
 from rig.truth import true_parameters
 
-PROMPT = "Mass on the lever, kg: "
+from .benches import Bench, bench_process
+from .kill import ended, start
+
+PROMPT = re.compile(r"Mass on the lever[^:\n]*: $")
 
 
 def quietly(*words: str) -> None:
@@ -56,38 +56,28 @@ def identified(run: Path) -> dict[str, dict[str, Any]]:
 
 def in_real_time(folder: Path, cycle_Hz: int) -> Path:
     """Run Figure 10 over the adapter, hanging the weights it asks for; return the run's folder."""
-    twin = Path(__file__).with_name("kill.py")
-    pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    with subprocess.Popen([sys.executable, str(twin), "--twin"], **pipes) as bench_process:
-        try:
-            bench = bench_file(folder, bench_process.stdout.readline().strip())  # type: ignore[union-attr]
-            bench.write_text(bench.read_text().replace("cycle_Hz: 250", f"cycle_Hz: {cycle_Hz}"))
-            run = folder / "realtime"
-            command = ["run", "figure10", "--bench", str(bench), "--no-first-pass", "--out", str(run)]
-            pipes["env"] = os.environ | {"CAN_CONFIG": json.dumps({"sleep_after_open": 0.0})}
-            pipes["stderr"] = subprocess.PIPE
-            controller = subprocess.Popen([sys.executable, "-c", CONTROLLER, *command], **pipes)
-            wait_for_open(bench_process, controller)
-            began = time.monotonic()
-            words = operate(controller, bench_process)
-            print(f"status {controller.wait()} after {time.monotonic() - began:.1f} s of real time")
-            if controller.returncode:
-                raise SystemExit(words)
-        finally:
-            bench_process.stdin.close()  # type: ignore[union-attr]
-            bench_process.wait(10)
+    with bench_process("slcan") as bench:
+        file = bench.write_file(folder, cycle_Hz=cycle_Hz, sample_age_ms=90)
+        run = folder / "realtime"
+        command = ["run", "figure10", "--bench", str(file), "--no-first-pass", "--out", str(run)]
+        controller = start(bench, command, folder, stdin=subprocess.PIPE)
+        bench.wait_for_host(lambda: ended(controller))
+        began = time.monotonic()
+        words = operate(controller, bench)
+        print(f"status {controller.wait()} after {time.monotonic() - began:.1f} s of real time")
+        if controller.returncode:
+            raise SystemExit(words)
     return run
 
 
-def operate(controller: Any, bench_process: Any) -> str:
+def operate(controller: Any, bench: Bench) -> str:
     """Be the operator: hang the mass that is asked for, then type it; return all that was said."""
     words = ""
     while letter := controller.stderr.read(1):
         words += letter
-        if words.endswith(PROMPT):
+        if PROMPT.search(words):
             asked = re.findall(r"Hang ([0-9.]+) kg|Take every weight off", words)[-1] or "0"
-            bench_process.stdin.write(f"hang {asked}\n")
-            bench_process.stdin.flush()
+            bench.hang(float(asked))
             controller.stdin.write(f"{asked}\n")
             controller.stdin.flush()
     controller.communicate()

@@ -1,0 +1,280 @@
+"""A run on the serial bench is suspended, sent Ctrl-Z, or loses its terminal's reader, at random moments.
+
+`python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watch of its own, so that power must be gone
+within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at once; SIGTSTP ends the run as Ctrl-C does.
+A terminal that is stalled (Ctrl-S, or one that nobody reads and that is full) changes nothing: the run is done, the
+drive is never under power without being spoken to for longer than that, and off within that time of the end of motion.
+"""
+
+from __future__ import annotations
+
+import argparse
+import queue
+import random
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from statistics import median
+
+from drivers.clock import NS
+
+from .benches import Account, Bench, bench_process
+from .console import START_KEY, STOP_KEY, Console
+
+OFF_S = 0.5
+LATEST_S = 1.9
+"""From the enabling of the drive; the run takes about as long."""
+EARLY_SHARE, EARLY_S = 0.15, 1.0
+"""Share of the moments that come so long after its preparation began instead, most of them before it has power."""
+SEQUENCE = """\
+sequence: 1
+name: moments
+stages:
+  - {name: one, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 1.0,
+     center_deg: 6, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.1}
+"""
+KINDS = ("SIGSTOP", "SIGTSTP", "Ctrl-S", "terminal full")
+_START_S = 60.0
+_END_S = 15.0
+_WATCHED_S = 1.0
+_FAILURES = 12
+
+
+class MissedError(Exception):
+    """The run was over, or failed by itself, before the moment came."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """What came of one moment.
+
+    Attributes:
+        kind: What happened.
+        after_s: When, s after the preparation of the drive began.
+        phase: In what phase of the run.
+        powered: Whether the drive was under power.
+        off_s: When it no longer was, s; for a stalled terminal the longest it was under power without being spoken to.
+        problems: What is not as it must be.
+    """
+
+    kind: str
+    after_s: float
+    phase: str
+    powered: bool
+    off_s: float | None
+    problems: tuple[str, ...]
+
+
+def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tuple[Moment, bool]:
+    """Run, and let it happen at a moment after the beginning of a phase.
+
+    Returns what came of it, and whether the computer was too busy for that to count.
+
+    Raises:
+        MissedError: It did not come to it.
+    """
+    bench.renew()
+    file = bench.write_file(folder)
+    (folder / "sequence.yaml").write_text(SEQUENCE)
+    words = ["run", "sequence.yaml", "--bench", str(file), "--yes", "--no-first-pass", "--out", "run"]
+    console = Console(words, folder, bench.env)
+    try:
+        console.until(lambda: console.at("one", base) or console.ended, _START_S)
+        began = console.at("one", base)
+        if began is not None:
+            console.pause(max(0.0, after_s - (time.monotonic_ns() - began) / NS))
+        if began is None or console.ended:
+            raise MissedError(console.text()[-300:])
+        ns = _happen(console, kind)
+        phase = console.notices[-1]["phase"]
+        account, problems = _see(bench, console, kind, ns)
+        problems += _broken(console, account, kind, ns)
+        off_s = account.off_after_s(ns) if kind.startswith("SIG") else _longest_silence_s(account)
+        if off_s is None or off_s > OFF_S:
+            problems.append(f"power without a running loop for {'ever' if off_s is None else f'{off_s:.3f} s'}")
+        # A trip by what the joint does shows that cycles were late; nothing that happens here moves it.
+        busy = any(ns < when < ns + NS for when, _ in account.pauses) or "tripped: " in console.text()
+        return Moment(kind, after_s, phase, account.on_at(ns), off_s, tuple(problems)), busy
+    finally:
+        console.close()
+
+
+def _happen(console: Console, kind: str) -> int:
+    ns = time.monotonic_ns()
+    if kind in ("SIGSTOP", "SIGTSTP"):
+        return console.signal(getattr(signal, kind))
+    if kind == "Ctrl-S":
+        console.key(STOP_KEY)
+    else:
+        console.stuff()
+    return ns
+
+
+def _see(bench: Bench, console: Console, kind: str, ns: int) -> tuple[Account, list[str]]:
+    """Wait for what must come; returns what the bench has seen by then, and what is not as it must be."""
+    problems: list[str] = []
+    if kind == "SIGSTOP":
+        console.pause(_WATCHED_S)
+        account = bench.account()
+        console.signal(signal.SIGCONT)
+        console.until(lambda: console.ended, _END_S)
+        return account, problems
+    if kind == "SIGTSTP":
+        console.until(lambda: console.ended or console.stops, _END_S)
+        console.pause(_WATCHED_S if console.stops else 0.0)
+        return bench.account(), problems
+    limit = time.monotonic() + 6.0
+    while bench.account().on or time.monotonic_ns() - ns < NS:
+        if time.monotonic() > limit:
+            problems.append("the drive is on 6 s later")
+            break
+        console.pause(0.1)
+    account = bench.account()
+    console.reading = True
+    console.key(START_KEY)
+    console.until(lambda: console.ended, _END_S)
+    return account, problems
+
+
+def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]:
+    """Return what is wrong with how it ended."""
+    problems = []
+    right = {"SIGSTOP": (0, 4), "SIGTSTP": (3,)}.get(kind, (0,))
+    over = any(notice["phase"] == "between stages" and notice["ns"] <= ns for notice in console.notices)
+    if console.status not in right and not (over and console.status == 0):
+        last = " / ".join(console.text().split("\n"))[-200:].strip()
+        problems.append(f"exit status {console.status}, must be {' or '.join(map(str, right))}: {last}")
+    if "Traceback (most recent call last)" in console.text():
+        problems.append("a traceback")
+    if kind == "SIGTSTP" and console.stops:
+        problems.append("it was stopped, and stood")
+    return problems
+
+
+def _longest_silence_s(account: Account) -> float:
+    """Return the longest time under power in which the drive was not spoken to, s."""
+    longest = 0.0
+    ends = [*(when for when, _ in account.powered), account.powered[-1][0] + (10 * NS if account.on else 0)]
+    for (began, on), end in zip(account.powered, ends[1:], strict=True):
+        if on:
+            times = [began, *(heard for heard in account.heard_ns if began < heard < end), end]
+            longest = max(longest, *((later - earlier) / NS for earlier, later in pairwise(times)))
+    return longest
+
+
+@dataclass
+class Tally:
+    """What has been done, and what did not count.
+
+    Attributes:
+        done: The moments.
+        missed: How many runs were over or failed by themselves before the moment.
+        busy: How many moments were bad on a computer too busy for them, and were done again.
+    """
+
+    done: list[Moment]
+    missed: int = 0
+    busy: int = 0
+
+
+Plan = tuple[str, str, float]
+
+
+def draw(dice: random.Random, kind: str) -> Plan:
+    """Return a moment at random: what happens, after the beginning of which phase, and how long after, s."""
+    if dice.random() < EARLY_SHARE:
+        return kind, "prepare", dice.uniform(0.0, EARLY_S)
+    return kind, "enable", dice.uniform(0.0, LATEST_S)
+
+
+def worker(number: int, todo: queue.Queue[Plan], tally: Tally) -> None:
+    """Do moments on a bench of one's own until none is left."""
+    dice = random.Random(number)
+    with tempfile.TemporaryDirectory() as name, bench_process("serial") as bench:
+        count = 0
+        while True:
+            try:
+                plan = todo.get_nowait()
+            except queue.Empty:
+                return
+            for _ in range(_FAILURES):
+                folder = Path(name) / f"{count}"
+                folder.mkdir()
+                count += 1
+                try:
+                    moment, busy = once(bench, folder, *plan)
+                except MissedError:
+                    tally.missed += 1
+                    plan = draw(dice, plan[0])
+                    continue
+                if not busy or not moment.problems:
+                    tally.done.append(moment)
+                    break
+                tally.busy += 1
+            else:
+                tally.done.append(Moment(plan[0], plan[2], "?", False, None, ("it never came to it",)))
+
+
+def distribution(moments: Sequence[Moment]) -> Iterator[str]:
+    """Yield the figures of each kind in words."""
+    for kind in KINDS:
+        mine = [moment for moment in moments if moment.kind == kind]
+        if not mine:
+            continue
+        powered = sorted(m.off_s for m in mine if m.powered and m.off_s is not None)
+        what = "off after" if kind.startswith("SIG") else "longest without a word under power"
+        shares = ""
+        if powered:
+            at95 = powered[min(len(powered) - 1, round(0.95 * len(powered)))]
+            shares = f"; {what} {powered[0]:.3f} to {powered[-1]:.3f} s, median {median(powered):.3f}, 95 % {at95:.3f}"
+            tenths = [sum(0.1 * n <= off < 0.1 * (n + 1) for off in powered) for n in range(5)]
+            beyond = len(powered) - sum(tenths)
+            shares += f"; by tenths of a second {' '.join(map(str, tenths))}, beyond {beyond}"
+        bad = sum(bool(moment.problems) for moment in mine)
+        yield f"{kind}: {len(mine)} moments, {sum(m.powered for m in mine)} under power{shares}; {bad} bad"
+
+
+def main() -> int:
+    """Do the moments, print the distribution; 1 where one is bad."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--moments", type=int, default=200, help="of each kind; the stalled terminal is one kind")
+    parser.add_argument("--jobs", type=int, default=3, help="benches side by side")
+    parser.add_argument("--kinds", default=",".join(KINDS))
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args()
+    dice = random.Random(options.seed)
+    todo: queue.Queue[Plan] = queue.Queue()
+    plans = []
+    for kind in options.kinds.split(","):
+        count = options.moments if kind.startswith("SIG") else options.moments // 2
+        plans += [draw(dice, kind) for _ in range(count)]
+    dice.shuffle(plans)
+    for plan in plans:
+        todo.put(plan)
+    tally = Tally([])
+    began = time.monotonic()
+    threads = [threading.Thread(target=worker, args=(n, todo, tally)) for n in range(options.jobs)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for moment in tally.done:
+        if moment.problems:
+            print(f"BAD {moment.kind} {moment.after_s:.3f} s, {moment.phase}: {'; '.join(moment.problems)}")
+    print("\n".join(distribution(tally.done)))
+    bad = sum(bool(moment.problems) for moment in tally.done)
+    print(
+        f"{len(tally.done)} of {len(plans)} moments in {(time.monotonic() - began) / 60:.1f} min; {bad} bad; "
+        f"done again: {tally.missed} whose run ended before, {tally.busy} on a computer too busy"
+    )
+    return 1 if bad or len(tally.done) < len(plans) else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

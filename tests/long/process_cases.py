@@ -1,0 +1,198 @@
+"""What can befall the process of a run, its adapter, its terminal or its disk, and what must come of each.
+
+All times in s of real time, with the benches of :mod:`tests.long.benches` at 100 Hz. A limit is stated once, here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+CAN_WATCH_S = 0.25
+"""The drive's own watch of 0.1 s, a heartbeat or command up to 50 ms old, the ramp, and 20 ms to settle."""
+GUARD_S = 0.25
+"""The guardian sees the end of its pipe, brakes, and takes the power off."""
+GUARD_DEADLINE_S = 0.45
+"""The guardian is not fed for 0.2 s, and looks every few hundredths of a second; then as above."""
+STOP_S = 0.4
+"""A stop: the ramp, and up to 20 cycles until the state is read again."""
+NOW_S = 0.3
+"""A stop that does not wait for the ramp; enabling or a request under way is finished first."""
+STORAGE_S = 0.6
+"""A recording that cannot be written shows at the next flush; then as a stop."""
+LINE_S = 0.6
+"""A line that says nonsense shows at once or when samples get too old (0.15 s); then as a stop."""
+TOLD_S = 3.0
+"""From what happened under power to the verdict on the terminal."""
+SUSPENDED_S = 2.0
+LOG_GAP_S = 0.2
+LIMITS = (
+    f"Power off within {STOP_S:g} s of SIGHUP, SIGTERM, SIGTSTP, a terminal that is gone and an input that ends; "
+    f"{NOW_S:g} s of SIGQUIT; {GUARD_S:g} s of SIGKILL on the serial bench (its guardian), {CAN_WATCH_S:g} s on a CAN "
+    f"bus (the drive's own watch), as of a lost adapter there; {GUARD_DEADLINE_S:g} s of a suspension on the serial "
+    f"bench, {CAN_WATCH_S:g} s on a CAN bus; {LINE_S:g} s of garbage that ends a run; {STORAGE_S:g} s of a full "
+    f"disk. Under power, the verdict is on the terminal {TOLD_S:g} s later."
+)
+
+PHASES: Mapping[str, tuple[str, str, float]] = {
+    "prompt": ("one", "load", 0.1),
+    "prepare": ("one", "prepare", 0.0),
+    "enable": ("one", "enable", 0.0),
+    "first pass": ("one", "first pass", 0.4),
+    "approach": ("one", "approach", 0.1),
+    "settle": ("one", "settle", 0.1),
+    "excite": ("one", "excite", 0.2),
+    "ramp_out": ("one", "excite", 0.65),
+    "hold": ("one", "hold", 0.03),
+    "disable": ("one", "release", 0.0),
+    "between": ("two", "load", 0.1),
+}
+"""Phase to stage and phase as the run calls them, and how long after its beginning it happens; 0 at the very
+beginning. At a prompt it happens once that is on the screen."""
+ASKING = ("prompt", "between")
+NO_POWER = ("prompt", "prepare", "enable", "between")
+"""Where the drive has no power when it happens; ``enable`` may give it some right after."""
+CYCLING = ("first pass", "approach", "settle", "excite", "ramp_out", "hold")
+SEQUENCE = """\
+sequence: 1
+name: processes
+first_pass: {amplitude: 0.5, duration_s: 0.6}
+stages:
+  - {name: one, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 0.8,
+     center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.3}
+"""
+SECOND_STAGE = SEQUENCE.split("stages:\n")[1].replace("name: one", "name: two")
+
+
+@dataclass(frozen=True)
+class Must:
+    """What must come of it.
+
+    Attributes:
+        statuses: Exit statuses that are right.
+        off_s: How soon the power is off for good; None where the run goes on, and ends by itself.
+        verified: Whether the state is read back; None where either may be, as long as it is said.
+        words: What the terminal must show.
+        told: Whether there is a terminal and a program left to tell.
+        stays_on: Whether nothing can reach the drive, so that it stays on and the operator must switch it off.
+        record: States of run.json that are true.
+    """
+
+    statuses: tuple[int, ...]
+    off_s: float | None = None
+    verified: bool | None = True
+    words: str = ""
+    told: bool = True
+    stays_on: bool = False
+    record: tuple[str, ...] = ()
+
+
+STATES: Mapping[int, str] = {0: "done", 1: "tripped", 3: "stopped", 4: "failed"}
+DONE = Must((0,))
+MAY_GO_ON = Must((0, 4), None, verified=None)
+
+
+def _stopped(transport: str, phase: str) -> Must:
+    return Must((3,), STOP_S)
+
+
+def _quit(transport: str, phase: str) -> Must:
+    return Must((3,), NOW_S)
+
+
+def _killed(transport: str, phase: str) -> Must:
+    off_s = GUARD_S if transport == "serial" else CAN_WATCH_S
+    return Must((-9,), off_s, told=False, record=("running",))
+
+
+def _adapter_gone(transport: str, phase: str) -> Must:
+    words = r"could NOT be verified[\s\S]*main supply"
+    if transport == "serial" and phase in (*CYCLING, "disable"):
+        return Must((4,), None, verified=False, words=words, stays_on=True)
+    return Must((4,), CAN_WATCH_S, verified=False, words=words)
+
+
+def _garbage(transport: str, phase: str) -> Must:
+    return Must((0, 4), LINE_S, verified=None)
+
+
+def _ridden(transport: str, phase: str) -> Must:
+    return DONE
+
+
+def _unheard(transport: str, phase: str) -> Must:
+    # A run that is done says so on its standard output.
+    return replace(DONE, told=False)
+
+
+def _stdin(transport: str, phase: str) -> Must:
+    return Must((3,), STOP_S, words="prompt") if phase in ASKING else DONE
+
+
+def _disk(transport: str, phase: str) -> Must:
+    return Must((4,), STORAGE_S, words="storage error|cannot be written|No space left", record=("failed", "running"))
+
+
+def _suspended(transport: str, phase: str) -> Must:
+    off_s = GUARD_DEADLINE_S if transport == "serial" else CAN_WATCH_S
+    if phase in (*CYCLING, "disable"):
+        must = Must((4,), off_s)
+        return must if phase != "disable" else replace(must, statuses=(0, 4))
+    return DONE if phase in ASKING else MAY_GO_ON
+
+
+def _hung_up(transport: str, phase: str) -> Must:
+    return Must((3,), STOP_S, told=False)
+
+
+@dataclass(frozen=True)
+class Column:
+    """Something that happens.
+
+    Attributes:
+        must: Transport and phase to what must come of it.
+        words: What it is, in a sentence of the page.
+        busy: Whether words on lateness then mean that the machine was too busy, rather than that it happened.
+    """
+
+    must: Callable[[str, str], Must]
+    words: str
+    busy: bool = True
+
+
+COLUMNS: Mapping[str, Column] = {
+    "adapter gone": Column(
+        _adapter_gone,
+        "the other end of the drive's terminal is closed, so that everything gives EIO; the server's connection ends",
+        busy=False,
+    ),
+    "line garbage": Column(
+        _garbage,
+        "some 200 bytes of noise and of broken lines of the adapter's own protocol come in on the drive's line",
+        busy=False,
+    ),
+    "second program": Column(_ridden, "`rig jog` on the same bench"),
+    "SIGHUP": Column(_stopped, "the signal"),
+    "SIGTERM": Column(_stopped, "the signal"),
+    "SIGTSTP": Column(_stopped, "the signal; Ctrl-Z"),
+    "SIGQUIT": Column(_quit, "the signal; Ctrl and backslash"),
+    "SIGKILL": Column(_killed, "the signal"),
+    "terminal stalled": Column(_ridden, "Ctrl-S; Ctrl-Q once the run is over, or after 1 s at a prompt"),
+    "terminal gone": Column(_hung_up, "the terminal is hung up, as by an ssh connection that drops"),
+    "stdout closed": Column(_unheard, "the pipe behind the standard output has no reader any more"),
+    "stdin closed": Column(_stdin, "the pipe before the standard input ends"),
+    "disk full": Column(_disk, "the file system of the run folder has no room left"),
+    "HOME not writable": Column(
+        _ridden, "HOME is no folder any more; at the prompt: from the start, with a program that may not be written to"
+    ),
+    "suspended 2 s": Column(_suspended, "SIGSTOP, and SIGCONT 2 s later", busy=False),
+}
+
+START = "start"
+STARTS: Mapping[str, tuple[tuple[str, str], bool, Must]] = {
+    "<&-": (("closed", "tty"), False, Must((2, 3), 0.0, verified=None)),
+    "--yes <&-": (("closed", "tty"), True, DONE),
+    "--yes > /dev/full": (("tty", "/dev/full"), True, Must((0, 4), told=False, record=("done", "failed"))),
+    "--yes >&-": (("tty", "closed"), True, Must((0, 4), told=False, record=("done", "failed"))),
+}
+"""What a run may be started with: standard input and output, whether with ``--yes``, and what must come of it."""

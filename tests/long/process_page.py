@@ -1,0 +1,87 @@
+"""The page on what befalls the process of a run: tables, and each message once as the operator sees it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from .benches import TITLES, TRANSPORTS
+from .console import ROOT
+from .process_cases import COLUMNS, LIMITS, PHASES, START, STARTS
+
+PAGE = ROOT / "docs" / "faults-processes.md"
+COLUMNS_BEGIN, COLUMNS_END = "<!-- columns: written by tests/long/process_matrix.py -->", "<!-- end of columns -->"
+BEGIN, END = "<!-- processes: written by tests/long/process_matrix.py -->", "<!-- end of processes -->"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What came of it.
+
+    Attributes:
+        text: For the table.
+        problems: What is not as it must be.
+        messages: What the operator saw from then on.
+        busy: How often it was repeated because the machine was too busy.
+        seconds: How long the power took to go off, s.
+    """
+
+    text: str
+    problems: tuple[str, ...]
+    messages: tuple[str, ...] = ()
+    busy: int = 0
+    seconds: float | None = None
+
+
+Cells = dict[tuple[str, str, str], Cell]
+"""Column, transport and phase to what came of it."""
+
+
+def tables(cells: Cells) -> list[str]:
+    """Return the tables of the page."""
+    lines: list[str] = []
+    for transport in TRANSPORTS:
+        lines += [f"### {TITLES[transport]}", "", f"| | {' | '.join(PHASES)} |", "|---" * (len(PHASES) + 1) + "|"]
+        for column in COLUMNS:
+            row = [cells.get((column, transport, phase), Cell("", ())).text for phase in PHASES]
+            if any(row):
+                lines.append(f"| {column} | {' | '.join(row)} |")
+        lines.append("")
+    lines += ["### From the start", "", f"| | {' | '.join(TITLES[t] for t in TRANSPORTS)} |"]
+    lines.append("|---" * (len(TRANSPORTS) + 1) + "|")
+    for start in STARTS:
+        row = [cells.get((start, transport, START), Cell("", ())).text for transport in TRANSPORTS]
+        lines.append(f"| `rig run ... {start}` | {' | '.join(row)} |")
+    return [*lines, ""]
+
+
+def said(cells: Cells) -> list[str]:
+    """Return every message once, with where it was first seen and how often."""
+    seen: dict[str, tuple[str, tuple[str, str, str], int]] = {}
+    for place, made in cells.items():
+        for message in made.messages:
+            key = re.sub(r"[-+]?\d+(\.\d+)?", "#", re.sub(r"stage \w+, phase [\w ]+:|/\S+", "@", message))
+            first = seen.get(key)
+            seen[key] = (message, place, 1) if first is None else (first[0], first[1], first[2] + 1)
+    lines = []
+    for message, (column, transport, phase), count in seen.values():
+        lines += [f"- {column}, {phase}, {transport} ({count} in all):", "", "  ```text", f"  {message}", "  ```"]
+    return lines
+
+
+def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
+    """Put tables and messages into the page."""
+    bad = sum(bool(made.problems) for made in cells.values())
+    again = sum(made.busy for made in cells.values())
+    count = f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
+    body = [count, "", *lines, "## What the operator sees", "", *messages]
+    limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + ["", f"**Limits.** {LIMITS}"]
+    text = between(PAGE.read_text(), COLUMNS_BEGIN, COLUMNS_END, limits)
+    PAGE.write_text(between(text, BEGIN, END, body))
+
+
+def between(text: str, begin: str, end: str, lines: Sequence[str]) -> str:
+    """Return a page with these lines between two marks."""
+    before, after = text.split(begin)[0], text.split(end)[1]
+    return f"{before}{begin}\n\n" + "\n".join(lines) + f"\n\n{end}{after}"
