@@ -16,3 +16,11 @@ class InputError(Exception):
     def __init__(self, problems: str | Iterable[str]) -> None:
         self.problems: tuple[str, ...] = (problems,) if isinstance(problems, str) else tuple(problems)
         super().__init__("\n".join(self.problems))
+
+
+class StorageError(Exception):
+    """The recording or the run folder cannot be written; the command line exits with status 4."""
+
+
+class InUseError(Exception):
+    """Another program holds the bench or the run folder; the command line exits with status 4."""

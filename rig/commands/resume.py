@@ -22,12 +22,13 @@ from rig.resume import prepare, stopped_words
 from rig.run import bench_constants
 from rig.run_record import FEEDFORWARD_INPUT
 from rig.session import Inputs, execute
+from rig.text import valid
 
 
 @click.command("resume")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
-@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),

@@ -12,6 +12,7 @@ from rig.bench import load_bench
 from rig.calibration import require_current
 from rig.cli import DONE
 from rig.connect import connect
+from rig.crash import noting_folder
 from rig.feedforward import load_feedforward
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
@@ -25,6 +26,7 @@ from rig.reference import load_reference
 from rig.run import bench_constants, create_folder
 from rig.sequence import load_sequence
 from rig.session import Inputs, execute
+from rig.text import valid
 
 
 @click.command("run")
@@ -41,7 +43,7 @@ from rig.session import Inputs, execute
     type=click.Path(path_type=Path),
     help="Schedule (YAML or CSV) of what goes wrong on the mock bench.",
 )
-@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -119,6 +121,7 @@ def command(
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
     with (
+        noting_folder(path),
         connect(
             bench_file, seed, realtime, None if saboteur is None else saboteur.attach, feedforward is not None
         ) as devices,
