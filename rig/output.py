@@ -161,7 +161,10 @@ def _writer(raw: Outlet, replaced: object, *, line_buffering: bool) -> io.TextIO
 
 
 def _encoding(stream: object) -> str:
-    return stream.encoding if isinstance(stream, io.TextIOWrapper) else "utf-8"
+    """Return the encoding of a stream; click too takes ASCII for a locale that nobody has set."""
+    if not isinstance(stream, io.TextIOWrapper) or codecs.lookup(stream.encoding).name == "ascii":
+        return "utf-8"
+    return stream.encoding
 
 
 def _shown(error: UnicodeError) -> tuple[bytes, int]:

@@ -17,6 +17,7 @@ from rig.places import require_file
 from rig.plan import make_plan
 from rig.progress import RunProgress
 from rig.provenance import utc_now
+from rig.recorded_inputs import recorded_input
 from rig.reference import load_reference
 from rig.resume import prepare, stopped_words
 from rig.run import bench_constants
@@ -77,7 +78,7 @@ def command(
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
     told = record.inputs.get(FEEDFORWARD_INPUT)
-    feedforward = None if told is None else load_feedforward(Path(told["file"]), constants)
+    feedforward = None if told is None else load_feedforward(recorded_input(run, told), constants)
     # Each recording has noise of its own.
     seed = record.seed + len(record.parts)
     reset = reset_fault or resumed.died

@@ -25,7 +25,7 @@ from rig import cli
 @click.argument("code", type=int)
 def command(code):
     made = open("made.txt", "w")
-    print("\\n".join(f"row {number} \\xb5 \\xb0" for number in range(20000)))
+    print("\\n".join(f"row {number} \\xb5 \\xb0 \\u2603" for number in range(20000)))
     made.write("made")
     made.close()
     return code
@@ -100,13 +100,16 @@ def test_bad_input_is_said_where_the_output_is_full(tmp_path: Path) -> None:
     assert "nothing: no such file" in ended.stderr
 
 
-@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
-def test_what_an_encoding_lacks_is_escaped(tmp_path: Path, encoding: str) -> None:
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [("ascii", "µ ° ☃"), ("utf-8", "µ ° ☃"), ("latin-1", "\udcb5 \udcb0 \\u2603"), ("cp437", "\udce6 \udcf8 \\u2603")],
+)
+def test_what_an_encoding_lacks_is_escaped(tmp_path: Path, encoding: str, shown: str) -> None:
     environment = {"PYTHONIOENCODING": encoding, "LC_ALL": "C", "PYTHONUTF8": "0"}
     ended = rig("rows", "0", folder=tmp_path, entry=ROWS, environment=environment)
     assert_in_words(ended)
     assert ended.returncode == 0
-    assert ended.stdout.startswith("row 0 \\xb5 \\xb0" if encoding == "ascii" else "row 0 \udcb5 \udcb0")
+    assert ended.stdout.startswith(f"row 0 {shown}\n")
 
 
 def test_an_outlet_waits_for_a_reader_that_is_slow() -> None:
