@@ -9,9 +9,11 @@ from contextlib import suppress
 from pathlib import Path
 
 from rig.cli import BAD_VERDICT, CRASHED, DEVICE_FAILED, DONE, STOPPED
+from rig.crash import note_drive
 from rig.errors import StorageError
 from rig.go_on import go_on_words
 from rig.label_check import comparable, off_label
+from rig.output import complain, reader_gone
 from rig.places import write_asked
 from rig.reference import Reference
 from rig.run import RunFolder, load_run
@@ -54,8 +56,13 @@ def conclude(
     screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
     if outcome.error is not None:
+        note_drive(outcome.error, outcome.safe.message)
         raise outcome.error
-    return BAD_VERDICT if wrong else STATUS[outcome.ending]
+    status = BAD_VERDICT if wrong else STATUS[outcome.ending]
+    if status == DONE and screen.trouble is not None and not reader_gone(screen.trouble, terminal=screen.terminal):
+        complain(f"storage error: the output cannot be written: {screen.trouble.strerror}")
+        return DEVICE_FAILED
+    return status
 
 
 def _check_labels(folder: RunFolder, reference: Reference | None) -> int:

@@ -9,6 +9,7 @@ from rig.bench import Bench, load_bench
 from rig.configuration import Document
 from rig.errors import InputError
 from rig.provenance import sha256_file
+from rig.recorded_inputs import recorded_input
 from rig.recover import mend
 from rig.run import discard, first_unfinished
 from rig.run_file import read_record
@@ -64,7 +65,7 @@ def prepare(folder: Path) -> Resumption:
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     """Return the path of an input file, which must be the one the run began with."""
     entry = record.inputs[name]
-    path = Path(entry["file"])
+    path = recorded_input(folder, entry)
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
     if name == BENCH_ATTACHMENT and record.simulated:
         attached = attached.replace(")", ", without the simulated machine's true constants)")

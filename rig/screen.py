@@ -161,6 +161,11 @@ class Screen:
         return self._out.trouble
 
     @property
+    def terminal(self) -> bool:
+        """Whether results go to a terminal."""
+        return self._out.terminal
+
+    @property
     def has_status(self) -> bool:
         """Whether a status line can be shown."""
         return self._err.terminal and os.environ.get("TERM", "") not in ("", "dumb")

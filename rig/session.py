@@ -22,6 +22,7 @@ from rig.feedforward import Feedforward
 from rig.operator import Operator
 from rig.plan import Plan
 from rig.provenance import sha256, sha256_file, utc_now, versions
+from rig.recorded_inputs import input_entry
 from rig.recorder import Recorder, open_recorder
 from rig.redact import redacted
 from rig.reference import Reference
@@ -84,10 +85,10 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
         cycle_s=plan.cycle_s,
         versions=versions(),
         inputs={
-            name: {"file": str(path), "sha256": sha256(content)}
+            name: input_entry(path, sha256(content))
             for (name, content), path in zip(inputs.files().items(), paths, strict=True)
         }
-        | {name: {"file": str(path), "sha256": sha256_file(path)} for name, path in device_files(inputs.bench).items()}
+        | {name: input_entry(path, sha256_file(path)) for name, path in device_files(inputs.bench).items()}
         | _feedforward_entry(inputs.feedforward),
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
@@ -100,7 +101,7 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
 def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
     if feedforward is None:
         return {}
-    return {FEEDFORWARD_INPUT: {"file": feedforward.source, "sha256": feedforward.sha256}}
+    return {FEEDFORWARD_INPUT: input_entry(feedforward.source, feedforward.sha256)}
 
 
 def execute(

@@ -13,6 +13,7 @@ from rig.aftermath import STATUS
 from rig.attendance import connected
 from rig.bench import Bench, load_bench
 from rig.cli import DONE
+from rig.crash import note_drive
 from rig.cycle import Devices
 from rig.errors import InputError
 from rig.jog import Jog, move, plan_jog
@@ -81,6 +82,7 @@ def command(
                 break
     write_asked(json_file, _record(bench, outcome))
     if outcome is not None and outcome.error is not None:
+        note_drive(outcome.error, outcome.safe.message)
         raise outcome.error
     return DONE if outcome is None else STATUS[outcome.ending]
 

@@ -20,6 +20,7 @@ from rig.preflight import require_startable
 from rig.progress import RunProgress
 from rig.prompt import at_terminal
 from rig.provenance import utc_now
+from rig.recorded_inputs import recorded_input
 from rig.reference import load_reference
 from rig.resume import prepare, stopped_words
 from rig.run import bench_constants
@@ -27,12 +28,13 @@ from rig.run_record import FEEDFORWARD_INPUT
 from rig.screen import Screen
 from rig.session import Inputs, execute
 from rig.stop_button import StopButton
+from rig.text import valid
 
 
 @click.command("resume")
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
-@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -82,7 +84,7 @@ def command(
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
     told = record.inputs.get(FEEDFORWARD_INPUT)
-    feedforward = None if told is None else load_feedforward(Path(told["file"]), constants)
+    feedforward = None if told is None else load_feedforward(recorded_input(run, told), constants)
     # Each recording has noise of its own.
     seed = record.seed + len(record.parts)
     reset = reset_fault or resumed.died

@@ -13,6 +13,7 @@ from rig.bench import Bench, load_bench
 from rig.bench_text import bench_line
 from rig.cli import BAD_VERDICT, DONE
 from rig.configuration import Document
+from rig.crash import noting_folder
 from rig.dry_run import describe_dry_run, dry_run_record
 from rig.dry_run import dry_run as compute_dry_run
 from rig.feedforward import load_feedforward
@@ -34,6 +35,7 @@ from rig.screen import Screen
 from rig.sequence import load_sequence
 from rig.session import Inputs, execute
 from rig.stop_button import StopButton
+from rig.text import valid
 
 
 @click.command("run")
@@ -50,7 +52,7 @@ from rig.stop_button import StopButton
     type=click.Path(path_type=Path),
     help="Schedule (YAML or CSV) of what goes wrong on the mock bench.",
 )
-@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -140,7 +142,7 @@ def command(
     if dry_run:
         return _dry_run(bench_file, plan, friction_model(constants, identification or feedforward_file), yes, json_file)
     screen = Screen()
-    with closing(screen), StopButton(screen.say) as stop:
+    with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
         attach = None if saboteur is None else saboteur.attach
         with connected(stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run") as devices:
             say_taken_over(devices.lock, screen)
