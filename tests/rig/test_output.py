@@ -90,7 +90,7 @@ def test_a_prompt_without_input_ends_the_run_in_words(tmp_path: Path) -> None:
     ended = rig("run", SHORT, "--out", "made", folder=sequence_in(tmp_path), shell="<&-")
     assert_in_words(ended)
     assert ended.returncode == 3
-    assert "stopped at the weight prompt; the drive is de-energised" in ended.stderr
+    assert "stopped at the weight prompt: the input has ended; the drive is de-energised" in ended.stderr
 
 
 def test_bad_input_is_said_where_the_output_is_full(tmp_path: Path) -> None:
