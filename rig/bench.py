@@ -54,6 +54,13 @@ _MAY_BE_ZERO = frozenset(
 )
 
 
+def may_be(name: str) -> str:
+    """Return what a number of the simulated machine may be: "> 0", "≥ 0", or anything (empty)."""
+    if name in _ANY_SIGN:
+        return ""
+    return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
+
+
 class Constants(Schema):
     """Nominal constants of the machine: what an identification works with.
 

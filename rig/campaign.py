@@ -230,7 +230,7 @@ class RecordingSection(Schema):
         file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
             mcap or parquet; text files may be gzipped.
         stage: The load condition.
-        weight_mass: Mass on the lever of Fig. 10, kg. The contact force is lever_ratio m g.
+        weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
         gravity: A known weight that turns with the joint.
         controller: The position loop that the recording was made in, for simulations.
         role: `validate` sets the recording aside: it is used for no decision and scored once at the
