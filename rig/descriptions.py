@@ -50,9 +50,7 @@ SUFFIXES: Mapping[str, str] = {
     "s": "s",
 }
 """Ending of a name to the unit, longest first."""
-UNITS = frozenset(
-    {*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"}
-)
+UNITS = frozenset({*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"})
 _ENTRY = re.compile(r"^(\w+):\s+(.*)$")
 _SECTION = re.compile(r"^[A-Z]\w+:$")
 

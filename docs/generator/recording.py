@@ -29,7 +29,10 @@ EVENTS: Mapping[str, tuple[str, str]] = {
 }
 """Event to its further keys and its meaning; beside these one of :class:`rig.sequencer.Ending` ends a recording."""
 ATTACHMENTS = (
-    (BENCH_ATTACHMENT, "The bench file. Of a simulated machine only what is known of a real one; its friction stays out."),
+    (
+        BENCH_ATTACHMENT,
+        "The bench file. Of a simulated machine only what is known of a real one; its friction stays out.",
+    ),
     (SEQUENCE_ATTACHMENT, "The sequence file."),
     (FEEDFORWARD_INPUT, "The identification behind the feed-forward, where there was one."),
     ("devices.json", "Identities of the devices, and the limits that the drive held before the run."),

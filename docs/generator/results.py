@@ -155,7 +155,12 @@ def page() -> str:
         parts.append(f"## {section}")
         parts.append(table(("field", "unit", "meaning"), [(f"`{p}`".replace(", ", "`, `"), u, t) for p, u, t in rows]))
     parts += ["## rig run: run.json", "The state of a run; replaced as a whole whenever something changes."]
-    for record, path in ((RunRecord, ""), (StageRecord, "stages[]"), (SegmentRecord, "segments[]"), (PartRecord, "parts[]")):
+    for record, path in (
+        (RunRecord, ""),
+        (StageRecord, "stages[]"),
+        (SegmentRecord, "segments[]"),
+        (PartRecord, "parts[]"),
+    ):
         known = meanings(record)
         rows = [
             (f"`{path + '.' if path else ''}{field.name}`", known[field.name].unit, known[field.name].text)

@@ -64,9 +64,7 @@ def shape(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
         return Shape(_joined(f"list of {inner.words}", limits), tuple(("[]" + at, r) for at, r in inner.records))
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         key, value = (shape(argument) for argument in arguments)
-        return Shape(
-            f"mapping of {key.words} to {value.words}", tuple((".NAME" + at, r) for at, r in value.records)
-        )
+        return Shape(f"mapping of {key.words} to {value.words}", tuple((".NAME" + at, r) for at, r in value.records))
     if is_record(annotation):
         return Shape("section", (("", annotation),))
     if isinstance(annotation, type) and issubclass(annotation, Enum):
