@@ -70,7 +70,7 @@ def shape(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
     if isinstance(annotation, type) and issubclass(annotation, Enum):
         return Shape(" or ".join(f"`{member.value}`" for member in annotation))
     if annotation is object:
-        return Shape("mapping" if not limits else limits)
+        return Shape(limits or "mapping")
     if annotation not in _SCALARS:
         raise TypeError(f"docs/generator/shapes.py does not know the type {annotation!r}; add it")
     return Shape(_joined(_SCALARS[annotation], limits))

@@ -73,7 +73,7 @@ def run_block(block: Block, folder: Path, environment: dict[str, str]) -> bool:
 
 
 def borrowed(name: str, folder: Path) -> bool:
-    """Link the folder's recordings of the shared ones with this name, and those beside it; False where there are none."""
+    """Link a shared recording and those beside it into a folder; False where there is none of this name."""
     found = next(RECORDINGS.rglob(name), None) if RECORDINGS.is_dir() else None
     if found is None:
         return False
