@@ -7,12 +7,15 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
+	@echo "make docs      build the documentation as a site (out/docs/index.html); warnings are errors"
+	@echo "make reference write the reference pages (docs/reference) from the code"
+	@echo "make docs-run  run every code block of the documentation, the long ones too"
 	@echo "make paper     the paper's figures and tables done again, 20 seeds (out/paper)"
 	@echo "make accuracy  errors and interval coverage of the default method over 20 seeds of noise"
 	@echo "make floor     errors over the Cramer-Rao floor on 200 random benches; goes on where it was stopped (out/floor)"
@@ -52,6 +55,20 @@ $(VENV)/.runtime: pyproject.toml | $(VENV)/bin/python
 $(VENV)/.dev: pyproject.toml | $(VENV)/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	@touch $@ $(VENV)/.runtime
+
+$(VENV)/.docs: pyproject.toml | $(VENV)/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[docs]'
+	@touch $@ $(VENV)/.runtime
+
+docs: $(VENV)/.docs reference
+	$(BIN)/sphinx-build -q -b html -W --keep-going docs out/docs
+	@echo "out/docs/index.html"
+
+reference: $(VENV)/.runtime
+	$(BIN)/python docs/generator
+
+docs-run: $(VENV)/.dev
+	$(BIN)/python -m tests.long.docs_run
 
 demo: $(VENV)/.runtime
 	rm -rf $(DEMO)

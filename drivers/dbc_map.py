@@ -32,7 +32,14 @@ Assignments = Mapping[str, str | int]
 
 @dataclass(frozen=True)
 class Quantity:
-    """A physical quantity in a signal: SI = sign x (scale x DBC value + offset)."""
+    """A physical quantity in a signal: SI = sign x (scale x DBC value + offset).
+
+    Attributes:
+        signal: `Message.Signal` as in the DBC file.
+        scale: SI units per unit of the DBC value, whose own factor and offset are applied before.
+        sign: -1 turns the direction.
+        offset: Added after the scale, SI.
+    """
 
     signal: str
     scale: float = 1.0
@@ -42,10 +49,21 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What the drive reports; one of ``current`` (A) and ``torque`` (N m at the motor) is needed.
+    """What the drive reports; one of ``current`` and ``torque`` is needed.
 
-    ``time`` is the drive's own clock, s, modulo the range of its signal; without it the host's time of arrival is
-    taken. ``voltage`` (at the motor) is not a number where it is left out.
+    Attributes:
+        position: Motor angle, rad.
+        velocity: Motor speed, rad/s.
+        temperature: Temperature of the drive, deg C.
+        supply_voltage: Supply voltage, V.
+        current: Motor current, A.
+        torque: Motor torque, N m.
+        voltage: Motor voltage, V; not a number in the recording where it is left out.
+        time: The drive's own clock, s, modulo the range of its signal; without it the time of
+            arrival is taken.
+        fault_code: The drive's fault code.
+        serial_number: The drive's serial number.
+        revision: The drive's firmware or hardware revision.
     """
 
     position: Quantity
@@ -63,7 +81,12 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Status:
-    """The signal that says what state the drive is in, and which of its values mean which state."""
+    """The signal that says what state the drive is in, and which of its values mean which state.
+
+    Attributes:
+        signal: `Message.Signal` as in the DBC file.
+        states: State to the values of the signal that mean it: labels of the DBC, or numbers.
+    """
 
     signal: str
     states: Mapping[StateName, tuple[str | int, ...]]
@@ -71,7 +94,14 @@ class Status:
 
 @dataclass(frozen=True)
 class Orders:
-    """What to send for each verb. ``enable`` is by the state the drive reports, one step at a time."""
+    """What to send for each verb: signal to label of the DBC, or number.
+
+    Attributes:
+        disable: Takes the power off.
+        stop: Brakes, then takes the power off.
+        reset: Clears a fault.
+        enable: By the state that the drive reports, one step at a time until it runs.
+    """
 
     disable: Assignments
     stop: Assignments
@@ -81,7 +111,12 @@ class Orders:
 
 @dataclass(frozen=True)
 class StopFrame:
-    """A frame that stops the drive whatever else is said; sent by every stop, disable and close."""
+    """A frame that stops the drive whatever else is sent; every stop, disable and close sends it.
+
+    Attributes:
+        message: Name of the message in the DBC file.
+        signals: Signal of that message to its value.
+    """
 
     message: str
     signals: Assignments = field(default_factory=dict)
@@ -89,7 +124,12 @@ class StopFrame:
 
 @dataclass(frozen=True)
 class LimitSignals:
-    """Where a limit is written, and where the drive says what it holds; in the same units."""
+    """Where a limit is written, and where the drive reports what it holds; in the same units.
+
+    Attributes:
+        set: The signal that the limit is written to.
+        held: The signal that reports the limit.
+    """
 
     set: Quantity
     held: Quantity
@@ -97,7 +137,15 @@ class LimitSignals:
 
 @dataclass(frozen=True)
 class LimitMap:
-    """Limits that the drive can be told over the bus: angles, speed and following error at the motor, current in A."""
+    """Limits that the drive takes over the bus, at the motor.
+
+    Attributes:
+        angle_min: Lowest motor angle, rad.
+        angle_max: Highest motor angle, rad.
+        speed: Highest motor speed, rad/s.
+        current: Highest motor current, A.
+        following_error: Largest following error of the motor angle, rad.
+    """
 
     angle_min: LimitSignals | None = None
     angle_max: LimitSignals | None = None
@@ -110,8 +158,12 @@ class LimitMap:
 class Protection:
     """How one message is guarded, and how often it goes.
 
-    ``counter`` and ``checksum`` name signals of the message. ``period_ms`` is how often it goes; 0 for every control
-    cycle (an input: in answer to each command). Left out, the DBC's cycle time holds, or 0 where it has none.
+    Attributes:
+        counter: Signal of the message that counts up with every message.
+        checksum: Signal of the message that holds the checksum.
+        algorithm: How the checksum is computed.
+        period_ms: How often the message goes; 0 for every control cycle (an input: in answer to
+            each command). Left out, the cycle time of the DBC holds, or 0 where it has none.
     """
 
     counter: str | None = None

@@ -54,8 +54,26 @@ _MAY_BE_ZERO = frozenset(
 )
 
 
+def may_be(name: str) -> str:
+    """Return what a number of the simulated machine may be: "> 0", "≥ 0", or anything (empty)."""
+    if name in _ANY_SIGN:
+        return ""
+    return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
+
+
 class Constants(Schema):
-    """What is believed of the machine: the constants an identification works with."""
+    """Nominal constants of the machine: what an identification works with.
+
+    Attributes:
+        torque_constant_N_m_A: Motor torque per ampere, at the motor shaft.
+        back_emf_constant_V_s_rad: Voltage induced per rad/s of the motor shaft.
+        resistance_ohm: Winding resistance.
+        inductance_H: Winding inductance.
+        gear_ratio: Motor turns per turn of the joint.
+        moment_arm_m: Radius L1 at which the contact force acts on the joint (Fig. 3, 8).
+        lever_ratio: Contact force over the weight that hangs on the lever, L3/L4 (eq. 17).
+        gravity_m_s2: Local gravity.
+    """
 
     torque_constant_N_m_A: Positive
     back_emf_constant_V_s_rad: Positive
@@ -68,7 +86,14 @@ class Constants(Schema):
 
 
 class Bus(Schema):
-    """Where the devices are. ``mock`` is the simulated bus; any other name is a python-can interface."""
+    """Where the devices are.
+
+    Attributes:
+        interface: `mock` is the simulated bus; any other name is an interface of python-can, such
+            as `socketcan`, `slcan` or `pcan`.
+        channel: Name of the bus for that interface, such as `can0` or `/dev/ttyACM0`.
+        bitrate: Bits per second, the same as in the devices.
+    """
 
     interface: str = "mock"
     channel: str | None = None
@@ -76,10 +101,28 @@ class Bus(Schema):
 
 
 class ServoSection(Schema):
-    """The drive: node, and the scales that turn its units into SI, checked against the device before a run.
+    """A CiA 402 drive on CANopen, and the scales that turn its units into SI; checked against the
+    device before a run.
 
-    ``velocity_unit_rad_s`` is the motor speed of one unit of 606Ch, null for one count per second. ``eds`` is the
-    device's own EDS file, relative to the bench file; the simulated drive needs none.
+    Attributes:
+        kind: The protocol of the drive.
+        node: CANopen node number.
+        counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
+        sign: 1 where the drive counts up for a positive joint angle, else -1.
+        offset_deg: Joint angle at which the drive's position reads zero.
+        rated_current_A: Rated motor current; the unit of the drive's current objects is a
+            thousandth of it (6075h).
+        rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
+            of it (6076h).
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch; null for one count per second.
+        voltage_object: Index and subindex of the motor voltage.
+        voltage_unit_V: Voltage of one unit of that object.
+        temperature_object: Index and subindex of the drive's temperature.
+        temperature_unit_C: Temperature of one unit of that object.
+        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none.
+        quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
+            off, 6 brakes and stays in the state quick stop active.
+        quick_stop_deceleration_deg_s2: Deceleration of the braking ramp, at the joint (6085h).
     """
 
     kind: Literal["canopen"] = "canopen"
@@ -100,7 +143,17 @@ class ServoSection(Schema):
 
 
 class EncoderSection(Schema):
-    """The joint encoder; ``eds`` as for the drive."""
+    """The joint encoder, a CiA 406 device on CANopen.
+
+    Attributes:
+        kind: The protocol of the encoder.
+        node: CANopen node number.
+        counts_per_turn: Counts per turn of the joint.
+        sign: 1 where the encoder counts up for a positive joint angle, else -1.
+        offset_deg: Joint angle at which the encoder reads zero.
+        eds: The device's own EDS file, relative to the bench file; the simulated encoder needs
+            none.
+    """
 
     kind: Literal["cia406"] = "cia406"
     node: NodeId = 2
@@ -113,9 +166,24 @@ class EncoderSection(Schema):
 class LimitsSection(Schema):
     """Limits checked on every sample, and held by the drive as well where it has an object for them.
 
-    ``lateness_ms`` ends at half the heartbeat watch of the drive: past that the drive would stop by itself anyway.
-    ``pressure_MPa`` is for benches with a pressure transmitter; ``contact_force_N`` then holds for what follows from
-    the pressure as well.
+    Attributes:
+        angle_min_deg: Lowest joint angle, commanded or measured.
+        angle_max_deg: Highest joint angle, commanded or measured.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque of the drive, at the joint after the gear.
+        current_A: Highest motor current.
+        following_error_deg: Largest difference of commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference of joint encoder and motor encoder, at the
+            joint.
+        weight_kg: Heaviest weight that a sequence may hang.
+        contact_force_N: Highest contact force, of a weight or of the gas generator's pressure.
+        pressure_MPa: Highest chamber pressure; needed where there is a pressure transmitter.
+        temperature_C: Highest temperature that the drive may report.
+        supply_min_V: Lowest supply voltage.
+        supply_max_V: Highest supply voltage.
+        sample_age_ms: Oldest sample that a cycle may go on with.
+        lateness_ms: Latest start of a cycle. At most half the heartbeat time of the drive, past
+            which the drive stops by itself.
     """
 
     angle_min_deg: float
@@ -164,7 +232,13 @@ def _encoder_kind(section: object) -> object:
 
 
 class Calibration(Schema):
-    """A calibration that the results of this bench rest on; good through the day ``due``."""
+    """A calibration that the results of this bench rest on.
+
+    Attributes:
+        device: What was calibrated.
+        id: Number of the certificate.
+        due: Last day on which the calibration is good.
+    """
 
     device: str
     id: str
@@ -174,13 +248,26 @@ class Calibration(Schema):
 class Bench(Schema):
     """One bench, as written in its file.
 
-    ``overdue_calibration`` says what a run does where the day of a calibration has passed,
-    ``prompt_timeout_s`` how long an answer of the operator is waited for; null is for ever.
-    ``weights_kg`` are the masses that can be hung on the lever; a planned experiment chooses from
-    them. ``weight_tolerance`` is the share of the planned mass by which the one that the operator
-    types may differ. ``weights_hung_by: hoist`` says that a machine hangs the weights and that what
-    it hung is certain, so that ``--yes`` may answer the prompts of a real bench. ``pressure`` and
-    ``gas_generator`` are for hot firings.
+    Attributes:
+        bench: Version of the file format.
+        name: Name of the bench in reports.
+        machine: Nominal constants of the machine.
+        bus: The bus of the drive; null for the literal bench, which has none.
+        servo: The drive.
+        encoder: The joint encoder.
+        pressure: The pressure transmitter of hot firings.
+        gas_generator: Nominal constants of the gas generator of hot firings.
+        cycle_Hz: Control cycles per second. The period must be a whole number of milliseconds.
+        limits: Limits of the bench.
+        weights_kg: Masses that can be hung on the lever; a planned experiment chooses from them.
+        weight_tolerance: Share of the planned mass by which the mass that the operator types may
+            differ.
+        weights_hung_by: `hoist` says that a machine hangs the weights and that what it hung is
+            certain, so that `--yes` may answer the prompts of a real bench.
+        calibrations: Calibrations that the results rest on.
+        overdue_calibration: What a run does where the day of a calibration has passed.
+        prompt_timeout_s: How long an answer of the operator is waited for; null is for ever.
+        mock: The simulated machine behind a simulated bus.
     """
 
     bench: Literal[1]

@@ -62,7 +62,23 @@ def _not_zero(value: float) -> float:
 
 
 class BenchSection(Schema):
-    """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`."""
+    """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`.
+
+    Attributes:
+        motion: `rotary`: angles in rad, torques in N m. `linear`: positions in m, forces in N,
+            masses in kg; read N for N m and m for rad throughout.
+        torque_constant: Motor torque per ampere, N m/A. Without it and without a `torque` channel
+            the fit is in amperes.
+        back_emf_constant: Voltage per rad/s of the motor, V s/rad; needed where only the voltage
+            was measured.
+        resistance: Winding resistance, ohm; needed where only the voltage was measured.
+        inductance: Winding inductance, H.
+        gear_ratio: Motor turns per turn of the joint.
+        moment_arm: Radius L1 at which the contact force acts, m; needed for the working load.
+        lever_ratio: Contact force over the weight on the lever, L3/L4.
+        gravity: Local gravity, m/s^2.
+        gas_generator: The gas generator, where pressure was recorded.
+    """
 
     motion: Literal["rotary", "linear"] = "rotary"
     torque_constant: Constant | None = None
@@ -87,9 +103,10 @@ class ModelSection(Schema):
     """Declared physics beyond the nominal nine, and values that are not fitted.
 
     Attributes:
-        friction: Rung of the ladder of friction models.
-        terms: Further physics by catalogue name, or ``offset``; ``load_dependent_friction`` takes the rung that has it.
-        fixed: Name to value, not fitted.
+        friction: Friction model, from the ladder of friction models.
+        terms: Further physics that is fitted: `offset` (a constant torque) or
+            `load_dependent_friction` (friction grows with the torque of a pendulum).
+        fixed: Parameter to value, not fitted.
     """
 
     friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
@@ -125,7 +142,13 @@ class ModelSection(Schema):
 
 
 class GravitySection(Schema):
-    """A known weight that turns with the joint: torque -m g l sin(angle - zero)."""
+    """A known weight that turns with the joint: torque -m g l sin(angle - zero).
+
+    Attributes:
+        mass: Mass m, kg.
+        length: Distance l of its centre from the axis, m.
+        zero: Angle at which it hangs straight down, rad.
+    """
 
     mass: Constant
     length: Constant
@@ -137,12 +160,14 @@ class GravitySection(Schema):
 
 
 class ControllerSection(Schema):
-    """The position loop: output = clip(position_gain (command - angle) - velocity_gain velocity, limit).
+    """The position loop: output = clip(position_gain (command - angle) - velocity_gain velocity,
+    limit).
 
     Attributes:
-        output: ``duty`` of the supply voltage, ``voltage`` at the motor (V), or ``torque`` at the joint (N m, N).
-        position_gain: Output per rad (m).
-        velocity_gain: Output per rad/s (m/s).
+        output: `duty`: share of the supply voltage; `voltage`: at the motor, V; `torque`: at the
+            joint, N m.
+        position_gain: Output per rad.
+        velocity_gain: Output per rad/s.
         limit: Greatest magnitude of the output.
     """
 
@@ -161,8 +186,9 @@ class ReadSection(Schema):
 
     Attributes:
         delimiter: One character; found from the first line where not given.
-        skip_rows: Lines before the header, or before the first row of numbers where there is no header.
-        decimal: What separates the decimals, a point or a comma.
+        skip_rows: Lines before the header, or before the first row of numbers where there is no
+            header.
+        decimal: What separates the decimals.
     """
 
     delimiter: str | None = Field(default=None, min_length=1, max_length=1)
@@ -181,8 +207,8 @@ class ChannelSection(Schema):
 
     Attributes:
         column: Name, or index from 0.
-        scale: To SI, sign included.
-        offset: SI.
+        scale: SI units per unit of the column; a negative scale turns the sign.
+        offset: Added after the scale, SI.
         average: Whether each sample is the mean over the period that ends at its time.
     """
 
@@ -198,7 +224,21 @@ class ChannelSection(Schema):
 
 
 class RecordingSection(Schema):
-    """One entry of ``recordings``; may stand for several files."""
+    """One entry of `recordings`; may stand for several files.
+
+    Attributes:
+        file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
+            mcap or parquet; text files may be gzipped.
+        stage: The load condition.
+        weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
+        gravity: A known weight that turns with the joint.
+        controller: The position loop that the recording was made in, for simulations.
+        role: `validate` sets the recording aside: it is used for no decision and scored once at the
+            end.
+        rate: Sampling rate, Hz; only where there is no `time` channel.
+        read: How to read a text file.
+        channels: Canonical channel to column. A name or index alone is short for `{column: ...}`.
+    """
 
     file: str | Annotated[tuple[str, ...], Field(min_length=1)]
     stage: Literal["unloaded", "loaded"] = "unloaded"
@@ -217,7 +257,15 @@ class RecordingSection(Schema):
 
 
 class Campaign(Schema):
-    """A campaign file, ``defaults`` already merged into every recording."""
+    """A campaign file, `defaults` already merged into every recording.
+
+    Attributes:
+        campaign: Version of the file format.
+        bench: Constants of the machine.
+        model: Declared physics.
+        defaults: Keys of `recordings` that hold for every recording unless it gives its own.
+        recordings: What was recorded.
+    """
 
     campaign: Literal[1]
     bench: BenchSection

@@ -22,7 +22,14 @@ Constant = Annotated[PositiveFloat, AfterValidator(_buildable)]
 
 
 class ValveSection(Schema):
-    """Dimensions of Fig. 3, m; the paper's where not given. The hole swings on the bench's moment arm, L1."""
+    """Dimensions of Fig. 3; the paper's where not given. The hole swings on the bench's moment arm,
+    L1.
+
+    Attributes:
+        hole_diameter: Diameter of the hole in the plate, m.
+        opening_diameter: Diameter of the opening behind the plate, m.
+        plate_width: Width of the plate, m.
+    """
 
     hole_diameter: Constant = 0.025
     opening_diameter: Constant = 0.040
@@ -42,14 +49,14 @@ class GasGeneratorSection(Schema):
     """Constants of eq. 2 to 8, SI; those of the paper, or chosen, where not given.
 
     Attributes:
-        propellant_density: rho_b, kg/m^3.
-        grain_diameter: D_P, m, of the end-burning grain.
-        burning_coefficient: a, m/s at 1 MPa.
-        pressure_exponent: n.
-        characteristic_velocity: C_r, m/s.
+        propellant_density: Density rho_b, kg/m^3.
+        grain_diameter: Diameter D_P of the end-burning grain, m.
+        burning_coefficient: Burning rate a at 1 MPa, m/s.
+        pressure_exponent: Exponent n of the burning law.
+        characteristic_velocity: Characteristic velocity C_r, m/s.
         heat_ratio: Specific-heat ratio; it ties R_g T_g to C_r.
-        free_volume: At ignition, m^3.
-        back_pressure: p_c0 behind the valve, Pa.
+        free_volume: Volume of the chamber without the grain, at ignition, m^3.
+        back_pressure: Pressure p_c0 behind the valve, Pa.
         valve: Dimensions of the gate.
     """
 

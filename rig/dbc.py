@@ -27,7 +27,18 @@ Problem = Callable[[Loc, str], str]
 
 
 class HeldSection(Schema):
-    """Limits that were set in the drive with its maker's tool; what the drive says over the bus goes before these."""
+    """Limits that were set in the drive with its maker's tool; what the drive reports over the bus
+    goes before these.
+
+    Attributes:
+        angle_min_deg: Lowest joint angle.
+        angle_max_deg: Highest joint angle.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque at the joint.
+        current_A: Highest motor current.
+        following_error_deg: Largest following error; null where the drive has no such limit.
+        quick_stop_deceleration_deg_s2: Deceleration of the drive's braking ramp, at the joint.
+    """
 
     angle_min_deg: float
     angle_max_deg: float
@@ -39,10 +50,27 @@ class HeldSection(Schema):
 
 
 class DbcServoSection(Schema):
-    """A drive with its own CAN frames; the signals are described in :mod:`drivers.dbc_map`.
+    """A drive with its own CAN frames, described by a DBC file and a map of its signals.
 
-    ``file`` is the drive's DBC file, relative to the bench file; the simulated drive needs none. ``watchdog_ms`` is how
-    long the drive goes on without a command before it stops by itself, null where it never does.
+    Attributes:
+        kind: The protocol of the drive.
+        file: The drive's DBC file, relative to the bench file; the simulated drive needs none.
+        name: Name of the drive in reports.
+        vendor_id: Number of the maker, kept with the recording.
+        product_code: Number of the product, kept with the recording.
+        revision: Revision, where the drive does not report it.
+        serial_number: Serial number, where the drive does not report it.
+        offset_deg: Joint angle at which the drive's position reads zero.
+        watchdog_ms: How long the drive goes on without a command before it stops by itself; null
+            where it never does.
+        held: Limits set in the drive with its maker's tool.
+        inputs: Signals that the drive reports.
+        status: The signal of the drive's state.
+        target: The signal of the target position, at the motor.
+        orders: What to send for each verb.
+        stop_frame: A frame that stops the drive whatever else is sent.
+        limits: Limits that the drive takes over the bus.
+        messages: Message to its protection: counter, checksum, period.
     """
 
     kind: Literal["dbc"]

@@ -103,9 +103,12 @@ COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
 
 
 class Frames(Schema):
-    """Which frames a bus fault meets: of a device or of the host, and of one function. Left out: all.
+    """Which frames a bus fault meets; all where nothing is given.
 
-    On a serial line ``host`` means its requests, the device its answers.
+    Attributes:
+        device: Frames of this device only. On a serial line `host` means the requests, the device
+            its answers.
+        function: Frames of this CANopen function only.
     """
 
     device: Literal["drive", "encoder", "host"] | None = None
@@ -120,7 +123,13 @@ class Frames(Schema):
 
 
 class Expectation(Schema):
-    """How a run must react. ``words`` is a regular expression to be found in the run's last message."""
+    """How a run must react.
+
+    Attributes:
+        deenergised_within_s: Longest time from the fault to a drive without power.
+        exit_status: Exit status of the run; negative for a signal that ends it.
+        words: Regular expression to be found in the run's last message.
+    """
 
     deenergised_within_s: Annotated[float, Field(ge=0)] | None = None
     exit_status: Annotated[int, Field(ge=-15, le=255)] | None = None
@@ -138,10 +147,21 @@ class Expectation(Schema):
 
 
 class FaultRow(Schema):
-    """One fault. It comes ``after_s`` after ``time_s`` of bench time, the start of a phase, or a 402 state.
+    """One fault. It comes at a bench time, or after the start of a phase or of a state of the drive;
+    exactly one of these is given.
 
-    ``count`` frames, requests or readings are met; 0 is for good. ``stage`` is the stage whose phase is meant; left
-    out, the first.
+    Attributes:
+        time_s: Bench time at which the fault comes.
+        phase: Phase of a stage with whose start the clock for `after_s` begins.
+        state: State of the drive with whose start the clock for `after_s` begins.
+        after_s: Delay after `time_s`, `phase` or `state`.
+        stage: The stage whose phase is meant; the first where left out.
+        target: What fails.
+        fault: How it fails: a name from the table of the target's faults.
+        value: Size of the fault, in the unit of its table.
+        count: How many frames, requests or readings are met; 0 is for good.
+        frames: Which frames a fault of a bus or line meets.
+        expect: How the run must react.
     """
 
     time_s: Annotated[float, Field(ge=0)] | None = None
@@ -196,7 +216,12 @@ class FaultRow(Schema):
 
 
 class FaultSchedule(Schema):
-    """A whole schedule, as written in its file."""
+    """A whole schedule, as written in its file.
+
+    Attributes:
+        faults: Version of the file format.
+        rows: The faults, in any order.
+    """
 
     faults: Literal[1]
     rows: Annotated[tuple[FaultRow, ...], Field(min_length=1)]

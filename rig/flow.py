@@ -18,18 +18,31 @@ _NonNegative = Annotated[float, Field(ge=0)]
 
 
 class FlowStep(Schema):
-    """From ``at_s`` on, ``flow_kg_s`` is asked for."""
+    """From a time on, a flow.
+
+    Attributes:
+        at_s: Time since the start of the excitation; the first step is at 0.
+        flow_kg_s: Mass flow that is asked for.
+    """
 
     at_s: _NonNegative
     flow_kg_s: _Positive
 
 
 class FlowController(Schema):
-    """PI on the logarithm of the pressure over the one wanted (Fig. 5, 11); the gains are chosen, the paper has none.
+    """PI on the logarithm of the pressure over the one wanted (Fig. 5, 11); the gains are chosen, the
+    paper has none.
 
-    ``gain_deg`` is the valve angle per unit of it, some percent of pressure being as many hundredths; ``integral_1_s``
-    the inverse reset time; ``filter_Hz`` the low-pass on the measured pressure. The angle stays in its range and below
-    ``speed_deg_s``, and the integral waits there.
+    Outside its range, or faster than its speed, the valve is not moved, and the integral waits
+    there.
+
+    Attributes:
+        gain_deg: Valve angle per unit of the logarithm; one percent of pressure is about 0.01.
+        integral_1_s: Inverse reset time.
+        filter_Hz: Cut-off of the low-pass on the measured pressure.
+        angle_min_deg: Lowest valve angle.
+        angle_max_deg: Highest valve angle.
+        speed_deg_s: Highest valve speed.
     """
 
     gain_deg: _Positive = 8.0
@@ -49,7 +62,13 @@ class FlowController(Schema):
 
 
 class FlowSection(Schema):
-    """What flow is asked for when, s since the start of the excitation; each step takes ``ramp_s``."""
+    """A flow command over time.
+
+    Attributes:
+        steps: Flow steps, in order.
+        ramp_s: Time that each step takes.
+        controller: The pressure controller.
+    """
 
     steps: Annotated[tuple[FlowStep, ...], Field(min_length=1)]
     ramp_s: _NonNegative = 0.2

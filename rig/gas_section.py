@@ -18,8 +18,14 @@ _Positive = Annotated[float, Field(gt=0)]
 class PressureSection(Schema):
     """A CANopen pressure transmitter (CiA 404) on the chamber.
 
-    ``unit_Pa`` is one unit of its process value 9130h, held against 6131h and 6132h before a run; ``range_MPa`` the
-    pressure it can measure. ``eds`` as for the drive.
+    Attributes:
+        kind: The protocol of the transmitter.
+        node: CANopen node number.
+        unit_Pa: Pressure of one unit of the process value 9130h; held against 6131h and 6132h
+            before a run.
+        range_MPa: Highest pressure that the transmitter measures.
+        eds: The device's own EDS file, relative to the bench file; the simulated transmitter needs
+            none.
     """
 
     kind: Literal["cia404"] = "cia404"
@@ -34,10 +40,23 @@ class PressureSection(Schema):
 
 
 class GasGeneratorSection(Schema):
-    """What is believed of gas generator and valve (Fig. 3, eq. 2, 3, 10).
+    """Nominal constants of gas generator and valve (Fig. 3, eq. 2, 3, 10).
 
-    Contact force and limits need the valve and ``back_pressure_MPa`` (p_c0); a flow command also what makes the flow;
-    the rest is for its diagnosis.
+    Contact force and limits need the valve and the back pressure; a flow command needs what makes
+    the flow; the rest is for the diagnosis.
+
+    Attributes:
+        hole_diameter_m: Diameter of the hole in the valve's plate.
+        opening_diameter_m: Diameter of the opening that the plate covers.
+        plate_width_m: Width of the plate.
+        back_pressure_MPa: Pressure p_c0 behind the valve.
+        propellant_density_kg_m3: Density rho_b of the propellant.
+        burning_rate_mm_s: Burning rate a at 1 MPa.
+        pressure_exponent: Exponent n of the burning law.
+        chamber_diameter_m: Diameter D_P of the end-burning grain.
+        characteristic_velocity_m_s: Characteristic velocity C_r of the gas.
+        heat_ratio: Specific-heat ratio of the gas.
+        free_volume_m3: Volume of the chamber without the grain, at ignition.
     """
 
     hole_diameter_m: _Positive

@@ -31,6 +31,7 @@ _DOUBLE_WIRE_TYPE = 1
 _BYTES_WIRE_TYPE = 2
 _FRAME = "qI9p?"
 """Time ns, identifier, up to 8 data bytes after their count, sent by the host."""
+FRAME_BYTES = struct.calcsize("<" + _FRAME)
 
 
 def _varint(value: int) -> bytes:

@@ -33,7 +33,18 @@ STAGE_ENDS: Mapping[str, StageEnd] = {
 
 @dataclass
 class StageRecord:
-    """State of one stage: ``stopped``, ``tripped`` and ``failed`` say how the run ended that it was going on in."""
+    """State of one stage.
+
+    Attributes:
+        name: Name of the stage.
+        stage: Load condition.
+        weight_kg: Planned mass on the lever.
+        repeats: Planned excitations.
+        samples: Samples of one excitation.
+        state: `planned`, `running`, `done`, or how the run ended that the stage was going on in.
+        confirmed_kg: Mass that the operator confirmed.
+        role: `fit` or `validate`.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -69,13 +80,20 @@ class StageRecord:
 
 @dataclass
 class SegmentRecord:
-    """One excitation: which stage it belongs to, and when it ran, s since the start of its recording.
+    """One excitation: which stage it belongs to, and when it ran.
 
     Attributes:
-        index: From 1, unique in the run; the samples carry it.
-        stage_index: Which stage.
-        part: Which recording, from 1.
+        index: Number from 1, unique in the run; the samples carry it.
+        name: Name of the recording that it becomes.
+        stage: Load condition.
+        weight_kg: Mass on the lever.
+        start: Start since the start of the recording, s.
+        samples: Planned samples.
+        end: End since the start of the recording, s.
+        stage_index: Index of its stage, from 0.
+        part: Number of its recording, from 1.
         kept: False once its stage was begun again.
+        role: `fit` or `validate`.
     """
 
     __pydantic_config__ = STRICT
@@ -95,7 +113,21 @@ class SegmentRecord:
 
 @dataclass
 class PartRecord:
-    """One recording of a run: the first, or that of a ``rig resume``."""
+    """One recording of a run: the first, or that of a ``rig resume``.
+
+    Attributes:
+        file: File of the run folder.
+        created: Date and time, UTC.
+        seed: Seed of the simulated bench's noise.
+        operator: Who ran it.
+        versions: Versions of this program and of what it depends on.
+        devices: Identities of the devices, and the limits that the drive held before.
+        state: `running`, `died`, or how it ended.
+        cycles: Control cycles.
+        seconds: Length of the recording, s.
+        timing: Histograms of lateness and of the answers, missed SYNCs, lost samples, oldest
+            sample.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -115,8 +147,33 @@ class PartRecord:
 class RunRecord:
     """Everything in ``run.json``.
 
-    ``drive_state`` is the state that the drive was read back in at the end, in the words of CiA 402; None where that is
-    not known.
+    Attributes:
+        name: Name of the sequence.
+        created: Date and time, UTC.
+        seed: Seed of the simulated bench's noise.
+        simulated: Whether the bench is simulated.
+        realtime: Whether a simulated bench was held to real time.
+        cycle_s: Control cycle, s.
+        versions: Versions of this program and of what it depends on.
+        inputs: Name to file and SHA-256 of everything that was read.
+        bench: Nominal constants of the bench, SI.
+        stages: State of each stage.
+        segments: Every excitation that began.
+        parts: Every recording.
+        operator: Who ran it.
+        calibrations: Calibrations of the bench, with what was overdue.
+        weights: Weight checks: stage, confirmed and measured mass, verdict, message.
+        warnings: What the operator was warned of.
+        state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
+        message: How it ended, in words.
+        trip: The limit that was broken: check, value, limit, unit, time.
+        de_energised: Whether the drive was read back as de-energised.
+        drive_state: State that the drive was read back in, in the words of CiA 402; None where unknown.
+        cycles: Control cycles.
+        overruns: Cycles that started late.
+        stale: Cycles whose answer was incomplete.
+        seconds: Time of the bench, s.
+        schema: Name and version of the format.
     """
 
     __pydantic_config__ = STRICT

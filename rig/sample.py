@@ -9,28 +9,29 @@ from typing import NamedTuple
 class Sample(NamedTuple):
     """One cycle in SI units; the field order is the order of the tags in the recording.
 
-    ``command`` is the target that the cycle sent; everything else was latched at that cycle's SYNC. ``current`` and
-    ``voltage`` are means over the cycle that ends there. ``command``, ``angle``, ``velocity`` and ``following_error``
-    are at the joint, ``motor_angle``, ``current`` and ``voltage`` at the motor.
+    ``command`` is the target that the cycle sent; everything else was latched at that cycle's SYNC.
 
     Attributes:
         time: Start of the cycle since the start of the run, s.
-        host_time: When the answer had been collected, by the host's clock since the start of the run, s.
+        host_time: When the answer had been collected, by the host's clock since the start of the
+            run, s.
         device_time: The drive's own time stamp, s.
         encoder_time: The encoder's own time stamp, s.
         command: Target joint angle, rad.
-        motor_angle: Motor shaft, rad.
-        angle: Joint encoder, rad.
+        motor_angle: Angle of the motor shaft, rad.
+        angle: Joint angle by the joint encoder, rad.
         velocity: Joint speed as the drive estimates it, rad/s.
-        current: A.
-        voltage: V at the motor.
-        supply_voltage: V.
-        temperature: deg C.
-        following_error: rad, as the drive computes it.
+        current: Motor current, mean over the cycle that ends here, A.
+        voltage: Motor voltage, mean over the cycle that ends here, V.
+        supply_voltage: Supply voltage, V.
+        temperature: Temperature of the drive, deg C.
+        following_error: Command minus joint angle as the drive computes it, rad.
         statusword: Object 6041h.
-        segment: 0 outside an excitation, else the 1-based number of the stage repeat.
-        fresh: Whether every part of the answer arrived this cycle; if not, the values are the last good ones.
-        pressure: In the gas generator's chamber, Pa; NaN on a bench without a transmitter.
+        segment: 0 outside an excitation, else the number of the excitation in the run, from 1.
+        fresh: 1 where every part of the answer arrived this cycle; 0 where values are the last good
+            ones.
+        pressure: Pressure in the gas generator's chamber, Pa. Not a number on a bench without a
+            transmitter.
     """
 
     time: float

@@ -19,7 +19,13 @@ Array = NDArray[np.float64]
 
 
 class Tone(Schema):
-    """One sine of an excitation: ``amplitude_deg`` sin(2 pi ``frequency_Hz`` t + ``phase_deg``)."""
+    """One sine of an excitation: amplitude sin(2 pi frequency t + phase).
+
+    Attributes:
+        amplitude_deg: Amplitude at the joint.
+        frequency_Hz: Frequency.
+        phase_deg: Phase at the start of the excitation.
+    """
 
     amplitude_deg: Positive
     frequency_Hz: Positive
@@ -27,10 +33,13 @@ class Tone(Schema):
 
 
 class Ramp(Schema):
-    """A slow ramp: ``travel_deg`` away from the centre (its sign is the direction) at constant speed, and back.
+    """A slow ramp: away from the centre at constant speed, and back.
 
-    The joint is commanded to rest ``rest_s`` at the far end, and for what is left of ``duration_s`` at the centre. All
-    of that is done ``times`` times, without a rest at the centre between.
+    Attributes:
+        travel_deg: How far away from the centre; the sign is the direction.
+        speed_deg_s: Speed out and back.
+        rest_s: Commanded rest at the far end. What is left of `duration_s` is rest at the centre.
+        times: How often out and back, without a rest at the centre between.
     """
 
     travel_deg: float
@@ -50,15 +59,30 @@ class Ramp(Schema):
 
 
 class StageSection(Schema):
-    """One stage: what loads the valve, and an excitation of the joint, by ``tones`` or by one ``ramp``.
+    """One stage: what loads the valve, and an excitation of the joint, by tones or by one ramp.
 
-    In a ``hot_fire`` stage a gas generator loads the valve, and ``flow`` may take the place of an excitation: the valve
-    then goes where a controller wants it.
+    In a `hot_fire` stage a gas generator loads the valve, and a flow command may take the place of
+    an excitation: the
+    valve then goes where a controller moves it.
 
-    The ramps in and out of the tones lie inside ``duration_s``; ``settle_s`` is the rest at the starting angle before
-    each repeat.
-    ``time_limit_s`` is the longest the drive may be under power in this stage; a bound from the plan unless given.
-    ``role: validate`` sets its recordings aside: identification fits them not, and scores them once at the end.
+    Attributes:
+        name: Name of the stage, without spaces; each stage has its own.
+        stage: The load condition. `unloaded`: the empty lever; `loaded`: a weight on it;
+            `hot_fire`: the gas generator.
+        weight_kg: Mass on the lever of a loaded stage.
+        tones: Sines that are added up.
+        ramp: A slow ramp instead of tones.
+        flow: A flow command instead of tones, in a hot firing.
+        duration_s: Length of the excitation; fade-in and fade-out of the tones lie inside.
+        ramp_in_s: Fade-in of the tones.
+        ramp_out_s: Fade-out of the tones.
+        repeats: How often the excitation is run; each repeat becomes one recording.
+        center_deg: Joint angle that the excitation is around.
+        settle_s: Rest at the starting angle before each repeat.
+        time_limit_s: Longest time under power in this stage; a bound computed from the plan unless
+            given.
+        role: `validate` sets the stage's recordings aside: identification does not fit them, and
+            scores them once at the end.
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
@@ -111,7 +135,22 @@ class StageSection(Schema):
 
 
 class SequenceLimits(Schema):
-    """Limits of this sequence; they may only be tighter than the bench's."""
+    """Limits of this sequence; each may only be tighter than the bench's.
+
+    Attributes:
+        angle_min_deg: Lowest joint angle.
+        angle_max_deg: Highest joint angle.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque at the joint.
+        current_A: Highest motor current.
+        following_error_deg: Largest difference of commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference of joint and motor encoder, at the joint.
+        temperature_C: Highest temperature of the drive.
+        supply_min_V: Lowest supply voltage.
+        supply_max_V: Highest supply voltage.
+        sample_age_ms: Oldest sample that a cycle may go on with.
+        lateness_ms: Latest start of a cycle.
+    """
 
     angle_min_deg: float | None = None
     angle_max_deg: float | None = None
@@ -130,10 +169,13 @@ class SequenceLimits(Schema):
 class FirstPass(Schema):
     """A short pass at low amplitude before each stage, under tighter limits.
 
-    ``amplitude`` is a share of the stage's own; ``duration_s`` one period of its slowest tone and the ramps unless
-    given; ``limit_share`` the share of the speed limit that is allowed meanwhile, and of the limits on torque, current
-    and following error half way from there to the whole. While the joint does not move, passes of twice the amplitude
-    follow.
+    While the joint does not move, passes of twice the amplitude follow.
+
+    Attributes:
+        amplitude: Share of the stage's own amplitude.
+        duration_s: Length of the pass; one period of the slowest tone and the fades unless given.
+        limit_share: Share of the speed limit that is allowed meanwhile. The limits on torque,
+            current and following error are half way from this share to the whole.
     """
 
     amplitude: Annotated[float, Field(gt=0, le=0.5)] = 0.1
@@ -144,7 +186,12 @@ class FirstPass(Schema):
 class Sequence(Schema):
     """One sequence, as written in its file.
 
-    ``first_pass: auto`` makes one on a real bench and none on a simulated one.
+    Attributes:
+        sequence: Version of the file format.
+        name: Name of the sequence, without spaces; part of the run folder's name.
+        stages: The stages, in the order they are run.
+        limits: Limits of this sequence.
+        first_pass: `auto` makes a first pass on a real bench and none on a simulated one.
     """
 
     sequence: Literal[1]

@@ -42,10 +42,14 @@ _Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
 
 
 class SerialBus(Schema):
-    """An EPOS4 on RS-232 or USB. ``port`` is ``mock`` or a device of this computer.
+    """An EPOS4 on RS-232 or USB.
 
-    ``round_trip_ms`` is what adapter and drive add to the bytes of every request and its answer; measure it. FTDI
-    adapters add 16, in low-latency mode 6.
+    Attributes:
+        interface: The protocol of the line.
+        port: `mock`, or a serial device of this computer such as `/dev/ttyUSB0`.
+        baud: Bits per second.
+        round_trip_ms: What adapter and drive add to the bytes of every request and its answer;
+            measure it. FTDI adapters add 16, in low-latency mode 6.
     """
 
     interface: Literal["epos_serial"]
@@ -55,10 +59,19 @@ class SerialBus(Schema):
 
 
 class Amt21Section(Schema):
-    """An AMT21 joint encoder on a line of its own. ``port`` is ``mock`` or a device of this computer.
+    """An AMT21 joint encoder on an RS-485 line of its own.
 
-    A position that would take more speed or acceleration than ``gate_speed_deg_s`` and ``gate_acceleration_deg_s2`` is
-    not believed.
+    A position that would take more speed or acceleration than the gate allows is discarded.
+
+    Attributes:
+        kind: The protocol of the encoder.
+        port: `mock`, or a serial device of this computer.
+        baud: Bits per second.
+        address: Address of the encoder on its line, a multiple of 4.
+        sign: 1 where the encoder counts up for a positive joint angle, else -1.
+        offset_deg: Joint angle at which the encoder reads zero.
+        gate_speed_deg_s: Highest joint speed between two positions.
+        gate_acceleration_deg_s2: Highest joint acceleration between positions.
     """
 
     kind: Literal["amt21"]

@@ -15,8 +15,12 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *DOCS.rglob("*.md")])
 WIDE = 100
-NARROW_PAGES = ("architecture", "glossary", "index", "method")
+NARROW_PAGES = sorted(
+    [DOCS / f"{name}.md" for name in ("architecture", "glossary", "index", "method")]
+    + [ROOT / "README.md", *(DOCS / "tutorials").iterdir(), *(DOCS / "guides").iterdir()]
+)
 """Pages whose prose keeps to :data:`WIDE` columns."""
+_PATH = re.compile(r"`((?:rig|drivers|identification|tests|benchmarks|docs)/[\w/.-]+)`")
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 _FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`]+)`")
@@ -69,10 +73,20 @@ def test_the_index_lists_every_page() -> None:
     assert listed >= {page for page in DOCS.rglob("*.md") if page.name != "index.md"}
 
 
-@pytest.mark.parametrize("page", NARROW_PAGES)
-def test_prose_is_narrow(page: str) -> None:
-    lines = [line for line in read(page).splitlines() if not line.startswith("|")]
-    assert [line for line in lines if len(line) > WIDE] == []
+@pytest.mark.parametrize("page", NARROW_PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_prose_is_narrow(page: Path) -> None:
+    lines = prose(page.read_text(encoding="utf-8")).splitlines()
+    assert [line for line in lines if len(line) > WIDE and not line.startswith("|")] == []
+
+
+@pytest.mark.parametrize("page", NARROW_PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_path_that_a_page_names_exists(page: Path) -> None:
+    for name in _PATH.findall(prose(page.read_text(encoding="utf-8"))):
+        assert (ROOT / name).exists(), name
+
+
+def test_the_readme_is_short() -> None:
+    assert len((ROOT / "README.md").read_text(encoding="utf-8").splitlines()) <= 120
 
 
 def test_equations_are_numbered_in_order() -> None:

@@ -1,4 +1,4 @@
-"""The README's table from the paper to the code: complete, once each, and every name in it exists."""
+"""The table from the paper to the code: complete, once each, and every name in it exists."""
 
 from __future__ import annotations
 
@@ -35,8 +35,8 @@ _CODE = re.compile(r"`((?:drivers|identification|rig)(?:\.[A-Za-z_0-9]+)+)`")
 
 def rows() -> list[tuple[str, str, str]]:
     """Item, code and tests of each row."""
-    section = (ROOT / "README.md").read_text(encoding="utf-8").split("## Paper to code", 1)[1].split("\n## ", 1)[0]
-    cells = [line.strip("| ").split(" | ") for line in section.splitlines() if line.startswith("|")]
+    page = (ROOT / "docs" / "paper_to_code.md").read_text(encoding="utf-8")
+    cells = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("|")]
     return [(item.split(":")[0], code, tests) for item, code, tests in cells[2:]]
 
 

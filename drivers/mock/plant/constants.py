@@ -15,7 +15,14 @@ from typing import Literal
 class Motor:
     """DC motor, eq. 1: R I + L dI/dt = U - Ke domega_m ; torque Km I.
 
-    ``rotor_inertia_kg_m2``, at the motor, is part of the joint's total; it shows only where the transmission gives.
+    Attributes:
+        resistance_ohm: Winding resistance R.
+        inductance_H: Winding inductance L.
+        torque_constant_N_m_A: Torque constant Km, at the motor.
+        back_emf_constant_V_s_rad: Back-EMF constant Ke, at the motor.
+        gear_ratio: Motor turns per turn of the joint.
+        rotor_inertia_kg_m2: Inertia of the rotor at the motor. Part of the joint's total; it shows
+            only where the transmission gives.
     """
 
     resistance_ohm: float = 1.56
@@ -30,7 +37,20 @@ class Motor:
 class Joint:
     """Inertia, system load (eq. 9), working load (eq. 12, 13) and lever (eq. 17), at the joint.
 
-    ``inertia_kg_m2`` is the total seen at the joint, the motor's rotor included.
+    Attributes:
+        inertia_kg_m2: Total inertia at the joint, the motor's rotor included.
+        Mc_N_m: Coulomb friction without load.
+        Ms_N_m: Static friction without load.
+        omega_sf_rad_s: Stribeck speed without load.
+        sigma_2_N_m_s_rad: Viscous friction.
+        mu_c: Coefficient of sliding friction under the contact force.
+        mu_s: Coefficient of static friction under the contact force.
+        omega_sL_rad_s: Stribeck speed under load.
+        mu_2_s_rad: Growth of the load's friction coefficient with speed.
+        alpha: Exponent of the Stribeck curve.
+        moment_arm_m: Radius L1 at which the contact force acts.
+        lever_ratio: Contact force over the weight on the lever, L3/L4.
+        gravity_m_s2: Local gravity.
     """
 
     inertia_kg_m2: float = 0.204
@@ -50,10 +70,21 @@ class Joint:
 
 @dataclass(frozen=True)
 class Loops:
-    """The drive's cascade: position P, velocity PI, current PI, all at ``rate_Hz``.
+    """The drive's cascade: position P, velocity PI, current PI.
 
-    With ``velocity_gain_N_m_s_rad`` None the drive is position P only: joint torque command = ``position_gain`` times
-    the position error, ``position_gain`` in N m/rad instead of 1/s.
+    Attributes:
+        rate_Hz: Rate of all three loops.
+        position_gain: Speed command per position error, 1/s; in N m/rad where
+            `velocity_gain_N_m_s_rad` is null.
+        velocity_gain_N_m_s_rad: Joint torque per speed error; null for a drive with a position loop
+            only, whose torque command is `position_gain` times the position error.
+        velocity_integral_1_s: Inverse reset time of the velocity loop.
+        velocity_filter_Hz: Cut-off of the filter on the measured speed.
+        velocity_feedforward: Share of the commanded speed that is added to the speed command.
+        current_gain_V_A: Proportional gain of the current loop.
+        current_integral_1_s: Inverse reset time of the current loop.
+        voltage_limit_V: Largest voltage that the drive applies.
+        current_limit_A: Largest current that the drive commands.
     """
 
     rate_Hz: float = 20000.0
@@ -70,10 +101,14 @@ class Loops:
 
 @dataclass(frozen=True)
 class Sensing:
-    """What the drive and the joint encoder can see.
+    """What the drive and the joint encoder can see; zero counts mean an exact sensor.
 
-    Zero counts or zero quantum mean an exact sensor. ``current_noise_A`` is the rms noise of the logged mean over one
-    cycle of ``cycle_s``; each sample of the current loop carries it times the square root of the samples per cycle.
+    Attributes:
+        motor_counts_per_turn: Counts of the motor encoder per motor turn.
+        joint_counts_per_turn: Counts of the joint encoder per joint turn.
+        current_noise_A: Noise (rms) of the logged mean current over one cycle. Each sample of the
+            current loop carries it times the square root of the samples per cycle.
+        cycle_s: Cycle over which current and voltage are averaged; the control cycle.
     """
 
     motor_counts_per_turn: int = 4096
@@ -84,7 +119,13 @@ class Sensing:
 
 @dataclass(frozen=True)
 class Valve:
-    """The gate of Fig. 3: a plate with a hole, swinging in its own plane on radius L1 over an opening."""
+    """The gate of Fig. 3: a plate with a hole, swinging in its own plane on radius L1 over an opening.
+
+    Attributes:
+        hole_diameter_m: Diameter of the hole in the plate.
+        opening_diameter_m: Diameter of the opening behind the plate.
+        plate_width_m: Width of the plate.
+    """
 
     hole_diameter_m: float = 0.025
     opening_diameter_m: float = 0.040
@@ -93,7 +134,12 @@ class Valve:
 
 @dataclass(frozen=True)
 class Transmitter:
-    """The pressure transmitter on the chamber: rms noise of one sample, and the pressure it measures up to; chosen."""
+    """The pressure transmitter on the chamber; both values are chosen.
+
+    Attributes:
+        noise_Pa: Noise (rms) of one sample.
+        range_Pa: Highest pressure that it measures.
+    """
 
     noise_Pa: float = 1500.0
     range_Pa: float = 10e6
@@ -101,13 +147,27 @@ class Transmitter:
 
 @dataclass(frozen=True)
 class GasGenerator:
-    """Gas generator, eq. 2 to 8: end burning at r = a p^n, choked outflow p A_t / C_r, ideal gas at one temperature.
+    """Gas generator, eq. 2 to 8: end burning at r = a p^n, choked outflow p A_t / C_r, ideal gas at
+    one temperature.
 
-    The paper gives the first five values; the others are chosen. With these the minimum throat settles at 4.4 MPa, the
+    The paper gives the first five values; the others are chosen. With these the minimum throat
+    settles at 4.4 MPa, the
     full one at 0.6 MPa, and the contact force of the closed valve is 3.0 kN, that of Case 2.
-    ``burning_rate_mm_s`` is a, in mm/s at 1 MPa. ``energy_J_kg`` is R_g T_g, (0.658 C_r)^2 at a specific-heat ratio of
-    1.25. ``equation`` is 7 (exact, conserves mass) or 8 (gas density neglected beside the propellant's). Pressure
-    and contact force are renewed every ``loops_per_step`` periods of the drive's loops.
+
+    Attributes:
+        propellant_density_kg_m3: Density of the propellant.
+        burning_rate_mm_s: Burning rate a at 1 MPa.
+        pressure_exponent: Exponent n of the burning law.
+        chamber_diameter_m: Diameter of the end-burning grain.
+        valve: Dimensions of the gate.
+        characteristic_velocity_m_s: Characteristic velocity C_r of the gas.
+        energy_J_kg: R_g T_g of the gas, (0.658 C_r)^2 at a specific-heat ratio of 1.25.
+        free_volume_m3: Volume of the chamber without the grain, at ignition.
+        back_pressure_Pa: Pressure behind the valve.
+        transmitter: The pressure transmitter.
+        equation: 7 is exact and conserves mass; 8 neglects the gas density beside the propellant's.
+        loops_per_step: Periods of the drive's loops between two updates of pressure and contact
+            force.
     """
 
     propellant_density_kg_m3: float = 1630.0
@@ -126,11 +186,21 @@ class GasGenerator:
 
 @dataclass(frozen=True)
 class Machine:
-    """Everything that defines one simulated bench. ``steps_per_loop`` integration steps make one drive-loop period.
+    """Everything that defines one simulated bench.
 
-    The temperature that the drive reports is ``temperature_C`` at the start and ``warming_K`` above in the end, first
-    order in ``warming_s``. ``effects`` is the physics that it hides, effect -> parameter -> value
-    (:mod:`drivers.mock.plant.effects.table`).
+    Attributes:
+        motor: The DC motor.
+        joint: Inertia, friction and lever.
+        loops: The drive's control loops.
+        sensing: Resolution and noise of the sensors.
+        gas: The gas generator of hot firings.
+        steps_per_loop: Integration steps in one period of the drive's loops.
+        supply_V: Supply voltage.
+        temperature_C: Temperature that the drive reports at the start.
+        warming_K: Rise of the reported temperature in the end.
+        warming_s: Time constant of that rise.
+        effects: Physics that the machine hides: effect to parameter to value.
+            [Catalogue](effects.md).
     """
 
     motor: Motor = field(default_factory=Motor)

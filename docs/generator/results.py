@@ -1,0 +1,170 @@
+"""Page of the result files' fields: the table ``results.txt``, held against the code that writes them."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import importlib
+import inspect
+import re
+import textwrap
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+from keys import table
+
+from drivers.interfaces import Identity, ServoLimits
+from identification.estimate.result import MeasuredNoise
+from rig.descriptions import meanings
+from rig.inject import Finding
+from rig.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
+
+TABLE = Path(__file__).with_suffix(".txt")
+_PROVENANCE = "Every result file"
+WRITERS: Mapping[str, tuple[str, ...]] = {
+    _PROVENANCE: ("rig.results:Provenance.record",),
+    "rig identify: identify.json": (
+        "rig.results:identification_record",
+        "rig.results:parameter_record",
+        "rig.results:fit_record",
+        "rig.results:_stage_record",
+        "rig.results:_history_record",
+        "rig.uncertainty_output:uncertainty_record",
+        "rig.ladder_output:ladder_record",
+        "rig.transfer_output:transfer_record",
+        "rig.transfer_output:_moved_record",
+        "rig.comparison_table:comparison_record",
+    ),
+    "rig identify --plan: plan file": ("rig.experiment_output:_record", "rig.experiment_output:_pinned_record"),
+    "rig diagnose: diagnose.json": (
+        "rig.diagnose_record:diagnosis_record",
+        "rig.diagnose_record:effects_record",
+        "rig.diagnose_record:_effect_record",
+        "rig.diagnose_record:_estimate_record",
+        "rig.diagnose_record:_location_record",
+        "rig.diagnose_record:_fit_record",
+        "rig.diagnose_record:_curve_record",
+        "rig.diagnose_record:_step_record",
+    ),
+    "rig simulate: simulate.json": (
+        "rig.simulate_output:record",
+        "rig.simulate_output:_case_record",
+        "rig.simulate_output:_sums_record",
+        "rig.predict:error_record",
+    ),
+    "rig check --json": ("rig.commands.check:examine", "rig.calibration:calibration_records"),
+    "rig jog --json": ("rig.commands.jog:_record",),
+    "rig run --faults: faults.json": (),
+    "rig effects --json": ("rig.effects:effects_record", "rig.effects:_entry_record"),
+    "rig paper: paper.json": ("rig.paper_output:record", "rig.paper_figures.tables:_entry"),
+    "rig prove: prove.json": (
+        "rig.prove.score:score",
+        "rig.prove.score:rate",
+        "rig.prove.score:_method",
+        "rig.prove.score:middle",
+        "rig.prove.score:power",
+        "rig.prove.row:row_of",
+        "rig.prove.row:_hits",
+        "rig.prove.row:_parameters",
+        "rig.prove.row:_nominal",
+        "rig.prove.row:_held_out",
+        "rig.prove.located:located",
+    ),
+}
+"""Section of the table to the functions whose dictionaries are written."""
+_RECORDS: Mapping[str, tuple[type, ...]] = {
+    "rig identify: identify.json": (MeasuredNoise,),
+    "rig check --json": (Identity, ServoLimits),
+    "rig run --faults: faults.json": (Finding,),
+}
+"""Section to the records that are written field by field."""
+_INTERNAL = frozenset({"transmission", "voltage", "right"})
+"""Keys of dictionaries that stay inside these functions."""
+_COMPUTED: Mapping[str, frozenset[str]] = {
+    "rig identify: identify.json": frozenset({"corrections", "compared", "ladder", "transfer", "comparison"}),
+    "rig simulate: simulate.json": frozenset({"fit", "validate"}),
+    "rig check --json": frozenset({"servo", "encoder", "pressure", "limits"}),
+    "rig run --faults: faults.json": frozenset({"faults"}),
+    "rig prove: prove.json": frozenset({"rigs"}),
+}
+"""Keys that are not written as literals in these functions."""
+_INTRO = """\
+Result files are JSON in SI units. `NAME` stands for a key that depends on the result, such as a
+parameter or a recording; `[]` for each item of a list. Values that JSON does not have (infinite, not
+a number) are `null`.
+
+On a linear bench read m for rad and N for N m."""
+
+
+def sections() -> dict[str, list[tuple[str, str, str]]]:
+    """Return the table: section to path, unit and meaning of each field."""
+    found: dict[str, list[tuple[str, str, str]]] = {}
+    rows: list[tuple[str, str, str]] = []
+    for line in TABLE.read_text(encoding="utf-8").splitlines():
+        if line.startswith("== "):
+            rows = found.setdefault(line[3:], [])
+        elif line and not line.startswith("#"):
+            path, unit, text = (cell.strip() for cell in line.split("|", 2))
+            rows.append((path, unit, text))
+    return found
+
+
+def written_keys(place: str) -> set[str]:
+    """Return the text keys of all dictionaries in a function, ``module:name`` or ``module:class.name``."""
+    module, _, name = place.partition(":")
+    found: object = importlib.import_module(module)
+    for part in name.split("."):
+        found = getattr(found, part)
+    assert callable(found)
+    tree = ast.parse(textwrap.dedent(inspect.getsource(found)))
+    dicts = [node for node in ast.walk(tree) if isinstance(node, ast.Dict)]
+    return {key.value for d in dicts for key in d.keys if isinstance(key, ast.Constant) and isinstance(key.value, str)}
+
+
+def problems() -> Iterator[str]:
+    """Yield every field that is written and not in the table, or in the table and not written."""
+    table_of = sections()
+    common = written_keys(WRITERS[_PROVENANCE][0])
+    for section, places in WRITERS.items():
+        written = {key for place in places for key in written_keys(place)}
+        written |= {f.name for record in _RECORDS.get(section, ()) for f in dataclasses.fields(record)}
+        described = {part for path, _, _ in table_of[section] for part in _parts(path)}
+        skipped = set() if section == _PROVENANCE else common | {"file"}
+        unknown = written - described - skipped - _INTERNAL
+        yield from (f"{section}: {key} is written and not described" for key in sorted(unknown))
+        gone = described - written - _COMPUTED.get(section, frozenset()) - {"", "NAME"}
+        yield from (f"{section}: {key} is described and not written" for key in sorted(gone))
+    for section in table_of.keys() ^ WRITERS.keys():
+        yield f"{section}: a section of results.txt or of WRITERS alone"
+
+
+def _parts(path: str) -> Iterable[str]:
+    return re.split(r"[.,\[\]\s]+", path)
+
+
+def page() -> str:
+    """Return the page.
+
+    Raises:
+        KeyError: A field is not described.
+    """
+    if wrong := list(problems()):
+        raise KeyError("; ".join(wrong))
+    parts = ["# Result files", _INTRO]
+    for section, rows in sections().items():
+        parts.append(f"## {section}")
+        parts.append(table(("field", "unit", "meaning"), [(f"`{p}`".replace(", ", "`, `"), u, t) for p, u, t in rows]))
+    parts += ["## rig run: run.json", "The state of a run; replaced as a whole whenever something changes."]
+    for record, path in (
+        (RunRecord, ""),
+        (StageRecord, "stages[]"),
+        (SegmentRecord, "segments[]"),
+        (PartRecord, "parts[]"),
+    ):
+        known = meanings(record)
+        rows = [
+            (f"`{path + '.' if path else ''}{field.name}`", known[field.name].unit, known[field.name].text)
+            for field in dataclasses.fields(record)
+        ]
+        parts.append(table(("field", "unit", "meaning"), rows))
+    return "\n\n".join(parts) + "\n"
