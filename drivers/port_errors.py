@@ -18,11 +18,14 @@ _R = TypeVar("_R")
 
 
 def words(error: Exception) -> str:
-    """Return what an exception says, with its type where that is a built-in one."""
+    """Return the first line of what an exception says, with its type where that is a built-in one.
+
+    python-can's socketcand puts a traceback into the lines after it.
+    """
     if isinstance(error, termios.error):
         # As an OSError says it; its own text is a tuple.
         return str(OSError(*error.args))
-    text = str(error)
+    text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
     name = type(error).__name__
     if isinstance(error, OSError) or type(error).__module__ != "builtins":
         return text or name

@@ -55,3 +55,9 @@ def test_everything_is_closed_before_the_program_ends() -> None:
     with pytest.raises(KeyboardInterrupt):
         close_all(raising(KeyboardInterrupt()), lambda: closed.append(1), raising(OSError()), lambda: closed.append(2))
     assert closed == [1, 2]
+
+
+def test_a_traceback_inside_a_message_is_left_out() -> None:
+    error = OSError("Failed to receive: bad byte\nTraceback (most recent call last):\n  File x")
+    assert words(error) == "Failed to receive: bad byte"
+    assert words(ValueError("\n  second\n")) == "ValueError: second"
