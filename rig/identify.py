@@ -20,6 +20,7 @@ from identification.estimate.result import Identification
 from identification.estimate.transfer import Transfer, transfer
 from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
+from rig.input_files import is_folder
 from rig.label_check import comparable, off_label
 from rig.results import Provenance
 from rig.run_file import read_record
@@ -108,9 +109,9 @@ def identify_source(
     progress("reading", 0.0)
     dataset = load_source(source)
     other = None if score is None else load_source(score)
-    described_by = source / RUN_FILE if source.is_dir() else source
+    described_by = source / RUN_FILE if is_folder(source) else source
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
-    if source.is_dir() and FEEDFORWARD_INPUT in read_record(source).inputs:
+    if is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs:
         off = (*off, _FED)
     results = []
     for method in methods:

@@ -14,6 +14,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from drivers.plain_file import require_plain
 from rig.mcap_layout import SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
 from rig.mcap_records import HEADER, DamageError, chunk, statistics
 from rig.mcap_writer import MAGIC, MESSAGE
@@ -38,6 +39,7 @@ def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArr
     """
     pending: list[bytes] = []
     size = waiting = 0
+    require_plain(path)
     with open(path, "rb") as stream:
         for content in _sample_messages(stream):
             size = size or len(content)
