@@ -15,6 +15,7 @@ from cantools.database.errors import Error as DbcError
 
 from drivers.dbc_codec import Signal, motorola_shift
 from drivers.errors import ConfigurationError
+from drivers.plain_file import require_plain
 
 _PLACE: Final = re.compile(r"line (\d+), column (\d+)")
 
@@ -50,6 +51,7 @@ def read_dbc(path: Path) -> dict[str, Layout]:
         ConfigurationError: It cannot be read; ``file:line:column`` where the syntax is wrong.
     """
     try:
+        require_plain(path)
         # The encoding of DBC files, as the editors write them.
         text = path.read_text(encoding="cp1252")
     except OSError as error:

@@ -31,6 +31,9 @@ Sign = Literal[1, -1]
 ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
 
 _ANY_SIGN = frozenset({"temperature_C"})
+_SMALLEST = 1e-12
+"""Of a constant of the simulated machine, in SI units; the largest is its inverse."""
+_LOOPS_HZ = (100.0, 1e6)
 _MAY_BE_ZERO = frozenset(
     {
         "inductance_H",
@@ -286,7 +289,7 @@ class Bench(Schema):
     ] = EncoderSection()
     pressure: PressureSection | None = None
     gas_generator: GasGeneratorSection | None = None
-    cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
+    cycle_Hz: Annotated[float, Field(ge=0.1, le=4000)] = 1000.0
     limits: LimitsSection
     weights_kg: tuple[Positive, ...] = ()
     weight_tolerance: Annotated[float, Field(gt=0, le=0.05)] = 0.005
@@ -316,6 +319,16 @@ class Bench(Schema):
             if not math.isfinite(value) or value < 0 or (value == 0 and name not in _MAY_BE_ZERO):
                 bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
                 raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
+            if value and not _SMALLEST <= value <= 1.0 / _SMALLEST:
+                raise ValueError(
+                    f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}; no machine is built so, "
+                    "check exponent and unit"
+                )
+        if machine is not None and not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
+            raise ValueError(
+                f"loops.rate_Hz is {machine.loops.rate_Hz:g}; the loops of a drive run at "
+                f"{_LOOPS_HZ[0]:g} to {_LOOPS_HZ[1]:g} Hz"
+            )
         return machine
 
     @field_validator("mock")
@@ -406,7 +419,10 @@ def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
         value = getattr(record, item.name)
         path = f"{prefix}{item.name}"
         if isinstance(value, int | float):
-            yield path, float(value)
+            try:
+                yield path, float(value)
+            except OverflowError:
+                yield path, math.inf
         else:
             yield from _leaves(value, f"{path}.")
 

@@ -20,6 +20,7 @@ from identification.diagnosis.result import Diagnosis
 from identification.recording import Dataset, RecordingError
 from rig.diagnose_record import diagnosis_record, effects_record
 from rig.errors import InputError
+from rig.input_files import is_folder
 from rig.model_file import model_of
 from rig.partial import partial_names, partial_warnings, without_partial
 from rig.results import Provenance
@@ -78,7 +79,7 @@ def diagnose_source(
     if progress is not None:
         progress("reading", 0.0)
     dataset = load_source(source, partial=partial)
-    described_by = source / RUN_FILE if source.is_dir() else source
+    described_by = source / RUN_FILE if is_folder(source) else source
     try:
         rng = np.random.default_rng(seed)
         if gas or without_torque(dataset):

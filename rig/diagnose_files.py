@@ -13,6 +13,7 @@ from rig.bench import Bench
 from rig.diagnose import Outcome
 from rig.errors import InputError
 from rig.gas_model_file import GAS_FILE, gas_text, of_gas
+from rig.input_files import source_name
 from rig.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.model_export import PYTHON_FILE, YAML_FILE, python_text, yaml_text
 from rig.model_file import model_of
@@ -57,7 +58,7 @@ def write_beside(folder: Path, source: Path, outcome: Outcome, record: Mapping[s
     base = base_bench(source)
     try:
         model = model_of(record, names, "the corrected model")
-        name = source.resolve().stem
+        name = source_name(source)
         texts.append((YAML_FILE, "the corrected model", yaml_text(model, recordings[0])))
         use = "the corrected model as plain Python functions; needs numpy alone"
         texts.append((PYTHON_FILE, use, python_text(model, recordings[0], name)))

@@ -11,6 +11,7 @@ from rig.diagnose_report import write_report
 from rig.diagnose_tables import effect_table, fit_table, rival_table, shift_table, where_table
 from rig.errors import InputError
 from rig.identify_output import reading_notes
+from rig.input_files import source_name
 from rig.parameter_table import Table
 from rig.places import write_json
 from rig.tables import table
@@ -58,7 +59,7 @@ def write(folder: Path, source: Path, outcome: Outcome, json_file: Path | None) 
         for path in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(path, record)
         beside = write_beside(folder, source, outcome, record)
-        page = write_report(folder, f"Diagnosis of {source.resolve().stem}", outcome, beside.files, beside.notes)
+        page = write_report(folder, f"Diagnosis of {source_name(source)}", outcome, beside.files, beside.notes)
     except OSError as error:
         places = " or ".join(str(place) for place in (folder, json_file) if place)
         raise InputError(

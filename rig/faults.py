@@ -164,14 +164,14 @@ class FaultRow(Schema):
         expect: How the run must react.
     """
 
-    time_s: Annotated[float, Field(ge=0)] | None = None
+    time_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
     phase: PhaseName | None = None
     state: StateName | None = None
-    after_s: Annotated[float, Field(ge=0)] = 0.0
+    after_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     stage: str | None = None
     target: Target
     fault: str
-    value: float | None = None
+    value: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
     count: Annotated[int, Field(ge=0)] = 1
     frames: Frames = Frames()
     expect: Expectation = Expectation()

@@ -20,6 +20,7 @@ from identification.estimate.result import Identification
 from identification.estimate.transfer import Transfer, transfer
 from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
+from rig.input_files import is_folder
 from rig.label_check import comparable, off_label
 from rig.partial import partial_warnings, without_partial
 from rig.results import Provenance
@@ -111,9 +112,9 @@ def identify_source(
     progress("reading", 0.0)
     dataset = load_source(source, partial=take_partial)
     other = None if score is None else load_source(score)
-    described_by = source / RUN_FILE if source.is_dir() else source
+    described_by = source / RUN_FILE if is_folder(source) else source
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
-    if source.is_dir() and FEEDFORWARD_INPUT in read_record(source).inputs:
+    if is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs:
         off = (*off, _FED)
     off = (*partial_warnings(dataset), *off)
     results = []

@@ -12,6 +12,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from rig.input_files import read_bytes
 from rig.mcap_layout import EVENT_TOPIC, SAMPLE_BYTES, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
 from rig.mcap_records import (
     HEADER,
@@ -72,7 +73,7 @@ def read_run(path: Path) -> Log:
         NotARecordingError: It is not one of this program's recordings at all.
         OSError: It cannot be opened.
     """
-    data = path.read_bytes()
+    data = read_bytes(path)
     if not data.startswith(MAGIC):
         raise NotARecordingError(f"{path}: not an MCAP recording; its first bytes are {data[:8].hex(' ') or 'missing'}")
     reading = _Reading(data)

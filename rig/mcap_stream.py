@@ -15,6 +15,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
+from drivers.plain_file import require_plain
 from rig.mcap_layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
 from rig.mcap_records import HEADER, DamageError, attachment, chunk, statistics
 from rig.mcap_writer import MAGIC, MESSAGE
@@ -81,6 +82,7 @@ def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening |
 def _items(path: Path, fields: Sequence[str], wanted: frozenset[int]) -> Iterator[Block | Happening | Attached]:
     pending: list[bytes] = []
     size = waiting = 0
+    require_plain(path)
     with open(path, "rb") as stream:
         for kind, contents in _contents(stream, wanted):
             if kind == _EVENTS:

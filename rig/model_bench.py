@@ -17,6 +17,7 @@ from identification.corrected.model import CorrectedModel
 from identification.recording import Bench as Constants
 from rig.bench import Bench, load_bench
 from rig.errors import InputError
+from rig.input_files import is_file
 from rig.mcap_reader import read_run
 from rig.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
 from rig.serial_bus import MOCK
@@ -45,7 +46,7 @@ def base_bench(source: Path) -> Tree:
     """
     packaged = _plain(load_bench("practical").path.read_text(encoding="utf-8"))
     attached = None
-    if (source / RUN_FILE).is_file():
+    if is_file(source / RUN_FILE):
         attached = read_run(source / RECORDING_FILE).attachments.get(BENCH_ATTACHMENT)
     if attached is None:
         return packaged

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,11 +14,15 @@ from identification.diagnosis.gas.rows import PRESSURE
 from identification.diagnosis.result import Curve
 from rig.diagnose_record import DIAGNOSE_SCHEMA
 from rig.errors import InputError
+from rig.input_files import read_json
+from rig.reference import LARGEST_ALPHA
 from rig.results import IDENTIFY_SCHEMA
 
 SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
 OF_ONE_RECORDING = ("wrong_weight", "encoder_slip")
 """Effects whose parameter ``recording`` counts recordings from 1."""
+_LARGEST = 1e12
+"""Magnitude of a parameter, in SI units, up to which there are machines."""
 _MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
 
 
@@ -30,12 +32,7 @@ def read_result(path: Path) -> dict[str, Any]:
     Raises:
         InputError: It cannot be read or is another file; names it and what was found.
     """
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
+    record = read_json(path)
     found = record.get("schema") if isinstance(record, dict) else type(record).__name__
     if found not in SCHEMAS:
         raise InputError(f"{path}: schema: must be {' or '.join(SCHEMAS)} (got {found!r})")
@@ -84,6 +81,8 @@ def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = 
         raise InputError(f"{place}: parameters: no value to simulate with")
     effects = dict(_effect(place, effect, recordings) for effect in record.get("effects", ()))
     alpha = _finite(place, "alpha", record.get("alpha", 2.0))
+    if not 0.0 < alpha <= LARGEST_ALPHA:
+        raise InputError(f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})")
     return CorrectedModel(parameters, alpha, effects, _curve(place, record.get("curve")))
 
 
@@ -117,6 +116,6 @@ def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
 
 
 def _finite(place: str, name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise InputError(f"{place}: {name}: must be a finite number (got {value!r})")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST:
+        raise InputError(f"{place}: {name}: must be a number from {-_LARGEST:g} to {_LARGEST:g} (got {value!r})")
     return float(value)

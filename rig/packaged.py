@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+from drivers.plain_file import require_plain
 from rig.configuration import nearest
 from rig.errors import InputError
+from rig.input_files import is_file
 
 _HERE = Path(__file__).parent
 
@@ -25,12 +27,18 @@ def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
     """Return the file a name stands for: the path itself if it exists, else the packaged file of that name.
 
     Raises:
-        InputError: Neither is there; suggests the nearest packaged names.
+        InputError: Neither is there, or the path is no file; suggests the nearest packaged names.
     """
     path = Path(name)
-    if path.is_file():
+    if is_file(path):
         return path
     shipped = packaged(str(name), kind)
-    if path.name == str(name) and shipped.is_file():
+    if path.name == str(name) and is_file(shipped):
         return shipped
+    try:
+        require_plain(path)
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except OSError as error:
+        raise InputError(f"{name}: cannot be read: {error.strerror}") from error
     raise InputError(f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}")

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import InputError
+from rig.input_files import is_file, is_folder
 from rig.text import valid, valid_record
 
 
@@ -24,9 +25,9 @@ def require_folder(path: Path, option: str) -> None:
         InputError: It cannot be; says which folder above it is in the way.
     """
     above = path
-    while not above.exists() and above != above.parent:
+    while not os.path.exists(above) and above != above.parent:
         above = above.parent
-    if not above.is_dir():
+    if not is_folder(above):
         raise InputError(f"{path}: cannot be made, as {above} is a file; give {option} another place")
     if not os.access(above, os.W_OK | os.X_OK):
         raise InputError(f"{path}: {above} may not be written to; give {option} another place")
@@ -40,11 +41,11 @@ def require_file(path: Path | None, option: str) -> None:
     """
     if path is None:
         return
-    if path.is_dir():
+    if is_folder(path):
         raise InputError(f"{path}: is a folder; give {option} a file")
-    if not path.parent.is_dir():
+    if not is_folder(path.parent):
         raise InputError(f"{path}: the folder {path.parent} does not exist; make it, or give {option} another place")
-    judged = path.parent if path.is_file() or not path.exists() else path
+    judged = path.parent if is_file(path) or not os.path.exists(path) else path
     if not os.access(judged, os.W_OK):
         raise InputError(f"{path}: {judged} may not be written to; give {option} another place")
 
@@ -56,10 +57,11 @@ def replacing(path: Path) -> Iterator[Path]:
     No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link is followed, and what
     is no plain file (a pipe, ``/dev/stdout``) is written straight, never replaced.
     """
-    if path.exists() and not path.is_file():
+    if os.path.exists(path) and not is_file(path):
         yield path
         return
-    target = path.resolve()
+    # Unlike Path.resolve, realpath takes a loop of links too; opening it then says so.
+    target = Path(os.path.realpath(path))
     draft = target.with_name(f".{target.name}.new")
     try:
         yield draft

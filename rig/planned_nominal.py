@@ -15,6 +15,9 @@ from rig.provenance import sha256_file
 from rig.reference import read_identification
 from rig.run import load_run
 
+_SMALLEST = 1e-12
+"""Of a parameter, in SI units; the largest is its inverse. What lies beyond is no machine."""
+
 
 @dataclass(frozen=True)
 class Believed:
@@ -52,6 +55,13 @@ def believed(path: Path | None) -> Believed:
         inputs = {Path(entry["file"]): str(entry["sha256"]) for entry in raw.get("inputs", [])}
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    problems = [
+        f"{path}: parameters.{n}: must be from {_SMALLEST:g} to {1 / _SMALLEST:g} (got {v:g})"
+        for n, v in found.items()
+        if not _SMALLEST <= v <= 1 / _SMALLEST
+    ]
+    if problems:
+        raise InputError(problems)
     open_names = [n for n in NAMES if n not in found]
     words = f"the identification {path}"
     if open_names:

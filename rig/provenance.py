@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
 
+from drivers.plain_file import require_plain
+
 
 def sha256(content: bytes) -> str:
     """Return the SHA-256 of some bytes in hexadecimal."""
@@ -20,6 +22,7 @@ def sha256_file(path: Path) -> str:
     Raises:
         OSError: It cannot be read.
     """
+    require_plain(path)
     with open(path, "rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -53,4 +56,8 @@ def git_commit(root: Path) -> str | None:
 
 
 def _text(path: Path) -> str | None:
-    return path.read_text(encoding="utf-8").strip() if path.is_file() else None
+    try:
+        return path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError):
+        # No work tree, or somebody else's.
+        return None

@@ -6,6 +6,7 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
+from rig.input_files import is_file
 from rig.provenance import sha256_file
 from rig.text import stored_path, valid
 
@@ -34,6 +35,6 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
 
 def _is_file(path: Path, sha256: str) -> bool:
     try:
-        return path.is_file() and sha256_file(path) == sha256
+        return is_file(path) and sha256_file(path) == sha256
     except OSError:
         return False

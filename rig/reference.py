@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,11 +11,14 @@ from typing import Any
 from identification.model.friction import load_coefficient, system_friction
 from identification.recording import Bench
 from rig.errors import InputError
+from rig.input_files import read_json
 from rig.results import IDENTIFY_SCHEMA
 from rig.sequence import Array
 
 NEEDED = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2")
 _SIGMA_OF_90 = 1.6449
+LARGEST_ALPHA = 100.0
+"""Stribeck exponent above which no result of an identification has it."""
 
 
 @dataclass(frozen=True)
@@ -75,12 +77,7 @@ def read_identification(path: Path) -> dict[str, Any]:
     Raises:
         InputError: It cannot be read, or is no such result.
     """
-    try:
-        raw = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
-    except ValueError as error:
-        raise InputError(f"{path}: not JSON: {error}") from error
+    raw = read_json(path)
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: a result of `rig identify` ({IDENTIFY_SCHEMA}) is needed (got {found!r})")
@@ -88,6 +85,9 @@ def read_identification(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: damaged: no 'motion'; run `rig identify` again")
     if raw["motion"] != "rotary":
         raise InputError(f"{path}: motion: a rotary bench is needed (got {raw['motion']!r})")
+    alpha = raw.get("alpha", 2.0)
+    if isinstance(alpha, bool) or not isinstance(alpha, int | float) or not 0.0 < alpha <= LARGEST_ALPHA:
+        raise InputError(f"{path}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha!r})")
     return raw
 
 

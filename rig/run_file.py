@@ -16,6 +16,7 @@ from identification.model.valve import ValveGeometry
 from identification.recording import Bench as BenchConstants
 from rig.configuration import Loc, explain_json, place_json
 from rig.errors import InputError
+from rig.input_files import parse_json, read_utf8
 from rig.run_record import (
     BENCH_ATTACHMENT,
     RECORDING_FILE,
@@ -58,13 +59,11 @@ def read_record(folder: Path) -> RunRecord:
             place.
     """
     path = folder / RUN_FILE
+    text = read_utf8(path, "is this a run folder?")
     try:
-        text = path.read_text(encoding="utf-8")
-        raw = json.loads(text)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror}; is this a run folder?") from error
-    except (ValueError, RecursionError) as error:
-        raise InputError(f"{path}: not JSON: {error}; `rig recover` rebuilds it from the recording") from error
+        raw = parse_json(path, text)
+    except InputError as error:
+        raise InputError(f"{error}; `rig recover` rebuilds it from the recording") from error
     if not isinstance(raw, dict) or raw.get("schema") != SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
         raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")

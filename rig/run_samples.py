@@ -9,6 +9,7 @@ import numpy as np
 
 from identification.recording import Array
 from rig.errors import InputError
+from rig.input_files import is_file
 from rig.mcap_reader import Log, NotARecordingError, read_run
 from rig.mcap_records import DamageError
 from rig.mcap_stream import sample_blocks
@@ -37,7 +38,7 @@ def by_segment(path: Path, segments: Sequence[SegmentRecord], *, whole: bool) ->
     Raises:
         InputError: It cannot be opened or is not a recording.
     """
-    most = _MOST_PER_BYTE * path.stat().st_size if path.is_file() else 0
+    most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
     expected = {s.index: min(s.samples, most) for s in segments}
     fields = {s.index: _fields(s, sum(other.samples for other in segments)) for s in segments}
     if whole:

@@ -13,6 +13,7 @@ from identification.recording import Dataset, RecordingError
 from identification.simulate.closed_loop import Response, replay
 from identification.simulate.score import Sums, compare, pooled, with_friction
 from rig.errors import InputError
+from rig.input_files import is_folder
 from rig.model_file import model_of, read_result, require_motion
 from rig.predict import Prediction, predict
 from rig.provenance import sha256_file
@@ -130,7 +131,7 @@ def simulate_source(
                 cases.append(Case(model, share, sums))
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
-    described_by = source / RUN_FILE if source.is_dir() else source
+    described_by = source / RUN_FILE if is_folder(source) else source
     provenance = Provenance.of(0, dataset.recordings, time.perf_counter() - started, described_by)
     inputs = {**provenance.inputs, **{str(path): sha256_file(path) for path in results}}
     provenance = Provenance(0, inputs, provenance.seconds, provenance.created, provenance.versions)

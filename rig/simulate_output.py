@@ -9,6 +9,7 @@ from identification.plots.simulated import simulated
 from identification.simulate.score import Sums
 from rig.errors import InputError
 from rig.figures import Picture, save
+from rig.input_files import source_name
 from rig.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
 from rig.parameter_table import Table
 from rig.places import write_json, write_text
@@ -96,7 +97,7 @@ def write(folder: Path, source: Path, found: Simulation, json_file: Path | None)
     notes += said
     page = render(
         "sections.html.j2",
-        title=f"Simulation of {source.resolve().stem}",
+        title=f"Simulation of {source_name(source)}",
         subtitle=f"Model: {', '.join(dict.fromkeys(str(one.file) for one in found.predictions))}",
         notes=notes,
         sections=sections,

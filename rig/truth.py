@@ -10,6 +10,7 @@ from pathlib import Path
 from drivers.mock.plant.constants import Machine
 from rig.bench import load_bench
 from rig.errors import InputError
+from rig.input_files import is_file
 from rig.packaged import packaged
 from rig.provenance import sha256_file
 from rig.recorded_inputs import recorded_input
@@ -44,7 +45,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
     Raises:
         InputError: ``run.json`` is damaged.
     """
-    if not (source / RUN_FILE).is_file():
+    if not is_file(source / RUN_FILE):
         return None
     record = read_record(source)
     entry = record.inputs.get(BENCH_ATTACHMENT)
@@ -52,7 +53,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
         return None
     path = recorded_input(source, entry)
     for candidate in (path, packaged(path.stem, "benches")):
-        if candidate.is_file() and sha256_file(candidate) == entry["sha256"]:
+        if is_file(candidate) and sha256_file(candidate) == entry["sha256"]:
             try:
                 machine = load_bench(candidate).value.mock
             except InputError:

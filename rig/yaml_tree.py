@@ -15,6 +15,8 @@ from typing import Any
 
 import yaml
 
+from drivers.plain_file import require_plain
+
 MAX_BYTES = 1 << 20
 MAX_DEPTH = 40
 MAX_NODES = 200_000
@@ -103,9 +105,10 @@ def read_text(path: Path) -> str:
         DocumentError: It is missing, not a file, unreadable, too large or not UTF-8.
     """
     try:
-        size = path.stat().st_size
         if path.is_dir():
             raise DocumentError("is a folder; name a YAML file")
+        require_plain(path)
+        size = path.stat().st_size
         if size > MAX_BYTES:
             raise DocumentError(f"{size} bytes; configuration files hold at most {MAX_BYTES} bytes")
         raw = path.read_bytes()

@@ -24,6 +24,11 @@ DEVICE_STATE: Final = 0x08000022
 
 _CODES: Final = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
 """CiA 301 data type -> struct code, for the integer types this device uses."""
+_ENDS: Final = {
+    code: (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1) if code.islower() else (0, (1 << 8 * size) - 1)
+    for code, size in ((code, struct.calcsize(code)) for code in _CODES.values())
+}
+"""Struct code -> the smallest and the largest value it holds."""
 
 
 class SdoAbortError(Exception):
@@ -59,6 +64,12 @@ class Entry:
 def key(index: int, subindex: int = 0) -> int:
     """Return the dictionary key of an object."""
     return index << 8 | subindex
+
+
+def held(code: str, value: int) -> int:
+    """Return what an object of a struct code holds of a value: its nearest end where the value does not fit."""
+    low, high = _ENDS[code]
+    return min(max(value, low), high)
 
 
 def clamp_i16(value: int) -> int:
@@ -114,7 +125,7 @@ class DeviceDictionary:
         return entry
 
     def read(self, index: int, subindex: int) -> bytes:
-        """Return the value as it goes over the wire.
+        """Return the value as it goes over the wire: the nearest that the object can hold.
 
         Raises:
             SdoAbortError: There is no such object, or it cannot be read.
@@ -124,7 +135,7 @@ class DeviceDictionary:
             raise SdoAbortError(WRITE_ONLY)
         if entry.code is None:
             return self.texts[key(index, subindex)].encode("ascii")
-        return struct.pack(f"<{entry.code}", self.values[key(index, subindex)])
+        return struct.pack(f"<{entry.code}", held(entry.code, self.values[key(index, subindex)]))
 
     def write(self, index: int, subindex: int, data: bytes) -> None:
         """Store a value as it came over the wire.

@@ -45,6 +45,15 @@ class Transmit:
     count: int = 0
     sent: bytes = field(default=b"")
 
+    def content(self, values: dict[int, int]) -> bytes:
+        """Return what goes over the wire; of a value that its object cannot hold, the nearest that it can."""
+        picked = self.pick(values)
+        try:
+            return self.layout.pack(*picked)
+        except struct.error:
+            codes = self.layout.format.lstrip("<")
+            return self.layout.pack(*(od.held(code, value) for code, value in zip(codes, picked, strict=True)))
+
 
 class ProcessData:
     """All PDOs of one device.
@@ -103,16 +112,16 @@ class ProcessData:
             pdo.count += 1
             if pdo.count >= pdo.every:
                 pdo.count = 0
-                send(pdo.identifier, pdo.layout.pack(*pdo.pick(values)))
+                send(pdo.identifier, pdo.content(values))
 
     def send_changes(self) -> None:
         """Send the event-driven TPDOs whose content has changed."""
         for pdo in self._event_driven:
-            if pdo.layout.pack(*pdo.pick(self._dictionary.values)) != pdo.sent:
+            if pdo.content(self._dictionary.values) != pdo.sent:
                 self._send_event(pdo)
 
     def _send_event(self, pdo: Transmit) -> None:
-        pdo.sent = pdo.layout.pack(*pdo.pick(self._dictionary.values))
+        pdo.sent = pdo.content(self._dictionary.values)
         self._port.send(pdo.identifier, pdo.sent)
         if pdo.period_ns:
             pdo.timer.start(self._clock.now_ns() + pdo.period_ns)

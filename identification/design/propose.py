@@ -76,13 +76,14 @@ def propose(
         bounds: Limits of the bench.
         rng: Source of all randomness.
         progress: Called with what is done and its share.
-        weakest: That parameter; None for the one that the present excitation pins worst.
+        weakest: That parameter; the one that the present excitation pins worst where it is None, or has no part in
+            these stages.
     """
     tell = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
     nominals = with_drives(nominal)
     now, _ = expected(_stages(frames, present), nominals)
-    target = weakest or now.weakest
+    target = weakest if weakest is not None and weakest in now.half_widths else now.weakest
     search = Search(frames, nominals, bounds, rng, target, now.half_widths[target])
     kinds = sorted({f.loaded for f in frames})
     for number, loaded in enumerate(kinds):

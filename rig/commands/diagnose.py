@@ -63,9 +63,10 @@ def command(
     from rig.bar import ShareBar
     from rig.diagnose import diagnose_source
     from rig.diagnose_output import text, write
+    from rig.input_files import is_folder
     from rig.places import require_file, require_folder
 
-    folder = out or (source / "diagnosis" if source.is_dir() else Path(f"{source.stem}-diagnosed"))
+    folder = out or (source / "diagnosis" if is_folder(source) else Path(f"{source.stem}-diagnosed"))
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:

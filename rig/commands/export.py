@@ -9,6 +9,7 @@ import click
 from rig.cli import DONE
 from rig.errors import InputError
 from rig.export import WRITERS, export, files
+from rig.input_files import source_name
 from rig.places import replacing, require_file
 from rig.sources import load_source
 
@@ -30,7 +31,7 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
       rig export runs/demo --format csv --out demo.csv
       rig export runs/stopped --partial
     """
-    path = out or Path(f"{source.resolve().stem}.{kind}")
+    path = out or Path(f"{source_name(source)}.{kind}")
     require_file(path, "--out")
     dataset = load_source(source, partial=partial)
     wanted = files(dataset, path, kind)

@@ -117,6 +117,7 @@ def command(
     from rig.bar import ShareBar
     from rig.identify import compare_methods, identify_source
     from rig.identify_output import text, write
+    from rig.input_files import is_folder, source_name
     from rig.places import require_file, require_folder
     from rig.truth import truth_of
 
@@ -132,7 +133,7 @@ def command(
         raise click.UsageError(
             "--ladder, --score, --profile and --bootstrap are of the default method; leave --method paper out"
         )
-    folder = out or (source if source.is_dir() else Path(f"{source.stem}-identified"))
+    folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
@@ -152,7 +153,7 @@ def command(
         if compared:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
-        report = write(folder, source.resolve().stem, outcome, truth, json_file)
+        report = write(folder, source_name(source), outcome, truth, json_file)
     click.echo(text(outcome, truth))
     click.echo(f"report: {report}")
 

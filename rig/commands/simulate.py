@@ -47,11 +47,12 @@ def command(
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
+    from rig.input_files import source_name
     from rig.places import require_file, require_folder
     from rig.simulate import simulate_source
     from rig.simulate_output import text, write
 
-    folder = out or Path(f"{source.resolve().stem}-simulated")
+    folder = out or Path(f"{source_name(source)}-simulated")
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rig.errors import InputError
+from rig.input_files import is_file, read_json
 from rig.places import write_json
 from rig.prove.absorbed import FLOOR_SUFFIX
 from rig.prove.family import FAMILIES, MOTION
@@ -58,14 +58,8 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
     home = None if source is None else str(source.resolve())
     settings = {"rigs": rigs, "seed": seed, "from": home, "family": family, "row_version": VERSION}
     file = out / PROOF_FILE
-    if file.is_file():
-        begun = json.loads(file.read_text(encoding="utf-8"))
-        if begun["settings"] != settings:
-            raise InputError(
-                f"{out}: holds a proof with other settings, {begun['settings']}; give --out another folder"
-            )
-        seals = tuple(place(source or out, int(n), d) for n, d in begun["seals"].items())
-        return Proof(out, source, seed, seals, family)
+    if is_file(file):
+        return Proof(out, source, seed, _begun(file, settings, source or out), family)
     for name in (ROWS, "diagnoses"):
         (out / name).mkdir(parents=True, exist_ok=True)
     if source is None:
@@ -80,13 +74,33 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
     return Proof(out, source, seed, seals, family)
 
 
+def _begun(file: Path, settings: Mapping[str, Any], home: Path) -> tuple[Sealed, ...]:
+    """Return the rigs of a proof that was begun before.
+
+    Raises:
+        InputError: The file is none of this program's, or of a proof with other settings.
+    """
+    begun = read_json(file)
+    try:
+        found = begun["settings"]
+        seals = tuple(place(home, int(number), str(digest)) for number, digest in begun["seals"].items())
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
+    if found != settings:
+        raise InputError(f"{file.parent}: holds a proof with other settings, {found}; give --out another folder")
+    return seals
+
+
 def _given(source: Path) -> Iterator[Sealed]:
     """Yield the sealed campaigns of a folder."""
     for truth in sorted((source / "sealed").glob("[0-9]*.json")):
         if truth.stem.isdecimal():
             where = place(source, int(truth.stem))
-            if where.campaign.is_file():
-                yield where._replace(digest=sha256_file(truth))
+            if is_file(where.campaign):
+                try:
+                    yield where._replace(digest=sha256_file(truth))
+                except OSError as error:
+                    raise InputError(f"{truth}: cannot be read: {error.strerror}") from error
 
 
 def work(
@@ -105,13 +119,13 @@ def work(
         InputError: A truth was changed after it was sealed.
         OSError: Something cannot be written.
     """
-    todo = [s for s in proof.seals if not proof.row_file(s.number).is_file()]
+    todo = [s for s in proof.seals if not is_file(proof.row_file(s.number))]
     done = len(proof.seals) - len(todo)
     one = partial(prove_rig, proof=proof, judge=judge, keep=keep)
     for finished in each(one, todo, jobs):
         done += 1
         progress(f"rig {finished} diagnosed, {done} of {len(proof.seals)}", done / len(proof.seals))
-    return [json.loads(proof.row_file(s.number).read_text(encoding="utf-8")) for s in proof.seals]
+    return [read_json(proof.row_file(s.number)) for s in proof.seals]
 
 
 def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
@@ -123,13 +137,15 @@ def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
         strengths = family.simulate(sealed, assigned, (proof.seed, sealed.number))
     else:
         beside = sealed.truth.with_suffix(".strength.json")
-        if beside.is_file():
-            strengths = json.loads(beside.read_text(encoding="utf-8"))
+        if is_file(beside):
+            strengths = read_json(beside)
     beside = sealed.truth.with_suffix(FLOOR_SUFFIX)
-    floor = json.loads(beside.read_text(encoding="utf-8")) if beside.is_file() else {}
+    floor = read_json(beside) if is_file(beside) else {}
     judgement = judge(sealed.campaign, _diagnosis_seed(proof.seed, sealed.number))
     write_json(proof.out / "diagnoses" / f"{sealed.number:04d}.json", judgement.diagnosis)
     truth = unseal(sealed.truth, sealed.digest)
+    if missing := sorted({"rig", "kind", "effects"} - truth.keys()):
+        raise InputError(f"{sealed.truth}: {', '.join(missing)}: missing in the sealed truth")
     oracle = judgement.oracle(list(truth["effects"])) if truth["kind"] in ("one", "two") else None
     write_json(proof.row_file(sealed.number), row_of(truth, strengths, judgement, oracle, sealed.digest, floor))
     if proof.source is None and not keep:

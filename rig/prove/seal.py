@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import InputError
+from rig.input_files import parse_json, read_bytes
 from rig.places import write_text
 from rig.provenance import sha256
 
@@ -25,13 +26,18 @@ def unseal(path: Path, digest: str) -> dict[str, Any]:
     Raises:
         InputError: It is missing, or no longer what was sealed.
     """
-    if not path.is_file():
-        raise InputError(f"{path}: the sealed truth is missing; generate the rigs anew")
-    content = path.read_bytes()
+    try:
+        content = read_bytes(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path}: the sealed truth is missing; generate the rigs anew") from error
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
     found = sha256(content)
     if found != digest:
         raise InputError(
             f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: discard this rig"
         )
-    truth: dict[str, Any] = json.loads(content)
+    truth = parse_json(path, content.decode("utf-8", "replace"))
+    if not isinstance(truth, dict):
+        raise InputError(f"{path}: no sealed truth: a mapping is needed (got {type(truth).__name__})")
     return truth

@@ -15,6 +15,7 @@ from typing import TextIO, cast
 
 import numpy as np
 
+from drivers.plain_file import require_plain
 from identification.recording import Array
 from rig.campaign import ReadSection
 from rig.errors import InputError
@@ -147,6 +148,7 @@ class DelimitedTable(Table):
 
 
 def _open_text(path: Path) -> TextIO:
+    require_plain(path)
     # Latin-1 decodes any byte, so that a degree sign in a vendor's header cannot stop the reading of numbers.
     if path.suffix.lower() == ".gz":
         return cast(TextIO, gzip.open(path, "rt", encoding="latin-1"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,9 +13,11 @@ from identification.recording import Dataset, Recording
 from rig.campaign import Campaign, RecordingSection, load_campaign
 from rig.configuration import Document, Loc
 from rig.errors import InputError
+from rig.input_files import is_file, is_folder
 from rig.sources.build import build
 from rig.sources.formats import FORMATS
 from rig.sources.table import format_of
+from rig.text import stored_path
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
@@ -27,20 +30,36 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
     Raises:
         InputError: It is neither, or something in it or its recordings cannot be used; lists everything found.
     """
-    if (path / "run.json").is_file():
+    _require_visible(path)
+    if is_file(path / "run.json"):
         # Imported here because the run folder's reader is not needed for recordings made elsewhere.
         from rig.run import load_run
 
         return load_run(path, partial=partial)
-    if path.is_dir():
+    if is_folder(path):
         raise InputError(f"{path}: a folder without run.json; name a run folder or a campaign file (.yaml)")
     if path.suffix.lower() not in (".yaml", ".yml"):
-        remedy = "; describe recordings made elsewhere in a campaign file (.yaml)" if path.is_file() else ""
-        missing = "" if path.exists() else "no such file; "
+        remedy = "; describe recordings made elsewhere in a campaign file (.yaml)" if is_file(path) else ""
+        missing = "" if os.path.exists(path) else "no such file; "
         raise InputError(f"{path}: {missing}a source is a run folder or a campaign file{remedy}")
     if partial:
         raise InputError(f"{path}: --partial is for a run folder; a campaign file names what is to be taken")
     return _load_campaign(load_campaign(path))
+
+
+def _require_visible(path: Path) -> None:
+    """Refuse what there is no way to look at: a folder that may not be searched is not one without a run.
+
+    Raises:
+        InputError: Says why.
+    """
+    try:
+        (path / "run.json").stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise InputError(f"{path}: cannot be read: {reason}") from error
 
 
 def _load_campaign(document: Document[Campaign]) -> Dataset:
@@ -61,14 +80,14 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
 def _expand(document: Document[Campaign], problems: list[str]) -> list[tuple[Path, int, RecordingSection]]:
     """Turn file names and globs into files, noting what is missing, of unknown format, or there twice."""
     files: list[tuple[Path, int, RecordingSection]] = []
-    fitted: dict[tuple[Path, str], str] = {}
+    fitted: dict[tuple[str, str], str] = {}
     for index, section in enumerate(document.value.recordings):
         seen: set[Path] = set()
         for loc, file in _files(document, index, section, problems):
             if file in seen:
                 continue
             seen.add(file)
-            key = (file.resolve(), repr(sorted(section.channels.items())))
+            key = (os.path.realpath(file), repr(sorted(section.channels.items())))
             if key in fitted:
                 again = "twice" if fitted[key] == section.role else "both to fit and to validate"
                 problems.append(document.problem(loc, f"{file} is used {again}; keep one entry for it"))
@@ -85,14 +104,14 @@ def _files(
         loc: Loc = ("recordings", index, "file")
         if not isinstance(section.file, str):
             loc = (*loc, position)
-        exact = folder / pattern
+        exact = folder / stored_path(pattern)
         # A name that exists is taken literally: file names may contain brackets.
-        matches = [exact] if exact.exists() else [Path(m) for m in sorted(glob(str(exact), recursive=True))]
+        matches = [exact] if os.path.exists(exact) else [Path(m) for m in sorted(glob(str(exact), recursive=True))]
         if not matches:
             what = "no file matches this pattern" if has_magic(pattern) else "no such file"
             problems.append(document.problem(loc, f"{what} in {folder}"))
         for file in matches:
-            if file.is_dir():
+            if is_folder(file):
                 problems.append(document.problem(loc, f"{file} is a folder; name files, or add /* to the pattern"))
             elif format_of(file) not in FORMATS:
                 problems.append(

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import IO, cast
 
+from drivers.plain_file import require_plain
 from identification.recording import Array
 from rig.errors import InputError
 
@@ -39,7 +40,12 @@ class Table(ABC):
 
 
 def open_binary(path: Path) -> IO[bytes]:
-    """Open a file for reading, through gzip where its name ends in ``.gz``."""
+    """Open a plain file for reading, through gzip where its name ends in ``.gz``.
+
+    Raises:
+        OSError: It cannot be opened.
+    """
+    require_plain(path)
     return cast("IO[bytes]", gzip.open(path, "rb")) if path.suffix == ".gz" else path.open("rb")
 
 

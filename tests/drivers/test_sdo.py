@@ -106,6 +106,14 @@ def test_write_only_objects_cannot_be_read() -> None:
     assert abort_code(SdoServer(dictionary, lambda: None).answer(upload(0x6040))) == 0x06010001
 
 
+@pytest.mark.parametrize(("value", "shown"), [(-1, 0), (0, 0), (65535, 65535), (65536, 65535), (10**400, 65535)])
+def test_an_object_shows_the_nearest_value_that_it_holds(value: int, shown: int) -> None:
+    dictionary = DeviceDictionary(DRIVE_EDS, 1)
+    assert dictionary.entries[0x6040 << 8].code == "H"
+    dictionary.values[0x6040 << 8] = value
+    assert int.from_bytes(dictionary.read(0x6040, 0), "little") == shown
+
+
 def test_segments_must_alternate_their_toggle_bit() -> None:
     server = make_server()
     server.answer(upload(0x1008))

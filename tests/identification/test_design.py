@@ -295,6 +295,14 @@ def test_where_no_other_sine_is_within_the_limits_the_present_one_stays() -> Non
 
 
 @pytest.mark.usefixtures("few")
+def test_a_parameter_of_the_load_is_no_aim_of_a_sequence_without_load() -> None:
+    stages = frames((0.0,))
+    bounds = Bounds(-0.5, 0.5, 1.5, 5.0, 0.03, 20.0, (5.0,))
+    found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="omega_sL")
+    assert found.weakest == found.present.weakest
+
+
+@pytest.mark.usefixtures("few")
 def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where there is little acceleration an identification finds no inertia to start from."""
     gentle = itertools.cycle([Excitation(((0.02, 0.7),), 0.0, 0.0), Excitation(((0.03, 0.6),), 0.0, 0.0)])

@@ -44,6 +44,25 @@ def test_what_was_left_open_is_the_weakest_and_comes_from_the_catalogue(tmp_path
     assert "mu_2, which it leaves open" in known.source
 
 
+@pytest.mark.parametrize("value", [1.1e-12, 0.9e12])
+def test_a_parameter_that_a_machine_can_have_is_taken(tmp_path: Path, value: float) -> None:
+    path = result(tmp_path)
+    record = json.loads(path.read_text())
+    record["parameters"]["mu_2"]["value"] = value
+    path.write_text(json.dumps(record))
+    assert believed(path).values["mu_2"] == value
+
+
+@pytest.mark.parametrize("value", [0, -1.0, 0.9e-12, 1.1e12])
+def test_a_parameter_that_no_machine_can_have_is_refused(tmp_path: Path, value: float) -> None:
+    path = result(tmp_path)
+    record = json.loads(path.read_text())
+    record["parameters"]["mu_2"]["value"] = value
+    path.write_text(json.dumps(record))
+    with pytest.raises(InputError, match=r"parameters\.mu_2: must be from 1e-12 to 1e\+12"):
+        believed(path)
+
+
 def test_recordings_that_have_changed_or_gone_say_nothing_of_the_drive(tmp_path: Path) -> None:
     assert believed(result(tmp_path)).recordings == ()
     assert believed(None).recordings == ()

@@ -17,6 +17,8 @@ from rig.prove.family import FAMILIES
 from rig.prove.judge import Judgement
 from rig.prove.row import row_of
 from rig.prove.score import confusion, power, rate, score, worse
+from rig.prove.seal import unseal
+from rig.provenance import sha256
 
 SEED = 3
 
@@ -295,7 +297,6 @@ def test_a_proof_from_the_command_line(
         assert len(opened) == len(diagnosing) - 1
         return clairvoyant(source, seed)
 
-    unseal = proving.unseal
     monkeypatch.setattr(proving, "unseal", lambda path, digest: opened.append(path.name) or unseal(path, digest))
     monkeypatch.setattr("rig.prove.judge.judge", judge)
     out = tmp_path / "proof"
@@ -322,6 +323,21 @@ def test_a_proof_from_the_command_line(
     assert [r["effects"] for r in again["rigs"]] == [r["effects"] for r in result["rigs"]]
     assert status([*arguments[:2], "4", *arguments[3:]]) == 2
     assert "holds a proof with other settings" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"settings": {}}', '{"settings": {}, "seals": {"x": 1}}', "\0"])
+def test_a_damaged_proof_is_not_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str) -> None:
+    (tmp_path / "proof.json").write_text(content)
+    assert status(["prove", "--rigs", "1", "--out", str(tmp_path)]) == 2
+    assert str(tmp_path / "proof.json") in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("content", ["", "[]", "5"])
+def test_a_sealed_truth_that_is_none_is_refused(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "0001.json"
+    path.write_text(content)
+    with pytest.raises(InputError, match=r"0001\.json: n"):
+        unseal(path, sha256(content.encode()))
 
 
 @pytest.mark.usefixtures("quick")

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.errors import ConfigurationError
 from drivers.mock.plant import constants, friction, gas, loops
 from drivers.mock.plant.burning import advance_loaded, felt_force
 from drivers.mock.plant.effects import state as extra
@@ -315,7 +316,11 @@ class SimulatedMachine:
         return drawn[:count]
 
     def latch(self) -> Reading:
-        """Return what the sensors see now and start new means for current and voltage."""
+        """Return what the sensors see now and start new means for current and voltage.
+
+        Raises:
+            ConfigurationError: The angles are no numbers any more: the constants make the equations diverge.
+        """
         s = self._s
         theta = float(s[loops.THETA])
         seen = float(self._x[extra.SEEN]) if self._e.size else theta
@@ -331,9 +336,16 @@ class SimulatedMachine:
         following = 0.0
         if s[loops.MODE] != loops.OFF:
             following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self.motor_count_rad
+        try:
+            motor, joint = math.floor(theta / self.motor_count_rad), math.floor(seen / self.joint_count_rad)
+        except (ValueError, OverflowError) as error:
+            raise ConfigurationError(
+                f"the equations of the simulated machine diverge (angle {theta:g} rad); look in the section `mock` of "
+                "the bench file for a value with a wrong exponent or unit"
+            ) from error
         return Reading(
-            math.floor(theta / self.motor_count_rad),
-            math.floor(seen / self.joint_count_rad),
+            motor,
+            joint,
             float(s[loops.VELOCITY_ESTIMATE]) * self.constants.motor.gear_ratio,
             current,
             voltage,

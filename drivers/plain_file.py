@@ -1,0 +1,26 @@
+"""Files that somebody names: only plain ones are opened."""
+
+from __future__ import annotations
+
+import errno
+import stat
+from pathlib import Path
+
+
+def require_plain(path: Path) -> None:
+    """Check that a path leads to a plain file, without opening it.
+
+    A pipe waits for a writer for ever, and a device such as ``/dev/zero`` never ends.
+
+    Raises:
+        OSError: It does not; ``strerror`` says why.
+    """
+    try:
+        mode = path.stat().st_mode
+    except ValueError as error:
+        # A zero byte, or a character that names of files cannot hold here.
+        raise OSError(errno.EINVAL, f"it is no name of a file ({error})", str(path)) from error
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, "it is a folder", str(path))
+    if not stat.S_ISREG(mode):
+        raise OSError(errno.EINVAL, "it is a pipe or a device; name a file", str(path))
