@@ -15,6 +15,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -46,6 +47,9 @@ _LONGEST_S: Mapping[str, float] = {"run": 1.5, "resume": 1.5, "jog": 0.6}
 _START_S = 60.0
 _END_S = 20.0
 _REPEATS = 6
+
+
+_stopping = threading.Event()
 
 
 class MissedError(Exception):
@@ -241,7 +245,7 @@ def on_transport(transport: str, options: Any) -> Tally:
             for second in COMMANDS:
                 if pair and pair != [first, second][: len(pair)]:
                     continue
-                for number in range(options.times):
+                for number in range(0 if _stopping.is_set() else options.times):
                     _trial(stage, first, second, number, dice, tally)
                 good = tally.good[first, second]
                 print(f"{transport}: {first}, then {second}: {good} of {options.times}", flush=True)
@@ -279,7 +283,11 @@ def main() -> int:
     options = parser.parse_args()
     began = time.monotonic()
     with ThreadPoolExecutor(len(TRANSPORTS)) as pool:
-        tallies = list(pool.map(lambda transport: on_transport(transport, options), TRANSPORTS))
+        futures = [pool.submit(on_transport, transport, options) for transport in TRANSPORTS]
+        try:
+            tallies = [future.result() for future in futures]
+        finally:
+            _stopping.set()
     good = sum(sum(tally.good.values()) for tally in tallies)
     bad = [words for tally in tallies for words in tally.bad]
     missed = sum(tally.missed for tally in tallies)

@@ -106,8 +106,11 @@ def main() -> int:
     threads = [threading.Thread(target=worker, args=(options.transport, todo, results)) for _ in range(jobs)]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
+    try:
+        for thread in threads:
+            thread.join()
+    finally:
+        todo.queue.clear()
     bad = sum(bool(result.problems) for result in results.values())
     again = sum(result.repeats for result in results.values())
     words = (
