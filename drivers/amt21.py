@@ -6,14 +6,17 @@ that the joint can have reached (:class:`PlausibilityGate`).
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
 from drivers.amt21_line import Amt21Line
 from drivers.can_timing import ANSWER_SHARE
 from drivers.clock import NS
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, DeviceError
 from drivers.interfaces import Encoder, EncoderSample, Identity
+from drivers.objects import refusal
 from drivers.units import EncoderScales
 
 COUNTS_PER_TURN: Final = 1 << 14
@@ -46,6 +49,11 @@ def decode(answer: bytes) -> int | None:
     return value if encode(value) == answer else None
 
 
+def near_zero(value: int) -> int:
+    """Return a position with the upper half of the turn as just below zero."""
+    return (value + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
+
+
 class PlausibilityGate:
     """Follows positions modulo a turn and refuses those that the joint cannot have reached since the last good one.
 
@@ -74,7 +82,7 @@ class PlausibilityGate:
 
         At rest however long it takes to the next one, for which there is the room of one period.
         """
-        self.position = (value + COUNTS_PER_TURN // 2) % COUNTS_PER_TURN - COUNTS_PER_TURN // 2
+        self.position = near_zero(value)
         self._seen_ns = None
         self._interval_s = period_s
         self._patience_s = max(self.PATIENCE_S, self.PATIENCE_PERIODS * period_s)
@@ -131,6 +139,24 @@ class Amt21Encoder(Encoder):
         """Say what the bench file says; the encoder cannot be asked."""
         return Identity(f"AMT21 at {self.line.address:02X}h", 0, 0, 0, 0)
 
+    def reading(self) -> float:
+        """Ask for the position once; NaN where the answer is bad.
+
+        Raises:
+            LinkError: No encoder answers.
+        """
+        self.line.find_echo()
+        value = self._ask()
+        return math.nan if value is None else self._angle(near_zero(value))
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield answers that do not agree at rest.
+
+        Raises:
+            LinkError: No encoder answers.
+        """
+        yield from refusal(self._trusted)
+
     def prepare(self, cycle_s: float) -> None:
         """Find the encoder, and start from a position that several answers agree on, at rest.
 
@@ -138,18 +164,8 @@ class Amt21Encoder(Encoder):
             LinkError: No encoder answers.
             ConfigurationError: Its answers do not agree.
         """
-        line = self.line
-        line.find_echo()
-        values = [self._ask() for _ in range(_PROBES)]
-        good = [value for value in values if value is not None]
-        apart = max(((v - good[0] + 512) % COUNTS_PER_TURN - 512 for v in good), key=abs, default=0)
-        if len(good) < _PROBES or abs(apart) > _STILL_COUNTS:
-            raise ConfigurationError(
-                f"{line.name}: {_PROBES} answers at rest should agree to {_STILL_COUNTS} counts, got {values}; "
-                "check shielding and termination, and that the joint stands still"
-            )
-        self._gate.start(good[-1], cycle_s)
-        line.answer_s = ANSWER_SHARE * cycle_s
+        self._gate.start(self._trusted(), cycle_s)
+        self.line.answer_s = ANSWER_SHARE * cycle_s
         self._fresh = True
 
     def turns(self) -> int | None:
@@ -201,8 +217,24 @@ class Amt21Encoder(Encoder):
 
     def sample(self) -> EncoderSample:
         """Return the sample of the last exchange, stamped by the host: the encoder has no time of its own."""
-        angle = self._gate.position * self._scales.rad_per_count + self._scales.offset_rad
-        return EncoderSample(self._asked_ns / NS, angle, self._fresh)
+        return EncoderSample(self._asked_ns / NS, self._angle(self._gate.position), self._fresh)
+
+    def _angle(self, counts: int) -> float:
+        return counts * self._scales.rad_per_count + self._scales.offset_rad
+
+    def _trusted(self) -> int:
+        """Return a position that several answers agree on, at rest; raises as :meth:`prepare`."""
+        line = self.line
+        line.find_echo()
+        values = [self._ask() for _ in range(_PROBES)]
+        good = [value for value in values if value is not None]
+        apart = max(((v - good[0] + 512) % COUNTS_PER_TURN - 512 for v in good), key=abs, default=0)
+        if len(good) < _PROBES or abs(apart) > _STILL_COUNTS:
+            raise ConfigurationError(
+                f"{line.name}: {_PROBES} answers at rest should agree to {_STILL_COUNTS} counts, got {values}; "
+                "check shielding and termination, and that the joint stands still"
+            )
+        return good[-1]
 
     def _ask(self, offset: int = 0) -> int | None:
         self.line.ask(offset)

@@ -7,8 +7,9 @@ from collections.abc import Callable
 from typing import Final
 
 from drivers.clock import NS, Clock
-from drivers.errors import LinkError
+from drivers.errors import DeviceError, LinkError
 from drivers.interfaces import RawFrame
+from drivers.port_errors import close_all, words
 from drivers.serial_port import BytePort, raw_frames
 
 DEFAULT_ADDRESS: Final = 0x54
@@ -56,16 +57,18 @@ class Amt21Line:
         if self._port is None:
             try:
                 self._port = self._connect()
-            except (OSError, ValueError) as error:
+            except DeviceError:
+                raise
+            except Exception as error:
                 raise LinkError(
-                    f"{self.name} cannot be opened: {error}; check the port and the rights to it"
+                    f"{self.name} cannot be opened: {words(error)}; check the port and the rights to it"
                 ) from error
 
     def close(self) -> None:
-        """Close the line; safe to call twice."""
+        """Close the line; safe to call twice and after a failure. Raises nothing."""
         port, self._port = self._port, None
         if port is not None:
-            port.close()
+            close_all(port.close)
 
     def find_echo(self) -> None:
         """Find out whether the adapter hears its own bytes.
@@ -99,7 +102,7 @@ class Amt21Line:
         try:
             port.discard()
             port.write(request)
-        except OSError as error:
+        except Exception as error:
             raise self._gone(error) from error
         self.asked_ns = self.clock.now_ns()
         self.answer = b""
@@ -132,7 +135,7 @@ class Amt21Line:
                 heard += got
                 if not got and left <= 0:
                     break
-        except OSError as error:
+        except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), self.address, heard, False))
         return heard
@@ -142,5 +145,5 @@ class Amt21Line:
             raise LinkError(f"{self.name} is not open: call open() first")
         return self._port
 
-    def _gone(self, error: OSError) -> LinkError:
-        return LinkError(f"{self.name} is gone: {error}; check the adapter and its cable")
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(f"{self.name} is gone: {words(error)}; check the adapter and its cable")

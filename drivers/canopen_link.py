@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, Self
 
@@ -14,10 +15,15 @@ from drivers.can_port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
 from drivers.can_timing import ANSWER_SHARE
 from drivers.canopen_node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
 from drivers.clock import NS, Clock
+from drivers.eds_file import read_eds
 from drivers.emergency import explain
-from drivers.errors import ConfigurationError, DriveFault, LinkError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
+from drivers.port_errors import close_all, words
+from drivers.slcan_port import open_slcan
 
+MASTER_ID: Final = 0x7F
+"""Node identifier of this program's own heartbeat."""
 _FRAMES_KEPT: Final = 1 << 16
 _MASTER_HEARTBEAT_S: Final = 0.025
 _OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
@@ -60,7 +66,7 @@ class CanopenLink(Link):
         clock: Clock,
         connect: Callable[[], FramePort],
         name: str = "CAN bus",
-        master_id: int = 0x7F,
+        master_id: int = MASTER_ID,
         sdo_timeout_s: float = 0.3,
     ) -> None:
         self.clock = clock
@@ -91,12 +97,15 @@ class CanopenLink(Link):
     ) -> Self:
         """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``, ``pcan``...).
 
-        ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can.
+        ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can. ``slcan`` is a
+        port of this package, see :class:`~drivers.slcan_port.SlcanPort`.
         """
+        options = dict(bus_options or {})
 
         def connect() -> FramePort:
-            bus = can.Bus(channel=channel, interface=interface, bitrate=bitrate, **(bus_options or {}))
-            return PythonCanPort(bus, clock)
+            if interface == "slcan":
+                return open_slcan(channel, clock, bitrate, **options)
+            return PythonCanPort(can.Bus(channel=channel, interface=interface, bitrate=bitrate, **options), clock)
 
         name = f"{interface} {channel} at {bitrate} bit/s"
         return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)
@@ -109,10 +118,7 @@ class CanopenLink(Link):
         """
         if not 1 <= node_id <= 127 or node_id == self.master_id or node_id in self._nodes:
             raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
-        try:
-            dictionary = canopen.import_od(str(eds), node_id)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"EDS file {eds} of node {node_id} cannot be read: {error}") from error
+        dictionary = read_eds(eds, node_id)
         node = CanopenNode(node_id, dictionary, self)
         self._network.add_node(node.remote)
         self._nodes[node_id] = node
@@ -128,16 +134,19 @@ class CanopenLink(Link):
             return
         try:
             self._port = self._connect()
-        except (can.CanError, OSError, ValueError, TypeError) as error:
+        except DeviceError:
+            raise
+        except Exception as error:
             raise LinkError(
-                f"{self._name} cannot be opened: {error}; check the interface, its driver and the rights to use it"
+                f"{self._name} cannot be opened: {words(error)}; "
+                "check the interface, its driver and the rights to use it"
             ) from error
 
     def close(self) -> None:
-        """Close the bus; safe to call twice and after a failure."""
+        """Close the bus; safe to call twice and after a failure. Raises nothing."""
         port, self._port = self._port, None
         if port is not None:
-            port.shutdown()
+            close_all(port.shutdown)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
         """Set the cycle time, the same for all devices.
@@ -197,9 +206,9 @@ class CanopenLink(Link):
         port = self._port or self._opened()
         try:
             port.transmit(identifier, data)
-        except (can.CanError, OSError) as error:
+        except Exception as error:
             raise LinkError(
-                f"{self._name} cannot send: {error}; check cabling, termination, and that a device is powered"
+                f"{self._name} cannot send: {words(error)}; check cabling, termination, and that a device is powered"
             ) from error
         self._frames.append(raw_frame((self.clock.now_ns(), identifier, data, True)))
 
@@ -231,8 +240,10 @@ class CanopenLink(Link):
         port = self._port or self._opened()
         try:
             frames = port.collect(timeout_s)
-        except (can.CanError, OSError) as error:
-            raise LinkError(f"{self._name} cannot receive: {error}; check the interface and its cable") from error
+        except Exception as error:
+            raise LinkError(
+                f"{self._name} cannot receive: {words(error)}; check the interface and its cable"
+            ) from error
         for frame in frames:
             self._handle(frame)
 
@@ -263,8 +274,10 @@ class CanopenLink(Link):
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0] & 0x7F, time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
-            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks raise.
-            self._network.notify(identifier, bytearray(data), time_ns / NS)
+            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks raise. One that a
+            # callback cannot take counts as lost: who waits for the answer has a time limit.
+            with suppress(Exception):
+                self._network.notify(identifier, bytearray(data), time_ns / NS)
 
     def _emergency(self, node: CanopenNode, data: bytes) -> None:
         code = int.from_bytes(data[:2], "little")

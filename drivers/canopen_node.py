@@ -8,7 +8,7 @@ from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
 
-from drivers.canopen_pdo import Input, configure
+from drivers.canopen_pdo import Input, configure, plan
 from drivers.canopen_sdo import PumpedNode, Wire, translated, variable
 from drivers.errors import ConfigurationError, LinkError
 from drivers.objects import PdoLayout
@@ -105,19 +105,22 @@ class CanopenNode:
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
-        item = variable(self._dictionary, index, subindex)
-        try:
-            data = bytes(item.STRUCT_TYPES[item.data_type].pack(value))
-        except (KeyError, struct.error) as error:
-            raise ConfigurationError(
-                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({item.name})"
-            ) from error
+        data = self._packed(index, subindex, value)
         with translated(self.node_id, index, subindex):
             self.remote.sdo.download(index, subindex, data)
+
+    def require_fit(self, index: int, subindex: int, value: int) -> None:
+        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`. Sends nothing."""
+        self._packed(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object; an SDO request goes out before its answer is waited for. Raises as :meth:`write`."""
         self.write(index, subindex, value)
+
+    def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
+        """Check what :meth:`map_process_data` checks before it writes; raises as that. Sends nothing."""
+        for maps, layouts in ((self.remote.rpdo, outputs), (self.remote.tpdo, inputs)):
+            plan(self.remote, maps, layouts)
 
     def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
         """Configure PDOs and heartbeat by SDO in PRE-OPERATIONAL, then start the node.
@@ -178,6 +181,15 @@ class CanopenNode:
     def unwatch(self) -> None:
         """Disarm the heartbeat consumer."""
         self.write(0x1016, 1, 0)
+
+    def _packed(self, index: int, subindex: int, value: int) -> bytes:
+        item = variable(self._dictionary, index, subindex)
+        try:
+            return bytes(item.STRUCT_TYPES[item.data_type].pack(value))
+        except (KeyError, struct.error) as error:
+            raise ConfigurationError(
+                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({item.name})"
+            ) from error
 
     def _upload(self, index: int, subindex: int) -> bytes:
         with translated(self.node_id, index, subindex):

@@ -64,6 +64,15 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
     return packed
 
 
+def plan(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> dict[int, struct.Struct]:
+    """Return how the PDOs of one direction are packed, by number; sends nothing. Raises as :func:`configure`."""
+    missing = {layout.number for layout in layouts} - set(maps)
+    if missing:
+        node_id = int(remote.id or 0)
+        raise ConfigurationError(f"node {node_id} has no PDO {min(missing)} in its EDS; use the device's own EDS file")
+    return {layout.number: packing(remote.object_dictionary, layout) for layout in layouts}
+
+
 def configure(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> list[tuple[int, struct.Struct]]:
     """Write the mapping of every PDO of one direction into a device; PDOs not asked for are switched off.
 
@@ -81,11 +90,9 @@ def configure(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> li
         LinkError: No answer.
     """
     node_id = int(remote.id or 0)
-    missing = {layout.number for layout in layouts} - set(maps)
-    if missing:
-        raise ConfigurationError(f"node {node_id} has no PDO {min(missing)} in its EDS; use the device's own EDS file")
+    packings = plan(remote, maps, layouts)
     wanted = {layout.number: layout for layout in layouts}
-    result = {layout.number: (0, packing(remote.object_dictionary, layout)) for layout in layouts}
+    identifiers: dict[int, int] = {}
     for number, pdo in maps.items():
         pdo.clear()
         pdo.cob_id = pdo.predefined_cob_id
@@ -94,7 +101,7 @@ def configure(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> li
             pdo.trans_type = wanted[number].every
             for address in wanted[number].objects:
                 pdo.add_variable(*address)
-            result[number] = (pdo.cob_id, result[number][1])
+            identifiers[number] = pdo.cob_id
         with translated(node_id, pdo.com_record.od.index, 0):
             pdo.save()
-    return [result[layout.number] for layout in layouts]
+    return [(identifiers[layout.number], packings[layout.number]) for layout in layouts]

@@ -17,6 +17,8 @@ from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 _ABORTED = 0x80
 _ABORTED_SOMETHING = bytes((_ABORTED, 0, 0, 0))
 """An abort by a server that does not say of which object."""
+_LATE_ANSWERS = 64
+"""Answers to other requests that are passed over; a server that sends more of them answers none."""
 _INITIATE = (1, 2)
 """Command specifiers of a client that begins a download or an upload (CiA 301, 7.2.4.3)."""
 
@@ -65,17 +67,17 @@ class PumpedSdoClient(SdoClient):
 
         Raises:
             SdoAbortedError: The server aborted the transfer.
-            SdoCommunicationError: No response in time.
+            SdoCommunicationError: No response in time, or none but to other requests.
         """
-        while True:
+        for _ in range(_LATE_ANSWERS):
             if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
                 raise SdoCommunicationError(f"no SDO response within {self._wire.sdo_timeout_s:g} s")
             response: bytes = self.responses.get_nowait()
             if self._asked is None or response[1:4] == self._asked or response[:4] == _ABORTED_SOMETHING:
-                break
-        if response[0] == _ABORTED:
-            raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
-        return response
+                if response[0] == _ABORTED:
+                    raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
+                return response
+        raise SdoCommunicationError(f"{_LATE_ANSWERS} SDO responses to other requests, none to this one")
 
 
 class PumpedNode(canopen.RemoteNode):
@@ -121,7 +123,8 @@ def variable(dictionary: ObjectDictionary, index: int, subindex: int) -> Any:
         ConfigurationError: The EDS has no such object.
     """
     found = dictionary.get_variable(index, subindex)
-    if found is None:
+    # For an object without members canopen returns that object, whatever the subindex.
+    if found is None or found.subindex != subindex:
         raise ConfigurationError(
             f"object {index:04X}h:{subindex:02X}h is not in the device's EDS; use its own EDS file"
         )

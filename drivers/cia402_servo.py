@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
@@ -11,9 +12,18 @@ from drivers.cia402 import Command, controlword, decode_state
 from drivers.clock import NS
 from drivers.emergency import explain
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, ObjectAccessError, StateError
-from drivers.interfaces import Identity, Link, Servo, ServoLimits, ServoSample, ServoState
-from drivers.objects import PdoLayout, ProcessChannel, read_identity
-from drivers.units import ServoScales, Unwrapper
+from drivers.interfaces import (
+    Identity,
+    LimitSteps,
+    Link,
+    Servo,
+    ServoLimits,
+    ServoReadings,
+    ServoSample,
+    ServoState,
+)
+from drivers.objects import IDENTITY, ObjectAddress, PdoLayout, ProcessChannel, read_identity, refusal
+from drivers.units import RATED, ServoScales, Unwrapper
 
 _OUTPUT: Final = 1
 _MOTION: Final = 1
@@ -26,8 +36,25 @@ FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, _SUPPLY_EVERY))
 FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
 """The same where the torque offset is mapped."""
 TORQUE_OFFSET: Final = (0x60B2, 0)
+WATCH_S: Final = 0.1
+"""The drive stops by itself when it hears no heartbeat for so long, s."""
 _ABORT_IS_FAULT: Final = 1
+_POSITION: Final = (0x6064, 0)
+_TARGET: Final = (0x607A, 0)
+_CURRENT: Final = (0x6078, 0)
+_SPEED_ACTUAL: Final = (0x606C, 0)
+_DC_LINK: Final = (0x6079, 0)
+_TIME: Final = (0x1013, 0)
+_CYCLE: Final = (0x60C2, 1)
+_CYCLE_EXPONENT: Final = (0x60C2, 2)
+_ON_ABORT: Final = (0x6007, 0)
+_MODE: Final = (0x6060, 0)
+_MODE_DISPLAY: Final = (0x6061, 0)
+_ERROR_CODE: Final = (0x603F, 0)
+_SINGLE: Final = (_CYCLE, _CYCLE_EXPONENT, _ON_ABORT, _MODE, _MODE_DISPLAY, _ERROR_CODE, *RATED)
+"""Objects that are read or written by themselves, beside identity, limits and process data."""
 _US: Final = 1e-6
+_MILLI: Final = 1e-3
 _INT32: Final = range(-(1 << 31), 1 << 31)
 _INT16: Final = range(-(1 << 15), 1 << 15)
 
@@ -49,7 +76,7 @@ class Cia402Servo(Servo):
         channel: ProcessChannel,
         link: Link,
         scales: ServoScales,
-        watch_s: float = 0.1,
+        watch_s: float = WATCH_S,
         state_timeout_s: float = 1.0,
         torque_offset: bool = False,
     ) -> None:
@@ -57,7 +84,7 @@ class Cia402Servo(Servo):
         self._link = link
         self._clock = link.clock
         self._scales = scales
-        self._watch_s = watch_s
+        self.watch_s = self._watch_s = watch_s
         self._timeout_s = state_timeout_s
         self._cycle_ns = 0
         self._word = cia402.DISABLE_VOLTAGE
@@ -80,6 +107,15 @@ class Cia402Servo(Servo):
         """Read back the limits the drive itself holds."""
         return servo_limits.read(self._channel, self._scales)
 
+    def limit_steps(self) -> LimitSteps:
+        """Return one unit of each limit's object, at the joint."""
+        return servo_limits.steps(self._scales)
+
+    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+        """Yield each limit that its object cannot hold."""
+        for address, value in servo_limits.encode(limits, self._scales).items():
+            yield from refusal(self._channel.require_fit, *address, value)
+
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
 
@@ -88,6 +124,43 @@ class Cia402Servo(Servo):
             ObjectAccessError: The drive refuses one.
         """
         servo_limits.write(self._channel, self._scales, limits)
+
+    def readings(self) -> ServoReadings:
+        """Read each value by itself; one that the drive does not have is NaN."""
+        scales = self._scales
+        counts, speed, current, supply, temperature = map(
+            self._read_or_nan, (_POSITION, _SPEED_ACTUAL, _CURRENT, _DC_LINK, scales.temperature_object)
+        )
+        return ServoReadings(
+            counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+            speed * scales.joint_speed_unit_rad_s * scales.sign,
+            current * scales.current_unit_A * scales.sign,
+            supply * _MILLI,
+            temperature * scales.temperature_unit_C,
+        )
+
+    def fault(self) -> DriveFault:
+        """Read why the drive is in fault (603Fh)."""
+        code = self._channel.read(*_ERROR_CODE)
+        return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
+
+    def description_refusals(self) -> Iterator[DeviceError]:
+        """Yield what the EDS lacks that this profile needs. Sends nothing."""
+        for address in (*IDENTITY, *_SINGLE, *servo_limits.OBJECTS):
+            yield from refusal(self._channel.require_fit, *address, 0)
+        yield from refusal(self._channel.require_mappable, *self._layouts())
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield units that differ from the bench file, a cycle that cannot be set, and objects that are not there."""
+        yield from self._unit_refusals(cycle_s)
+        channel = self._channel
+        outputs, inputs = self._layouts()
+        unmappable = list(refusal(channel.require_mappable, outputs, inputs))
+        yield from unmappable
+        if not unmappable:
+            for layout in inputs:
+                for address in layout.objects:
+                    yield from refusal(channel.read, *address)
 
     def prepare(self, cycle_s: float) -> None:
         """Check units, map process data, set the cycle, and prove that the heartbeat watch can be set. No power.
@@ -102,34 +175,19 @@ class Cia402Servo(Servo):
         if state.energised:
             raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
         self._word = cia402.DISABLE_VOLTAGE
-        scales = self._scales
-        scales.check(self._channel)
-        milliseconds = round(cycle_s * 1e3)
-        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
-            raise ConfigurationError(f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)")
         channel = self._channel
-        servo_limits.store(channel, (0x60C2, 1), milliseconds)
-        servo_limits.store(channel, (0x60C2, 2), -3)
-        servo_limits.store(channel, (0x6007, 0), _ABORT_IS_FAULT)
-        outputs = (cia402.CONTROLWORD, (0x607A, 0))
+        for error in self._unit_refusals(cycle_s):
+            raise error
+        servo_limits.store(channel, _CYCLE, round(cycle_s * 1e3))
+        servo_limits.store(channel, _CYCLE_EXPONENT, -3)
+        servo_limits.store(channel, _ON_ABORT, _ABORT_IS_FAULT)
         self._offset = 0
-        if self._takes_offset:
-            self._require_offset()
-        channel.map_process_data(
-            outputs=[PdoLayout(_OUTPUT, (*outputs, TORQUE_OFFSET) if self._takes_offset else outputs)],
-            inputs=[
-                PdoLayout(_MOTION, (cia402.STATUSWORD, (0x6064, 0), (0x6078, 0))),
-                PdoLayout(_SPEED, ((0x606C, 0), (0x1013, 0))),
-                PdoLayout(_VOLTAGE, (scales.voltage_object,)),
-                PdoLayout(_SUPPLY, ((0x6079, 0), scales.temperature_object), _SUPPLY_EVERY),
-            ],
-            cycle_s=cycle_s,
-        )
+        channel.map_process_data(*self._layouts(), cycle_s=cycle_s)
         self._cycle_ns = round(cycle_s * NS)
         self._time = Unwrapper(1 << 32)
         channel.watch(self._watch_s)
         channel.unwatch()
-        self._stage(channel.read(0x6064))
+        self._stage(channel.read(*_POSITION))
 
     def enable(self) -> None:
         """Energise and hold the present position, exchanging all the while.
@@ -143,13 +201,13 @@ class Cia402Servo(Servo):
             raise StateError("the drive is not prepared: call prepare() first")
         state = self.state()
         if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
-            raise self._fault()
+            raise self.fault()
         controlword(state, Command.ENABLE)
         try:
             self._channel.watch(self._watch_s)
             self._word = cia402.DISABLE_VOLTAGE
             self._offset = 0
-            self._stage(self._channel.read(0x6064))
+            self._stage(self._channel.read(*_POSITION))
             self._select_mode()
             self._walk()
         except DeviceError:
@@ -238,7 +296,7 @@ class Cia402Servo(Servo):
             velocity * scales.joint_speed_unit_rad_s * scales.sign,
             current * scales.current_unit_A * scales.sign,
             voltage * scales.voltage_unit_V * scales.sign,
-            supply * 1e-3,
+            supply * _MILLI,
             temperature * scales.temperature_unit_C,
             following,
             statusword,
@@ -255,13 +313,37 @@ class Cia402Servo(Servo):
         else:
             self._channel.stage(_OUTPUT, self._word, counts)
 
-    def _require_offset(self) -> None:
+    def _unit_refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield what mapping the process data does not find out by itself."""
+        yield from self._scales.mismatches(self._channel)
+        milliseconds = round(cycle_s * 1e3)
+        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
+            yield ConfigurationError(f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)")
+        if self._takes_offset:
+            yield from self._offset_refusals()
+
+    def _layouts(self) -> tuple[list[PdoLayout], list[PdoLayout]]:
+        scales = self._scales
+        outputs: tuple[ObjectAddress, ...] = (cia402.CONTROLWORD, _TARGET)
+        return [PdoLayout(_OUTPUT, (*outputs, TORQUE_OFFSET) if self._takes_offset else outputs)], [
+            PdoLayout(_MOTION, (cia402.STATUSWORD, _POSITION, _CURRENT)),
+            PdoLayout(_SPEED, (_SPEED_ACTUAL, _TIME)),
+            PdoLayout(_VOLTAGE, (scales.voltage_object,)),
+            PdoLayout(_SUPPLY, (_DC_LINK, scales.temperature_object), _SUPPLY_EVERY),
+        ]
+
+    def _read_or_nan(self, address: ObjectAddress) -> float:
         try:
-            self._channel.read(*TORQUE_OFFSET)
-        except (ConfigurationError, ObjectAccessError) as error:
-            raise ConfigurationError(
-                f"{self._channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
-            ) from error
+            return self._channel.read(*address)
+        except (ConfigurationError, ObjectAccessError):
+            return math.nan
+
+    def _offset_refusals(self) -> Iterator[ConfigurationError]:
+        for error in refusal(self._channel.read, *TORQUE_OFFSET):
+            words = f"{self._channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
+            offset_error = ConfigurationError(words)
+            offset_error.__cause__ = error
+            yield offset_error
 
     def _command(self, command: Command) -> None:
         # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the command.
@@ -291,9 +373,9 @@ class Cia402Servo(Servo):
             yield self._clock.now_ns() < deadline
 
     def _select_mode(self) -> None:
-        self._channel.write(0x6060, 0, cia402.CYCLIC_SYNCHRONOUS_POSITION)
+        self._channel.write(*_MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
         for in_time in self._cycles():
-            mode = self._channel.read(0x6061)
+            mode = self._channel.read(*_MODE_DISPLAY)
             if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
                 return
             if not in_time:
@@ -304,7 +386,7 @@ class Cia402Servo(Servo):
             statusword, position, _ = self._channel.latest(_MOTION)
             state = decode_state(statusword)
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
-                raise self._fault()
+                raise self.fault()
             if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
                 return
             if not in_time:
@@ -315,7 +397,3 @@ class Cia402Servo(Servo):
             if self._channel.fresh:
                 self._word = controlword(state, Command.ENABLE)
                 self._stage(position)
-
-    def _fault(self) -> DriveFault:
-        code = self._channel.read(0x603F)
-        return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")

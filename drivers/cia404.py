@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Final
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Identity, PressureSample, PressureTransmitter
-from drivers.objects import PdoLayout, ProcessChannel, read_identity
+from drivers.objects import IDENTITY, PdoLayout, ProcessChannel, read_identity, refusal
 
 FRAMES: Final = ((5, 1),)
 """As for the drive."""
@@ -15,6 +17,13 @@ PASCALS: Final = {0x22: 1.0, 0x4E: 1e5, 0xAB: 6894.757293168}
 
 _PRESSURE: Final = 1
 _UNIT_TOLERANCE: Final = 1e-6
+_UNIT: Final = (0x6131, 1)
+_DIGITS: Final = (0x6132, 1)
+_STATUS: Final = (0x6150, 1)
+_VALUE: Final = (0x9130, 1)
+# A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the cycle is over;
+# pressure hardly changes meanwhile.
+_INPUTS: Final = (PdoLayout(_PRESSURE, (_VALUE, _STATUS), slack=1),)
 
 
 class Cia404Transmitter(PressureTransmitter):
@@ -33,6 +42,29 @@ class Cia404Transmitter(PressureTransmitter):
         """Read who it is."""
         return read_identity(self._channel)
 
+    def reading(self) -> float:
+        """Read the process value (9130h); NaN where the transmitter refuses it, or says that it is not valid."""
+        try:
+            status, value = self._channel.read(*_STATUS), self._channel.read(*_VALUE)
+        except (ConfigurationError, ObjectAccessError):
+            return math.nan
+        return math.nan if status else value * self._unit_Pa
+
+    def description_refusals(self) -> Iterator[DeviceError]:
+        """Yield what the EDS lacks that this profile needs. Sends nothing."""
+        for address in (*IDENTITY, _UNIT, _DIGITS):
+            yield from refusal(self._channel.require_fit, *address, 0)
+        yield from refusal(self._channel.require_mappable, (), _INPUTS)
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield a unit that differs from the bench file, a value that is not valid, and objects that are not there."""
+        yield from refusal(self._require_unit)
+        yield from refusal(self._require_valid)
+        unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
+        yield from unmappable
+        if not unmappable:
+            yield from refusal(self._channel.read, *_VALUE)
+
     def prepare(self, cycle_s: float) -> None:
         """Hold the unit against 6131h and 6132h, check the status and map process data.
 
@@ -40,11 +72,22 @@ class Cia404Transmitter(PressureTransmitter):
             ConfigurationError: The unit is not that of the bench file or not one of pressure, or the device says that
                 its value is not valid.
         """
+        self._require_unit()
+        self._require_valid()
+        self._channel.map_process_data([], _INPUTS, cycle_s)
+
+    def sample(self) -> PressureSample:
+        """Return the sample of the last exchange; one that the device calls invalid is not fresh."""
+        value, status = self._channel.latest(_PRESSURE)
+        return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
+
+    def _require_unit(self) -> None:
         channel = self._channel
-        found = unit_of(channel.read(0x6131, 1), channel.read(0x6132, 1))
+        code = channel.read(*_UNIT)
+        found = unit_of(code, channel.read(*_DIGITS))
         if found is None:
             raise ConfigurationError(
-                f"{channel.label}: 6131h says {channel.read(0x6131, 1):08X}h, which is no unit of pressure known here; "
+                f"{channel.label}: 6131h says {code:08X}h, which is no unit of pressure known here; "
                 "set the transmitter to bar or Pa"
             )
         if abs(found - self._unit_Pa) > _UNIT_TOLERANCE * self._unit_Pa:
@@ -52,16 +95,11 @@ class Cia404Transmitter(PressureTransmitter):
                 f"{channel.label}: 6131h and 6132h make {found:g} Pa a unit, the bench file {self._unit_Pa:g} Pa; "
                 "correct unit_Pa, or check that this is the right transmitter"
             )
-        if status := channel.read(0x6150, 1):
-            raise ConfigurationError(f"{channel.label}: {status_words(status)} (6150h); check the sensor and its range")
-        # A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the cycle is
-        # over; pressure hardly changes meanwhile.
-        channel.map_process_data([], [PdoLayout(_PRESSURE, ((0x9130, 1), (0x6150, 1)), slack=1)], cycle_s)
 
-    def sample(self) -> PressureSample:
-        """Return the sample of the last exchange; one that the device calls invalid is not fresh."""
-        value, status = self._channel.latest(_PRESSURE)
-        return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
+    def _require_valid(self) -> None:
+        if status := self._channel.read(*_STATUS):
+            label = self._channel.label
+            raise ConfigurationError(f"{label}: {status_words(status)} (6150h); check the sensor and its range")
 
 
 def unit_of(code: int, digits: int) -> float | None:

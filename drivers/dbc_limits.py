@@ -9,7 +9,7 @@ from typing import Final
 
 from drivers.dbc_wiring import BoundLimit, BoundQuantity, Images, Wiring
 from drivers.errors import ConfigurationError
-from drivers.interfaces import Identity, ServoLimits
+from drivers.interfaces import Identity, LimitSteps, ServoLimits
 
 _LOWER: Final = frozenset({"angle_min"})
 _ROUNDING: Final = 1e-6
@@ -64,6 +64,25 @@ def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
     if "following_error" in told:
         limits = replace(limits, following_error_rad=told["following_error"] / gear)
     return limits
+
+
+def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
+    """Return one unit of each signal that says what the drive holds, at the joint.
+
+    Zero for what the drive does not say, and for a floating-point signal.
+    """
+    held = {name: limit.held for name, limit in wiring.limits.items()}
+    units = {name: 0.0 if quantity.signal.real else abs(quantity.gain) for name, quantity in held.items()}
+    gear = drive.gear_ratio
+    current = units.get("current", 0.0)
+    return LimitSteps(
+        angle_rad=max(units.get("angle_min", 0.0), units.get("angle_max", 0.0)) / gear,
+        speed_rad_s=units.get("speed", 0.0) / gear,
+        torque_N_m=current * drive.torque_constant_N_m_A * gear,
+        current_A=current,
+        following_error_rad=units.get("following_error", 0.0) / gear,
+        quick_stop_deceleration_rad_s2=0.0,
+    )
 
 
 def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:

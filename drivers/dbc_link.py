@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import suppress
+from collections.abc import Iterator, Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Final
 
@@ -11,8 +11,9 @@ from drivers.canopen_link import CanopenLink
 from drivers.clock import NS
 from drivers.dbc_channel import DbcChannel, Slot
 from drivers.dbc_wiring import Wiring
-from drivers.errors import ConfigurationError, LinkError
+from drivers.errors import ConfigurationError
 from drivers.interfaces import RawFrame
+from drivers.port_errors import close_all
 
 _RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
 _BACKLOG_READS: Final = 64
@@ -41,19 +42,25 @@ class DbcLink(CanopenLink):
             LinkError: It cannot be opened.
             ConfigurationError: Two devices use one identifier.
         """
-        routes: dict[int, tuple[DbcChannel, Slot]] = {}
-        for channel in self._channels:
-            wiring = channel.wiring
-            sent = (wiring.stop_frame[0], *(message.identifier for message in wiring.sent.values()))
-            for identifier in (*sent, *channel.slots):
-                if identifier in routes or (owner := self._canopen_owner(identifier)):
-                    who = "another drive" if identifier in routes else owner
-                    raise ConfigurationError(
-                        f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
-                    )
-            routes.update((identifier, (channel, slot)) for identifier, slot in channel.slots.items())
+        for conflict in self.conflicts():
+            raise ConfigurationError(conflict)
+        routes = {
+            identifier: (channel, slot) for channel in self._channels for identifier, slot in channel.slots.items()
+        }
         self._routes = routes
         super().open()
+
+    def conflicts(self) -> Iterator[str]:
+        """Yield in words each CAN identifier of a drive that something else on this bus uses as well."""
+        taken: set[int] = set()
+        for channel in self._channels:
+            wiring = channel.wiring
+            sent = (*wiring.sent.values(), *wiring.settings.values())
+            for identifier in dict.fromkeys((wiring.stop_frame[0], *(m.identifier for m in sent), *channel.slots)):
+                if identifier in taken or (owner := self._canopen_owner(identifier)):
+                    who = "another drive" if identifier in taken else owner
+                    yield f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
+            taken.update(channel.slots)
 
     def _canopen_owner(self, identifier: int) -> str:
         node = identifier & 0x7F
@@ -62,13 +69,13 @@ class DbcLink(CanopenLink):
         return _RESERVED.get(identifier, "")
 
     def close(self) -> None:
-        """Send each drive that was commanded its stop frame, close the bus; safe to call twice and after a failure."""
-        if self._port is not None:
-            for channel in self._channels:
-                if channel.commanded:
-                    with suppress(LinkError):
-                        self.send(*channel.wiring.stop_frame)
-        super().close()
+        """Send each drive that was commanded its stop frame, then close the bus.
+
+        Safe to call twice and after a failure. Raises nothing.
+        """
+        commanded = [channel for channel in self._channels if channel.commanded] if self._port is not None else []
+        stops = [partial(self.send, *channel.wiring.stop_frame) for channel in commanded]
+        close_all(*stops, super().close)
 
     def exchange(self) -> None:
         """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the cycle.

@@ -13,8 +13,9 @@ from drivers.dbc_channel import PERIODS_KEPT, DbcChannel, Slot
 from drivers.dbc_limits import DbcDrive
 from drivers.dbc_link import DbcLink
 from drivers.dbc_wiring import Images
-from drivers.errors import ConfigurationError, DeviceError, LinkError, StateError
-from drivers.interfaces import Identity, Servo, ServoLimits, ServoSample, ServoState
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.interfaces import Identity, LimitSteps, Servo, ServoLimits, ServoReadings, ServoSample, ServoState
+from drivers.objects import refusal
 from drivers.units import Unwrapper
 
 _ANSWER_S: Final = 0.3
@@ -47,6 +48,7 @@ class DbcServo(Servo):
         self._effort_per_A = 1.0 if "current" in inputs else drive.torque_constant_N_m_A
         self._status = channel.slot(wiring.status_message)
         self._command_period_s = wiring.sent[wiring.target.message].period_s
+        self.watch_s = drive.watchdog_s
         link.has_watchdog = link.has_watchdog and drive.watchdog_s is not None
         self._cycle_ns = 0
         self._target = self._previous = 0.0
@@ -90,6 +92,16 @@ class DbcServo(Servo):
         """
         return dbc_limits.decode(self._held(), self._drive)
 
+    def limit_steps(self) -> LimitSteps:
+        """Return one unit of each signal that says what the drive holds, at the joint."""
+        return dbc_limits.steps(self._wiring, self._drive)
+
+    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+        """Yield what does not fit its signal, and what is looser than limits set with the maker's tool."""
+        wiring, drive = self._wiring, self._drive
+        yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
+        yield from refusal(dbc_limits.require_room, limits, drive.held, wiring.limits, self._channel.label)
+
     def write_limits(self, limits: ServoLimits) -> None:
         """Write the limits that the drive can be told, and check that all it holds are kept by these.
 
@@ -108,6 +120,31 @@ class DbcServo(Servo):
         self._channel.pin(held)
         dbc_limits.require_room(limits, self._drive.held, settable, self._channel.label)
 
+    def readings(self) -> ServoReadings:
+        """Wait for the next frame of each message that carries a value.
+
+        A message that only comes as an answer to a command is not asked for; its values are NaN.
+        """
+        names = ("position", "velocity", self._effort, "supply_voltage", "temperature")
+        position, velocity, effort, supply, temperature = self._unasked(*names)
+        gear = self._drive.gear_ratio
+        angle = position + self._drive.offset_rad * gear
+        return ServoReadings(angle, velocity / gear, effort / self._effort_per_A, supply, temperature)
+
+    def fault(self) -> DriveFault:
+        """Return the fault that the drive reports."""
+        return self._channel.fault()
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield a cycle too slow for the drive's watchdog, and a position that does not fit the target signal.
+
+        A message that only comes as an answer to a command is not waited for.
+        """
+        yield from refusal(self._require_watchdog, cycle_s)
+        (position,) = self._unasked("position")
+        if not math.isnan(position):
+            yield from refusal(self._target_bits, position)
+
     def prepare(self, cycle_s: float) -> None:
         """Set the cycle, and see every message of the drive come in whole. No power.
 
@@ -120,12 +157,7 @@ class DbcServo(Servo):
         state = self.state()
         if state.energised:
             raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
-        slowest, watchdog_s = max(cycle_s, self._command_period_s), self._drive.watchdog_s
-        if watchdog_s is not None and slowest > watchdog_s / 2:
-            raise ConfigurationError(
-                f"commands go every {slowest * 1e3:g} ms, the drive stops after {watchdog_s * 1e3:g} ms without one: "
-                "at most half of that; raise cycle_Hz"
-            )
+        self._require_watchdog(cycle_s)
         channel = self._channel
         self._link.set_cycle(cycle_s, channel.label)
         channel.set_cycle(cycle_s)
@@ -230,6 +262,24 @@ class DbcServo(Servo):
             channel.fresh,
         )
 
+    def _require_watchdog(self, cycle_s: float) -> None:
+        slowest, watchdog_s = max(cycle_s, self._command_period_s), self._drive.watchdog_s
+        if watchdog_s is not None and slowest > watchdog_s / 2:
+            raise ConfigurationError(
+                f"commands go every {slowest * 1e3:g} ms, the drive stops after {watchdog_s * 1e3:g} ms without one: "
+                "at most half of that; raise cycle_Hz"
+            )
+
+    def _unasked(self, *names: str) -> list[float]:
+        """Return quantities in the next good frames that carry them; NaN where none comes without a command."""
+        slots = {name: self._reads[name][0] for name in names}
+        messages = {slot.message.name: slot for slot in slots.values()}
+        heard = {
+            message: self._link.await_frame(self._channel, slot, _patience_s(slot))
+            for message, slot in messages.items()
+        }
+        return [self._value(name) if heard[slot.message.name] else math.nan for name, slot in slots.items()]
+
     def _held(self) -> dict[str, float]:
         """Return the limits that the drive says it holds, as it says them next."""
         for message in sorted({limit.held.message for limit in self._wiring.limits.values()}):
@@ -282,16 +332,19 @@ class DbcServo(Servo):
         )
 
     def _stage(self, motor_rad: float) -> None:
-        try:
-            bits = self._wiring.target.bits(motor_rad)
-        except ValueError as error:
-            raise ConfigurationError(f"target {motor_rad:g} rad at the motor: {error}; check the scales") from error
+        bits = self._target_bits(motor_rad)
         channel = self._channel
         if channel.cycle != self._staged_in:
             self._previous = self._target
             self._staged_in = channel.cycle
         self._target = motor_rad
         channel.aim(bits)
+
+    def _target_bits(self, motor_rad: float) -> int:
+        try:
+            return self._wiring.target.bits(motor_rad)
+        except ValueError as error:
+            raise ConfigurationError(f"target {motor_rad:g} rad at the motor: {error}; check the scales") from error
 
     def _command(self, *orders: Images) -> None:
         for order in orders:

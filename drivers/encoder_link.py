@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from drivers.amt21 import Amt21Encoder
-from drivers.errors import LinkError
 from drivers.interfaces import Link, RawFrame
+from drivers.port_errors import close_all
 
 
 class EncoderLink(Link):
@@ -31,14 +31,13 @@ class EncoderLink(Link):
         self._servo_link.open()
         try:
             self._line.open()
-        except LinkError:
-            self._servo_link.close()
+        except BaseException:
+            close_all(self._servo_link.close)
             raise
 
     def close(self) -> None:
-        """Close both; safe to call twice and after a failure."""
-        self._line.close()
-        self._servo_link.close()
+        """Close both; safe to call twice and after a failure. Raises nothing."""
+        close_all(self._line.close, self._servo_link.close)
 
     def exchange(self) -> None:
         """Exchange with the servo while the encoder answers.

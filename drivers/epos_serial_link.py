@@ -8,20 +8,22 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-import canopen
-
 from drivers.can_timing import ANSWER_SHARE
 from drivers.clock import NS, Clock
+from drivers.eds_file import read_eds
 from drivers.epos_serial import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
 from drivers.epos_serial_node import IDENTITY, EposSerialNode, Guard
-from drivers.errors import ConfigurationError, LinkError
+from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Link, RawFrame
+from drivers.port_errors import close_all, words
 from drivers.serial_port import BytePort, raw_frames
 
 _FRAMES_KEPT: Final = 1 << 16
 _LINE: Final = 0
 _QUIET_NS: Final = 50_000_000
 _ATTEMPTS: Final = 3
+_LONGEST_WAIT_NS: Final = 50_000_000
+"""Longest time in one wait for bytes: the guard is fed in between."""
 _ACCEPTED: Final = ERROR.pack(0)
 _SUBINDICES: Final = (1, 2, 3, 4)
 
@@ -84,10 +86,7 @@ class EposSerialLink(Link):
         """
         if not 1 <= node_id <= 127 or node_id in self._nodes:
             raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
-        try:
-            dictionary = canopen.import_od(str(eds), node_id)
-        except (OSError, ValueError) as error:
-            raise ConfigurationError(f"EDS file {eds} of node {node_id} cannot be read: {error}") from error
+        dictionary = read_eds(eds, node_id)
         node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self)
         return node
 
@@ -101,18 +100,20 @@ class EposSerialLink(Link):
             return
         try:
             self._port = self._connect()
-        except (OSError, ValueError) as error:
+        except DeviceError:
+            raise
+        except Exception as error:
             raise LinkError(
-                f"{self._name} cannot be opened: {error}; check the port, the adapter and the rights to use it"
+                f"{self._name} cannot be opened: {words(error)}; check the port, the adapter and the rights to use it"
             ) from error
         self._in_step = False
         self._marks.clear()
 
     def close(self) -> None:
-        """Close the port; safe to call twice and after a failure."""
+        """Close the port; safe to call twice and after a failure. Raises nothing."""
         port, self._port = self._port, None
         if port is not None:
-            port.close()
+            close_all(port.close)
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
         """Set the cycle time, the same for all devices, and learn what to find the step by.
@@ -209,6 +210,9 @@ class EposSerialLink(Link):
                 if found[-1].data == wanted:
                     self._in_step = True
                     return True
+                # Of a line that never falls silent there is always more to read.
+                if self.clock.now_ns() >= deadline_ns:
+                    break
             return False
         while self._receive(self.clock.now_ns() + _QUIET_NS):
             if self.clock.now_ns() >= deadline_ns:
@@ -230,11 +234,13 @@ class EposSerialLink(Link):
 
     def _send(self, frame: bytes) -> None:
         port = self._opened()
+        if self.guard is not None:
+            self.guard.feed()
         self._decoder.clear()
         try:
             port.discard()
             port.write(frame)
-        except OSError as error:
+        except Exception as error:
             raise self._gone(error) from error
         self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
 
@@ -244,15 +250,17 @@ class EposSerialLink(Link):
         clock = self.clock
         while True:
             left = deadline_ns - clock.now_ns()
+            if self.guard is not None:
+                self.guard.feed()
             try:
-                data = port.read(max(left, 0) / NS)
-            except OSError as error:
+                data = port.read(min(max(left, 0), _LONGEST_WAIT_NS) / NS)
+            except Exception as error:
                 raise self._gone(error) from error
             if data:
                 self._frames.extend(raw_frames(clock.now_ns(), _LINE, data, False))
                 if found := self._decoder.feed(data):
                     return found
-            elif left <= 0:
+            if left <= 0:
                 return []
 
     def _opened(self) -> BytePort:
@@ -260,5 +268,5 @@ class EposSerialLink(Link):
             raise LinkError(f"{self._name} is not open: call open() first")
         return self._port
 
-    def _gone(self, error: OSError) -> LinkError:
-        return LinkError(f"{self._name} is gone: {error}; check the adapter and its cable")
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(f"{self._name} is gone: {words(error)}; check the adapter and its cable")

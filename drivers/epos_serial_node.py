@@ -27,6 +27,8 @@ CYCLE_READS: Final = 4
 _HOST_TIME: Final = (0x1013, 0)
 _POSITION: Final = (0x6064, 0)
 _CURRENT: Final = (0x6078, 0)
+_GUARD_FACTOR: Final = 2.0
+_GUARD_CYCLES: Final = 3
 _VALUE_BYTES: Final = 4
 _ANSWER_BYTES: Final = ERROR.size + _VALUE_BYTES
 _ACCEPTED: Final = ERROR.pack(0)
@@ -41,13 +43,21 @@ _REASONS: Final = {
 
 
 class Guard(Protocol):
-    """Whoever takes the power off when this program dies; the drive has no such watch of its own."""
+    """Whoever takes the power off when this program dies or hangs; the drive has no such watch of its own."""
 
-    def arm(self) -> None:
-        """Stand by from now on.
+    def arm(self, limit_s: float) -> None:
+        """Stand by from now on; act where nobody feeds for this long, s.
 
         Raises:
             LinkError: Nobody does.
+        """
+        ...
+
+    def feed(self) -> None:
+        """Show that the control loop is alive; called before every request. Cheap, and nothing unless armed.
+
+        Raises:
+            LinkError: It has taken over, or is gone: the line must not be used.
         """
         ...
 
@@ -128,6 +138,7 @@ class EposSerialNode:
     def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
         self.node_id = node_id
         self.cycle = line.cycle
+        self._cycle_s = 0.0
         self.monitored = False
         self.heard_ns = 0
         self._line = line
@@ -203,6 +214,10 @@ class EposSerialNode:
         """
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
 
+    def require_fit(self, index: int, subindex: int, value: int) -> None:
+        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`. Sends nothing."""
+        self._written(index, subindex, value)
+
     def insist(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object, sending it even while the line is out of step; raises as :meth:`write`."""
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True)
@@ -230,6 +245,12 @@ class EposSerialNode:
                 raise self._malformed(index, subindex, len(answer))
             toggle ^= TOGGLE
 
+    def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
+        """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`. Sends nothing."""
+        for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
+            if address != _HOST_TIME:
+                self._packing(*address)
+
     def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
         """Start the node, and list what every cycle writes and reads.
 
@@ -242,6 +263,7 @@ class EposSerialNode:
         """
         self.monitored = self._complete = False
         self._line.set_cycle(cycle_s, self.label)
+        self._cycle_s = cycle_s
         self._request(Opcode.SEND_NMT, NMT.pack(self.node_id, _START), 0, 0)
         self._outputs = {
             layout.number: tuple(_Output(self.node_id, address, self._packing(*address)) for address in layout.objects)
@@ -272,11 +294,15 @@ class EposSerialNode:
     def watch(self, limit_s: float) -> None:
         """Have the link's guard stand by; the protocol has no watch of its own, which :attr:`Link.has_watchdog` says.
 
+        Args:
+            limit_s: Asked for. A process on a computer is not as punctual as a drive: the guard acts after twice that,
+                and after no less than three cycles.
+
         Raises:
             LinkError: There should be a guard, and is none.
         """
         if self._line.guard is not None:
-            self._line.guard.arm()
+            self._line.guard.arm(max(_GUARD_FACTOR * limit_s, _GUARD_CYCLES * self._cycle_s))
 
     def unwatch(self) -> None:
         """Have the guard stand down."""

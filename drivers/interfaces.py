@@ -6,13 +6,15 @@ it. Angles, speeds and torques are at the joint, after the gear, unless the name
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
 from typing import NamedTuple
 
 from drivers.clock import Clock
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault
 
 
 class ServoState(Enum):
@@ -66,6 +68,34 @@ class ServoLimits:
     quick_stop_deceleration_rad_s2: float
 
 
+@dataclass(frozen=True)
+class LimitSteps:
+    """Resolution of the limits that a drive holds: one unit of each object, at the joint and in SI units.
+
+    Zero where the drive does not hold that limit itself, or holds it exactly.
+    """
+
+    angle_rad: float
+    speed_rad_s: float
+    torque_N_m: float
+    current_A: float
+    following_error_rad: float
+    quick_stop_deceleration_rad_s2: float
+
+
+class ServoReadings(NamedTuple):
+    """What a drive says of itself when it is asked value by value, outside of the exchange.
+
+    The values are not of one instant. NaN stands for a value that the drive does not give.
+    """
+
+    motor_angle_rad: float = math.nan
+    velocity_rad_s: float = math.nan
+    current_A: float = math.nan
+    supply_voltage_V: float = math.nan
+    temperature_C: float = math.nan
+
+
 class ServoSample(NamedTuple):
     """What the drive said about one cycle.
 
@@ -110,7 +140,7 @@ class RawFrame(NamedTuple):
 
 
 class Link(ABC):
-    """A bus or port with the devices on it, exchanged once a cycle.
+    """A bus or port with the devices on it, exchanged once a cycle. Its methods raise nothing but DeviceError.
 
     Attributes:
         clock: Real or simulated; goes with the bus.
@@ -130,7 +160,7 @@ class Link(ABC):
 
     @abstractmethod
     def close(self) -> None:
-        """Close the bus; safe to call twice and after a failure."""
+        """Close the bus; safe to call twice and after a failure. Raises nothing."""
 
     @abstractmethod
     def exchange(self) -> None:
@@ -150,7 +180,13 @@ class Link(ABC):
 
 
 class Servo(ABC):
-    """A position servo. Only :meth:`enable` ever moves it toward power."""
+    """A position servo. Only :meth:`enable` ever moves it toward power.
+
+    Attributes:
+        watch_s: The drive stops by itself when the control loop is silent for so long; None where it never does.
+    """
+
+    watch_s: float | None = None
 
     @abstractmethod
     def identity(self) -> Identity:
@@ -164,6 +200,14 @@ class Servo(ABC):
     def read_limits(self) -> ServoLimits:
         """Read back the limits the drive itself holds."""
 
+    def limit_steps(self) -> LimitSteps | None:
+        """Return the resolution of those limits; None where it is not known. Sends nothing."""
+        return None
+
+    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+        """Yield what :meth:`write_limits` would refuse before it writes. Sends nothing."""
+        yield from ()
+
     @abstractmethod
     def write_limits(self, limits: ServoLimits) -> None:
         """Write limits into the drive and verify them by reading back.
@@ -171,6 +215,26 @@ class Servo(ABC):
         Raises:
             ConfigurationError: The drive holds another value than the one written.
         """
+
+    def readings(self) -> ServoReadings:
+        """Ask the drive how it is, without preparing it. Writes nothing, and sends nothing but questions.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        return ServoReadings()
+
+    def fault(self) -> DriveFault:
+        """Read why the drive is in fault; only for one that is."""
+        return DriveFault(0, "the drive is in fault: see its display and manual, and remove the cause")
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield what :meth:`prepare` would refuse in a de-energised drive, as far as reading shows it. Writes nothing.
+
+        Raises:
+            LinkError: The drive cannot be reached.
+        """
+        yield from ()
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
@@ -236,6 +300,22 @@ class Encoder(ABC):
     def identity(self) -> Identity:
         """Read who it is."""
 
+    def reading(self) -> float:
+        """Ask for the joint angle, rad, without preparing the encoder; NaN where it gives none. Writes nothing.
+
+        Raises:
+            LinkError: The encoder cannot be reached.
+        """
+        return math.nan
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield what :meth:`prepare` would refuse, as far as reading shows it. Writes nothing.
+
+        Raises:
+            LinkError: The encoder cannot be reached.
+        """
+        yield from ()
+
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
         """Check resolution against the device and map process data."""
@@ -251,6 +331,22 @@ class PressureTransmitter(ABC):
     @abstractmethod
     def identity(self) -> Identity:
         """Read who it is."""
+
+    def reading(self) -> float:
+        """Ask for the pressure, Pa, without preparing the transmitter; NaN where it gives none. Writes nothing.
+
+        Raises:
+            LinkError: The transmitter cannot be reached.
+        """
+        return math.nan
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield what :meth:`prepare` would refuse, as far as reading shows it. Writes nothing.
+
+        Raises:
+            LinkError: The transmitter cannot be reached.
+        """
+        yield from ()
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:

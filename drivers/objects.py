@@ -5,14 +5,30 @@ A profile is written against these protocols, so that one profile runs over ever
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, ParamSpec, Protocol
 
+from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.interfaces import Identity
 
 ObjectAddress = tuple[int, int]
 """Index and subindex of an object."""
+IDENTITY: Final = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
+"""Vendor, product, revision and serial number."""
+P = ParamSpec("P")
+
+
+def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
+    """Yield the error with which a device or its description refuses something; nothing where it does not.
+
+    Raises:
+        LinkError: The device cannot be reached, which is no refusal.
+    """
+    try:
+        act(*args, **kwargs)
+    except (ConfigurationError, ObjectAccessError) as error:
+        yield error
 
 
 class ObjectAccess(Protocol):
@@ -33,6 +49,14 @@ class ObjectAccess(Protocol):
 
     def write(self, index: int, subindex: int, value: int) -> None:
         """Write an integer object; raises as :meth:`read`."""
+        ...
+
+    def require_fit(self, index: int, subindex: int, value: int) -> None:
+        """Check that an object is described and can hold a value. Sends nothing.
+
+        Raises:
+            ConfigurationError: It is not, or cannot.
+        """
         ...
 
 
@@ -78,6 +102,14 @@ class ProcessChannel(ObjectAccess, Protocol):
         """
         ...
 
+    def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
+        """Check that process data can be mapped as far as the device's description says. Sends nothing.
+
+        Raises:
+            ConfigurationError: An object is not described or is no integer, or too many travel together.
+        """
+        ...
+
     def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
         """Configure what is exchanged and how often, and start it. Energises nothing.
 
@@ -113,10 +145,10 @@ def read_identity(objects: ObjectAccess) -> Identity:
     """Read who the device is (1018h, 1008h, 1009h, 100Ah)."""
     return Identity(
         name=objects.read_text(0x1008),
-        vendor_id=objects.read(0x1018, 1),
-        product_code=objects.read(0x1018, 2),
-        revision=objects.read(0x1018, 3),
-        serial_number=objects.read(0x1018, 4),
+        vendor_id=objects.read(*IDENTITY[0]),
+        product_code=objects.read(*IDENTITY[1]),
+        revision=objects.read(*IDENTITY[2]),
+        serial_number=objects.read(*IDENTITY[3]),
         hardware_version=objects.read_text(0x1009),
         software_version=objects.read_text(0x100A),
     )

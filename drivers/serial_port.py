@@ -1,32 +1,43 @@
-"""How a link reaches a serial line: bytes out, bytes in, over pyserial or on a simulated line."""
+"""How a link reaches a serial line: bytes out, bytes in, on a real or a simulated line."""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
 import select
+import struct
 import termios
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 from typing import Final, Protocol
 
 import serial
 
+from drivers.clock import NS, RealClock
 from drivers.interfaces import RawFrame
+from drivers.port_errors import close_all, os_errors
 
 SERIAL_FLAG: Final = 0x10000000
 """Set in :attr:`RawFrame.identifier` for bytes of a serial line; the low bits are the line's number."""
+
+WRITE_LIMIT_S: Final = 0.1
+"""How long a line may take to accept what is written: some 30 bytes, for which drivers have room."""
+
 _FRAME_BYTES: Final = 8
 _CHUNK: Final = 4096
+_DRAIN_STEP_NS: Final = NS // 1000
 
 
 class BytePort(Protocol):
-    """An open serial line."""
+    """An open serial line. Its methods raise nothing but OSError, also after :meth:`close`."""
 
     def write(self, data: bytes) -> None:
         """Send bytes.
 
         Raises:
-            OSError: The line is gone.
+            OSError: The line is gone, or does not take the bytes within :data:`WRITE_LIMIT_S`.
         """
         ...
 
@@ -47,86 +58,142 @@ class BytePort(Protocol):
         ...
 
     def close(self) -> None:
-        """Close the line."""
+        """Close the line. Safe to call twice; raises nothing."""
         ...
 
 
-class PySerialPort:
-    """A serial port of the operating system, 8N1.
+class InheritedPort:
+    """A serial port that another program, or :class:`PySerialPort`, has opened and set up.
 
     Args:
-        path: Of the device.
-        baud: Bit/s.
+        descriptor: Its file descriptor; closed by :meth:`close`.
 
     Raises:
-        OSError: It cannot be opened.
-        ValueError: It does not take this rate.
-    """
-
-    def __init__(self, path: str, baud: int) -> None:
-        self._serial = serial.Serial(path, baud, timeout=0, exclusive=True)
-        # Cuts the 16 ms that FTDI adapters hold bytes back to some 6 ms; other ports do not have it.
-        with suppress(ValueError, OSError, AttributeError, NotImplementedError):
-            self._serial.set_low_latency_mode(True)
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-        self._serial.write(data)
-
-    def read(self, timeout_s: float) -> bytes:
-        """Return what has come in."""
-        ready, _, _ = select.select([self._serial], [], [], max(0.0, timeout_s))
-        return bytes(self._serial.read(self._serial.in_waiting or 1)) if ready else b""
-
-    def discard(self) -> None:
-        """Drop what has come in."""
-        self._serial.reset_input_buffer()
-
-    def fileno(self) -> int:
-        """Return its file descriptor."""
-        descriptor: int = self._serial.fileno()
-        return descriptor
-
-    def close(self) -> None:
-        """Close the port."""
-        self._serial.close()
-
-
-class InheritedPort:
-    """A serial port that another program opened and set up.
-
-    Args:
-        descriptor: Its file descriptor.
+        OSError: It is not open.
     """
 
     def __init__(self, descriptor: int) -> None:
+        # A write that has no room must return, or its time limit could not be held.
+        os.set_blocking(descriptor, False)
         self._descriptor = descriptor
+        self._clock = RealClock()
 
+    @os_errors
     def write(self, data: bytes) -> None:
-        """Send bytes."""
-        while data:
-            select.select([], [self._descriptor], [])
-            data = data[os.write(self._descriptor, data) :]
+        """Send bytes.
 
+        What the line has not taken in time is dropped: an old request must not go out when the line
+        moves again.
+
+        Raises:
+            OSError: The line is gone.
+            TimeoutError: It does not take the bytes within :data:`WRITE_LIMIT_S`.
+        """
+        descriptor = self.fileno()
+        deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
+        left = data
+        while True:
+            with suppress(BlockingIOError):
+                left = left[os.write(descriptor, left) :]
+            if not left:
+                return
+            wait_ns = deadline - self._clock.now_ns()
+            if wait_ns <= 0 or not select.select([], [descriptor], [], wait_ns / NS)[1]:
+                termios.tcflush(descriptor, termios.TCOFLUSH)
+                taken = len(data) - len(left)
+                raise TimeoutError(f"the line took {taken} of {len(data)} bytes within {WRITE_LIMIT_S:g} s")
+
+    @os_errors
     def read(self, timeout_s: float) -> bytes:
-        """Return what has come in."""
-        ready, _, _ = select.select([self._descriptor], [], [], max(0.0, timeout_s))
-        return os.read(self._descriptor, _CHUNK) if ready else b""
+        """Return what has come in.
 
+        Raises:
+            OSError: The line is gone.
+        """
+        descriptor = self.fileno()
+        ready, _, _ = select.select([descriptor], [], [], max(0.0, timeout_s))
+        if not ready:
+            return b""
+        try:
+            data = os.read(descriptor, _CHUNK)
+        except BlockingIOError:
+            return b""
+        if not data:
+            # An unplugged adapter reports this for ever, at once and without an error.
+            raise OSError("the line is hung up (adapter unplugged), or another program reads it too")
+        return data
+
+    @os_errors
     def discard(self) -> None:
         """Drop what has come in.
 
         Raises:
             OSError: The line is gone.
         """
-        try:
-            termios.tcflush(self._descriptor, termios.TCIFLUSH)
-        except termios.error as error:
-            raise OSError(*error.args) from error
+        termios.tcflush(self.fileno(), termios.TCIFLUSH)
+
+    def fileno(self) -> int:
+        """Return its file descriptor.
+
+        Raises:
+            OSError: The port is closed.
+        """
+        if self._descriptor < 0:
+            raise OSError("the port is closed")
+        return self._descriptor
 
     def close(self) -> None:
-        """Close it."""
-        os.close(self._descriptor)
+        """Close the port; safe to call twice, raises nothing."""
+        descriptor, self._descriptor = self._descriptor, -1
+        if descriptor >= 0:
+            close_all(partial(self._drain, descriptor), partial(os.close, descriptor))
+
+    def _drain(self, descriptor: int) -> None:
+        """Let what was written go out, then drop the rest.
+
+        The kernel waits up to 30 s for it when a line that takes nothing is closed.
+        """
+        deadline = self._clock.now_ns() + round(WRITE_LIMIT_S * NS)
+        while struct.unpack("i", fcntl.ioctl(descriptor, termios.TIOCOUTQ, bytes(4)))[0]:
+            if self._clock.now_ns() >= deadline:
+                termios.tcflush(descriptor, termios.TCOFLUSH)
+                return
+            self._clock.sleep_until_ns(self._clock.now_ns() + _DRAIN_STEP_NS)
+
+
+class PySerialPort(InheritedPort):
+    """A serial port of the operating system, 8N1, held by this program alone.
+
+    pyserial opens it and sets it up. Reading and writing go by the file descriptor: pyserial raises
+    exceptions of many types on a port that has vanished, and its write with a time limit waits for
+    room even after the last byte.
+
+    Args:
+        path: Of the device.
+        baud: Bit/s.
+        rtscts: Hardware flow control.
+
+    Raises:
+        OSError: It cannot be opened, does not take this rate, or another program holds it.
+    """
+
+    @os_errors
+    def __init__(self, path: str, baud: int, rtscts: bool = False) -> None:
+        try:
+            port = serial.Serial(path, baud, timeout=0, exclusive=True, rtscts=rtscts)
+        except OSError as error:
+            if error.errno != errno.EAGAIN:
+                raise
+            raise OSError(f"{path} is held by another program") from error
+        try:
+            # Cuts the 16 ms that FTDI adapters hold bytes back to some 6 ms; other ports do not
+            # have it.
+            with suppress(ValueError, OSError, AttributeError, NotImplementedError):
+                port.set_low_latency_mode(True)
+            # The lock goes with the open file, not with the descriptor.
+            super().__init__(os.dup(port.fileno()))
+        finally:
+            port.close()
 
 
 def raw_frames(time_ns: int, line: int, data: bytes, sent: bool) -> Iterator[RawFrame]:

@@ -6,7 +6,7 @@ import math
 from typing import Final
 
 from drivers.errors import ConfigurationError
-from drivers.interfaces import ServoLimits
+from drivers.interfaces import LimitSteps, ServoLimits
 from drivers.objects import ObjectAccess, ObjectAddress
 from drivers.units import ServoScales
 
@@ -19,6 +19,11 @@ FOLLOWING_WINDOW: Final = (0x6065, 0)
 QUICK_STOP_OPTION: Final = (0x605A, 0)
 QUICK_STOP_DECELERATION: Final = (0x6085, 0)
 WINDOW_OFF: Final = 0xFFFFFFFF
+OBJECTS: Final = (
+    *(POSITION_MIN, POSITION_MAX, MAX_SPEED, MAX_TORQUE, MAX_CURRENT),
+    *(FOLLOWING_WINDOW, QUICK_STOP_OPTION, QUICK_STOP_DECELERATION),
+)
+"""All of them."""
 
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
@@ -58,6 +63,12 @@ def decode(values: dict[ObjectAddress, int], scales: ServoScales) -> ServoLimits
     )
 
 
+def steps(scales: ServoScales) -> LimitSteps:
+    """Return one unit of each object, at the joint."""
+    count, speed = abs(scales.joint_rad_per_count), scales.joint_speed_unit_rad_s
+    return LimitSteps(count, speed, scales.joint_torque_unit_N_m, scales.current_unit_A, count, speed)
+
+
 def _whole(units: float) -> int:
     # The margin keeps a value that came from whole units at them.
     return math.floor(units + 1e-6)
@@ -65,11 +76,7 @@ def _whole(units: float) -> int:
 
 def read(drive: ObjectAccess, scales: ServoScales) -> ServoLimits:
     """Read the limits a drive holds."""
-    addresses = (
-        *(POSITION_MIN, POSITION_MAX, MAX_SPEED, MAX_TORQUE, MAX_CURRENT),
-        *(FOLLOWING_WINDOW, QUICK_STOP_OPTION, QUICK_STOP_DECELERATION),
-    )
-    return decode({address: drive.read(*address) for address in addresses}, scales)
+    return decode({address: drive.read(*address) for address in OBJECTS}, scales)
 
 
 def write(drive: ObjectAccess, scales: ServoScales, limits: ServoLimits) -> None:

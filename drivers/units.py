@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final
 
-from drivers.errors import ConfigurationError, ObjectAccessError
+from drivers.errors import ConfigurationError, DeviceError, ObjectAccessError
 from drivers.objects import ObjectAccess, ObjectAddress
 
+RATED: Final = ((0x6075, 0), (0x6076, 0))
+"""Rated current and rated torque, mA and mN m."""
 _NO_OBJECT: Final = 0x06020000
 _TOLERANCE: Final = 1e-3
+_MILLI: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -92,26 +96,47 @@ class ServoScales:
         """Return the motor position of a joint angle, to the nearest count."""
         return round((joint_angle_rad - self.offset_rad) / self.joint_rad_per_count)
 
-    def check(self, drive: ObjectAccess) -> None:
-        """Hold the scales against what the drive says of itself (6075h, 6076h and, where it has one, 608Fh).
+    def mismatches(self, drive: ObjectAccess) -> Iterator[DeviceError]:
+        """Yield where the scales differ from what the drive says of itself: 6075h, 6076h and, if it has one, 608Fh.
+
+        Values are the same within 0.1 % or within one unit of the object, which a drive may round either way. An
+        object that the drive refuses is yielded as well.
 
         Raises:
-            ConfigurationError: They differ by more than 0.1 %.
+            LinkError: No answer.
         """
-        _compare("rated current, 6075h", drive.read(0x6075) * 1e-3, self.rated_current_A, "A")
-        _compare("rated torque, 6076h", drive.read(0x6076) * 1e-3, self.rated_torque_N_m, "N m", resolution=0.5e-3)
-        try:
-            counts = drive.read(0x608F, 1) / drive.read(0x608F, 2)
-        except ObjectAccessError as error:
-            if error.code != _NO_OBJECT:
-                raise
-            return
-        _compare("encoder resolution, 608Fh", counts, self.counts_per_turn, "counts per motor turn")
+        current, torque = RATED
+        for what, address, bench, unit in (
+            ("rated current, 6075h", current, self.rated_current_A, "A"),
+            ("rated torque, 6076h", torque, self.rated_torque_N_m, "N m"),
+        ):
+            yield from _compare(what, partial(_milli, drive, address), bench, unit, resolution=_MILLI)
+        what, unit = "encoder resolution, 608Fh", "counts per motor turn"
+        for error in _compare(what, lambda: _resolution(drive), self.counts_per_turn, unit):
+            if not isinstance(error, ObjectAccessError) or error.code != _NO_OBJECT:
+                yield error
 
 
-def _compare(what: str, device: float, bench: float, unit: str, resolution: float = 0.0) -> None:
-    if abs(device - bench) > max(_TOLERANCE * abs(bench), resolution):
-        raise ConfigurationError(
+def _milli(drive: ObjectAccess, address: ObjectAddress) -> float:
+    return drive.read(*address) * _MILLI
+
+
+def _resolution(drive: ObjectAccess) -> float:
+    increments, turns = drive.read(0x608F, 1), drive.read(0x608F, 2)
+    return increments / turns if turns else math.inf
+
+
+def _compare(
+    what: str, read: Callable[[], float], bench: float, unit: str, resolution: float = 0.0
+) -> Iterator[DeviceError]:
+    try:
+        device = read()
+    except (ConfigurationError, ObjectAccessError) as error:
+        yield error
+        return
+    # The margin keeps a difference of one whole unit at one unit.
+    if abs(device - bench) > max(_TOLERANCE * abs(bench), resolution * (1.0 + 1e-6)):
+        yield ConfigurationError(
             f"{what}: the drive says {device:g} {unit}, the bench file {bench:g} {unit}; "
             "correct the bench file, or check that this is the right drive"
         )

@@ -156,6 +156,7 @@ class Recording:
         source: File the samples came from.
         sha256: Of that file.
         notes: Every correction made on reading, in words.
+        partial: Whether its run stopped before its command was at an end.
     """
 
     name: str
@@ -170,6 +171,7 @@ class Recording:
     source: str = ""
     sha256: str = ""
     notes: tuple[str, ...] = ()
+    partial: bool = False
 
     def __post_init__(self) -> None:
         """Check shapes, names and time.

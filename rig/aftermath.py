@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import shlex
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
-import click
-
-from rig.cli import BAD_VERDICT, DEVICE_FAILED, DONE, STOPPED
+from rig.cli import BAD_VERDICT, CRASHED, DEVICE_FAILED, DONE, STOPPED
+from rig.crash import note_drive
+from rig.errors import StorageError
+from rig.go_on import go_on_words
 from rig.label_check import comparable, off_label
+from rig.output import complain, reader_gone
 from rig.places import write_asked
 from rig.reference import Reference
 from rig.run import RunFolder, load_run
 from rig.run_record import RunRecord
 from rig.run_report import write_run_report
+from rig.screen import Screen
 from rig.sequencer import Ending, Outcome
 from rig.tables import table
 from rig.timing import summary
@@ -24,26 +29,40 @@ STATUS: Mapping[Ending, int] = {
     Ending.TRIPPED: BAD_VERDICT,
     Ending.STOPPED: STOPPED,
     Ending.FAILED: DEVICE_FAILED,
+    Ending.CRASHED: CRASHED,
 }
 
 
-def conclude(folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None) -> int:
-    """Check the labels, write the page of the run, tell the operator, and return the exit status.
+def conclude(
+    folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None, screen: Screen
+) -> int:
+    """Check the labels, tell the operator the rest, write the page of the run, and return the exit status.
+
+    How the run ended was shown and written down before; nothing here can hide it. What the operator must know is told
+    before the page is drawn, which may take its time and may fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.
+        BaseException: What nobody foresaw during the run.
     """
     record = folder.record
     wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
-    try:
-        if wrong:
+    if wrong:
+        with suppress(StorageError):  # The warnings are told all the same, and the run has ended.
             folder.save()
-        write_run_report(folder.path, record)
-    except OSError as error:
-        click.echo(f"{folder.path}: the page of the run cannot be written: {error.strerror}", err=True)
-    _tell(folder, outcome)
+    _tell(folder, screen)
+    screen.drain()
+    write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
+    screen.drain()
     write_asked(json_file, dataclasses.asdict(record))
-    return BAD_VERDICT if wrong else STATUS[outcome.ending]
+    if outcome.error is not None:
+        note_drive(outcome.error, outcome.safe.message)
+        raise outcome.error
+    status = BAD_VERDICT if wrong else STATUS[outcome.ending]
+    if status == DONE and screen.trouble is not None and not reader_gone(screen.trouble, terminal=screen.terminal):
+        complain(f"storage error: the output cannot be written: {screen.trouble.strerror}")
+        return DEVICE_FAILED
+    return status
 
 
 def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
@@ -66,13 +85,24 @@ def _worth_reading(record: RunRecord) -> bool:
     return len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
 
 
-def _tell(folder: RunFolder, outcome: Outcome) -> None:
+def _tell(folder: RunFolder, screen: Screen) -> None:
     record = folder.record
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
-    click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
+    screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
     part = record.parts[-1]
-    click.echo(f"{part.cycles} cycles; recorded in {folder.recording}")
-    click.echo(summary(part.timing))
+    screen.say(f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False)
     for warning in record.warnings:
-        click.echo(f"warning: {warning}", err=True)
-    click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
+        screen.say(f"warning: {warning}")
+    if words := go_on_words(record, folder.path):
+        screen.say(words)
+
+
+def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
+    """Write the page of a run and say where it is; where it cannot be written, say that. Never raises."""
+    try:
+        say(f"page: {write_run_report(folder, record)}", True)
+    except OSError as error:
+        say(f"{folder}: the page of the run cannot be written: {error.strerror}", False)
+    except KeyboardInterrupt:
+        again = f"rig recover {shlex.quote(str(folder))}"
+        say(f"{folder}: the page of the run is not finished; `{again}` writes it", False)

@@ -174,9 +174,13 @@ class Calibration(Schema):
 class Bench(Schema):
     """One bench, as written in its file.
 
-    ``overdue_calibration`` says what a run does where the day of a calibration has passed, ``prompt_timeout_s`` how
-    long an answer of the operator is waited for; null is for ever. ``weights_kg`` are the masses that can be hung
-    on the lever; a planned experiment chooses from them. ``pressure`` and ``gas_generator`` are for hot firings.
+    ``overdue_calibration`` says what a run does where the day of a calibration has passed,
+    ``prompt_timeout_s`` how long an answer of the operator is waited for; null is for ever.
+    ``weights_kg`` are the masses that can be hung on the lever; a planned experiment chooses from
+    them. ``weight_tolerance`` is the share of the planned mass by which the one that the operator
+    types may differ. ``weights_hung_by: hoist`` says that a machine hangs the weights and that what
+    it hung is certain, so that ``--yes`` may answer the prompts of a real bench. ``pressure`` and
+    ``gas_generator`` are for hot firings.
     """
 
     bench: Literal[1]
@@ -198,6 +202,8 @@ class Bench(Schema):
     cycle_Hz: Annotated[float, Field(gt=0, le=4000)] = 1000.0
     limits: LimitsSection
     weights_kg: tuple[Positive, ...] = ()
+    weight_tolerance: Annotated[float, Field(gt=0, le=0.05)] = 0.005
+    weights_hung_by: Literal["operator", "hoist"] = "operator"
     calibrations: tuple[Calibration, ...] = ()
     overdue_calibration: Literal["warn", "refuse"] = "warn"
     prompt_timeout_s: Positive | None = None
@@ -290,6 +296,8 @@ class Bench(Schema):
     @property
     def watched(self) -> bool:
         """Whether the drive stops by itself when the control loop does."""
+        if isinstance(self.servo, DbcServoSection):
+            return self.servo.watchdog_ms is not None
         return not isinstance(self.bus, SerialBus)
 
     @property
@@ -334,7 +342,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
         document.require((("bus", "baud"), text) for text in overload(bench.bus, bench.cycle_s))
     elif bench.bus is not None:
         document.require((("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench))
-    return document if bench.watched else dataclasses.replace(document, value=_cut(bench))
+    return in_force(document)
 
 
 def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
@@ -349,11 +357,15 @@ def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...]
         yield ("motor", "rotor_inertia_kg_m2"), light
 
 
-def _cut(bench: Bench) -> Bench:
-    """Return a bench with the limits that are in force where nothing but this program watches the drive."""
+def in_force(document: Document[Bench]) -> Document[Bench]:
+    """Return a bench with the limits in force: cut, where nothing but this program watches the drive."""
+    bench = document.value
+    if bench.watched:
+        return document
     names = ("torque_N_m", "current_A", "speed_deg_s")
     cut = {name: UNWATCHED_SHARE * getattr(bench.limits, name) for name in names}
-    return bench.model_copy(update={"limits": bench.limits.model_copy(update=cut)})
+    limits = bench.limits.model_copy(update=cut)
+    return dataclasses.replace(document, value=bench.model_copy(update={"limits": limits}))
 
 
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:

@@ -8,7 +8,6 @@ from typing import Any
 
 from rig.bench import Bench
 from rig.configuration import Document
-from rig.errors import InputError
 
 
 def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
@@ -23,16 +22,15 @@ def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
     return [f"calibration {c['id']} of {c['device']} was due on {c['due']}" for c in records if c["overdue"]]
 
 
-def require_current(document: Document[Bench], today: date) -> None:
-    """Refuse overdue calibrations where the bench file says so.
+def overdue_problems(document: Document[Bench], today: date) -> list[str]:
+    """Return the overdue calibrations that a run refuses, each with its place in the bench file.
 
-    Raises:
-        InputError: Names each of them, with its place in the bench file.
+    None where the bench file lets a run go on with them.
     """
     bench = document.value
     if bench.overdue_calibration != "refuse":
-        return
-    problems = [
+        return []
+    return [
         document.problem(
             ("calibrations", index, "due"),
             f"calibration {item.id} of {item.device} is overdue since then, and overdue_calibration is `refuse`; "
@@ -41,5 +39,3 @@ def require_current(document: Document[Bench], today: date) -> None:
         for index, item in enumerate(bench.calibrations)
         if item.due < today
     ]
-    if problems:
-        raise InputError(problems)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
@@ -27,6 +27,8 @@ from rig.cycle import Devices
 from rig.dbc import DbcServoSection, dbc_path, wire
 from rig.errors import InputError
 from rig.guard import Guard
+from rig.locks import hold_bench
+from rig.resources import resources
 from rig.serial_bus import Amt21Section, SerialBus, amt21_encoder, epos_link
 
 _EDS = Path(drivers.mock.__file__).parent
@@ -37,9 +39,7 @@ _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER
 
 _ENCODER_NODES = (2, 3)
 """Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
-_OPTIONS: Mapping[str, Mapping[str, object]] = {"slcan": {"timeout": 1e-4}}
-"""Of python-can's interfaces: by itself slcan waits a millisecond wherever nothing has come in."""
-
+NO_BUS = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
@@ -48,9 +48,16 @@ Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
 
 @contextmanager
 def connect(
-    document: Document[Bench], seed: int, realtime: bool, attach: Attach | None = None, torque_offset: bool = False
+    document: Document[Bench],
+    seed: int,
+    realtime: bool,
+    attach: Attach | None = None,
+    torque_offset: bool = False,
+    purpose: str = "rig",
 ) -> Iterator[Devices]:
     """Open a bench's bus with its devices on it, and close it at the end. Nothing moves.
+
+    A real bench is locked from before its bus is opened until after it is closed.
 
     Args:
         document: The bench.
@@ -59,15 +66,17 @@ def connect(
         attach: Tampers with a simulated bench.
         torque_offset: Map the torque offset of a CANopen drive (60B2h); see
             :func:`rig.feedforward.require_torque_offset`.
+        purpose: The command that connects, as whoever finds the bench in use is told.
 
     Raises:
         InputError: The bench has no bus, or a real device has no EDS file.
+        InUseError: Another program uses it, or a part of it.
+        StorageError: It cannot be locked.
         DeviceError: The bus cannot be opened, or the bench file contradicts itself on the wire.
     """
     bench = document.value
     if bench.bus is None:
-        text = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
-        raise InputError(document.problem(("bus",), text))
+        raise InputError(document.problem(("bus",), NO_BUS))
     twin: SimulatedBench | None = None
     hang: Hang | None
     link: Link
@@ -81,28 +90,31 @@ def connect(
     else:
         link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
-        drive = link.add_node(bench.servo.node, _eds(document, "servo"))
+        drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         scales = servo_scales(bench.servo, bench.machine.gear_ratio)
         servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
-        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, _eds(document, "pressure")))
+        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, eds_path(document, "pressure")))
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
         link = EncoderLink(link, amt21)
     elif isinstance(link, CanopenLink):
-        node = link.add_node(bench.encoder.node, _eds(document, "encoder"))
+        node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     ignite = None if twin is None or pressure is None else twin.machine.ignite
-    link.open()
-    try:
-        pacer = RealClock() if realtime and bench.simulated else None
-        yield Devices(link, servo, encoder, hang, pacer, guard=guard, pressure=pressure, ignite=ignite)
-    finally:
-        link.close()
+    with hold_bench(bench.name, resources(bench), purpose) as lock:
         if guard is not None:
-            guard.close()
+            guard.keep(lock.descriptors)
+        link.open()
+        try:
+            pacer = RealClock() if realtime and bench.simulated else None
+            yield Devices(link, servo, encoder, hang, pacer, guard=guard, pressure=pressure, ignite=ignite, lock=lock)
+        finally:
+            link.close()
+            if guard is not None:
+                guard.close()
 
 
 def _epos(
@@ -112,7 +124,7 @@ def _epos(
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
-    eds, node = _eds(document, "servo"), bench.servo.node
+    eds, node = eds_path(document, "servo"), bench.servo.node
     scales = servo_scales(bench.servo, bench.machine.gear_ratio)
     guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
     link = epos_link(bus, twin, clock, guard)
@@ -142,9 +154,7 @@ def _link(
     twin, clock = _twin(bench, servo, bus.bitrate, seed, attach)
     if twin is not None:
         return CanopenLink(clock, lambda: twin.bus, name="simulated bus"), twin
-    return CanopenLink.on_interface(
-        clock, bus.interface, bus.channel or "", bus.bitrate, _OPTIONS.get(bus.interface)
-    ), None
+    return CanopenLink.on_interface(clock, bus.interface, bus.channel or "", bus.bitrate), None
 
 
 def _dbc_servo(
@@ -176,16 +186,20 @@ def device_files(document: Document[Bench]) -> dict[str, Path]:
     if isinstance(bench.servo, DbcServoSection):
         found["servo.dbc"] = dbc_path(bench.servo, document.path)
     else:
-        found["servo.eds"] = _eds(document, "servo")
+        found["servo.eds"] = eds_path(document, "servo")
     if isinstance(bench.encoder, EncoderSection):
-        found["encoder.eds"] = _eds(document, "encoder")
+        found["encoder.eds"] = eds_path(document, "encoder")
     if bench.pressure is not None:
-        found["pressure.eds"] = _eds(document, "pressure")
+        found["pressure.eds"] = eds_path(document, "pressure")
     return found
 
 
-def _eds(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
-    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs."""
+def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
+    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs.
+
+    Raises:
+        InputError: A real device has none.
+    """
     bench = document.value
     named: str | None = getattr(bench, section).eds
     if named is not None:

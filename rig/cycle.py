@@ -10,11 +10,13 @@ from typing import Protocol
 
 from drivers.clock import NS, Clock
 from drivers.interfaces import Encoder, Link, PressureTransmitter, RawFrame, Servo
+from rig.errors import StorageError
 from rig.guard import Guard
-from rig.operator import StopButton
+from rig.locks import Lock
 from rig.phases import Phase
 from rig.safety import Latch, Limits, Trip, check_stage_time
 from rig.sample import Sample
+from rig.stop_button import StopButton
 from rig.timing import Timing
 
 PROGRESS_CYCLES = 100
@@ -34,6 +36,7 @@ class Devices:
         pressure: The transmitter on the gas generator's chamber; None where there is none.
         ignite: Lights a simulated gas generator; None where a person does.
         guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
+        lock: What keeps other programs from the bench; None where nobody has to be kept from it.
     """
 
     link: Link
@@ -45,6 +48,7 @@ class Devices:
     guard: Guard | None = None
     pressure: PressureTransmitter | None = None
     ignite: Callable[[], None] | None = None
+    lock: Lock | None = None
 
     def prepare(self, cycle_s: float) -> None:
         """Check every device against the bench file and map its process data. No power.
@@ -69,7 +73,7 @@ class SampleSink(Protocol):
         """Keep one cycle.
 
         Raises:
-            OSError: It cannot be kept.
+            StorageError: It cannot be kept.
         """
         ...
 
@@ -209,7 +213,7 @@ class Cycle:
             TripError: A sample broke a limit.
             OperatorStopError: The stop button was pressed.
             DeviceError: A device or the bus failed.
-            OSError: The recording cannot be written.
+            StorageError: The recording cannot be written.
         """
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
@@ -245,7 +249,7 @@ class Cycle:
         """
         self._next_ns = max(self._next_ns, self._clock.now_ns())
         # A recording that cannot be written is no reason to leave the drive alone while it brakes.
-        with suppress(OSError):
+        with suppress(StorageError):
             self._exchange(self._target, 0)
 
     def _check_time(self, deadline_ns: int) -> None:
@@ -259,14 +263,12 @@ class Cycle:
         link, clock = self._link, self._clock
         self._target = target
         begin_ns = self._next_ns
-        if self._pacer is not None:
-            self._pace(self._pacer, begin_ns)
+        paced_late_ns = 0 if self._pacer is None else self._pace(self._pacer, begin_ns)
         clock.sleep_until_ns(begin_ns)
         late_ns = clock.now_ns() - begin_ns
         timing = self.timing
-        if self._pacer is None:
-            timing.lateness.note(late_ns)
-        self._late_s = late_ns * 1e-9
+        timing.lateness.note(max(late_ns, paced_late_ns))
+        self._late_s = max(late_ns, paced_late_ns) * 1e-9
         if late_ns > self._period_ns:
             self._overrun(late_ns)
             begin_ns += late_ns
@@ -308,15 +310,18 @@ class Cycle:
         self._recorder.sample(time_ns, sample, link.take_frames())
         return sample
 
-    def _pace(self, pacer: Clock, begin_ns: int) -> None:
-        """Hold simulated time back to real time. The simulated bench cannot be late; lateness is this computer's."""
+    def _pace(self, pacer: Clock, begin_ns: int) -> int:
+        """Hold simulated time back to real time; returns how late this computer is, ns.
+
+        The simulated bench cannot be late itself. It is judged by this computer's lateness as a real one would be.
+        """
         due_ns = begin_ns + self._pacer_offset_ns
         pacer.sleep_until_ns(due_ns)
         late_ns = pacer.now_ns() - due_ns
-        self.timing.lateness.note(late_ns)
         if late_ns > self._period_ns:
             self._overrun(late_ns)
             self._pacer_offset_ns += late_ns
+        return late_ns
 
     def _overrun(self, late_ns: int) -> None:
         self.overruns += 1

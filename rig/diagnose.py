@@ -21,6 +21,7 @@ from identification.recording import Dataset, RecordingError
 from rig.diagnose_record import diagnosis_record, effects_record
 from rig.errors import InputError
 from rig.model_file import model_of
+from rig.partial import partial_names, partial_warnings, without_partial
 from rig.results import Provenance
 from rig.run_record import RUN_FILE
 from rig.sources import load_source
@@ -54,6 +55,7 @@ def diagnose_source(
     refine: bool | None = False,
     gas: bool = False,
     onlooker: Callable[[Joint], None] | None = None,
+    partial: bool = False,
 ) -> Outcome:
     """Diagnose a run folder or campaign file.
 
@@ -67,6 +69,7 @@ def diagnose_source(
             are.
         gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
         onlooker: Shown the nominal model's fit before anything is sought; not of a gas generator.
+        partial: Whether to take the unfinished excitations of a run as well; the result warns of them.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -74,7 +77,7 @@ def diagnose_source(
     started = time.perf_counter()
     if progress is not None:
         progress("reading", 0.0)
-    dataset = load_source(source)
+    dataset = load_source(source, partial=partial)
     described_by = source / RUN_FILE if source.is_dir() else source
     try:
         rng = np.random.default_rng(seed)
@@ -90,9 +93,11 @@ def diagnose_source(
                 progress("refining", 0.95)
             found = _refined_if_possible(dataset, found)
     except RecordingError as error:
-        raise InputError(f"{source}: {error}") from error
+        raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
     seconds = time.perf_counter() - started
-    found = dataclasses.replace(settled(found), seconds=seconds)
+    found = settled(found)
+    warnings = (*found.warnings, *partial_warnings(dataset))
+    found = dataclasses.replace(found, seconds=seconds, warnings=warnings)
     return Outcome(dataset, found, Provenance.of(seed, dataset.recordings, seconds, described_by))
 
 
@@ -169,5 +174,6 @@ def as_json(outcome: Outcome) -> dict[str, Any]:
     """Return the record of ``rig diagnose --json``."""
     record = diagnosis_record(outcome.diagnosis, outcome.provenance)
     record["motion"] = outcome.dataset.recordings[0].bench.motion
+    record["partial"] = partial_names(outcome.dataset)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
     return record

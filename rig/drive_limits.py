@@ -6,10 +6,12 @@ import math
 from dataclasses import dataclass
 
 from drivers.errors import ConfigurationError
-from drivers.interfaces import ServoLimits
+from drivers.interfaces import LimitSteps, ServoLimits
 
 ROUNDING = 1e-3
-"""A drive holds its limits in units of its own; a thousandth is the coarsest that is taken for the same limit."""
+"""Share of a limit by which two may differ and be the same: bench files state limits to three or four digits."""
+_WHOLE_STEP = 1.0 + 1e-6
+"""Steps by which two limits may differ and be the same: one, with a margin for rounding of floating-point numbers."""
 _STAYING = frozenset({5, 6, 7, 8})
 """Options of 605Ah that leave the drive in QUICK STOP ACTIVE, with power, after the ramp."""
 
@@ -38,49 +40,63 @@ class Row:
 
 
 _ROWS = (
-    ("joint angle, lower end", "607Dh:01h", "angle_min_rad", "rad"),
-    ("joint angle, upper end", "607Dh:02h", "angle_max_rad", "rad"),
-    ("joint speed", "607Fh", "speed_rad_s", "rad/s"),
-    ("joint torque", "6072h", "torque_N_m", "N m"),
-    ("motor current", "6073h", "current_A", "A"),
-    ("following error", "6065h", "following_error_rad", "rad"),
-    ("quick stop option", "605Ah", "quick_stop_option", ""),
-    ("quick stop deceleration", "6085h", "quick_stop_deceleration_rad_s2", "rad/s^2"),
+    ("joint angle, lower end", "607Dh:01h", "angle_min_rad", "rad", "angle_rad"),
+    ("joint angle, upper end", "607Dh:02h", "angle_max_rad", "rad", "angle_rad"),
+    ("joint speed", "607Fh", "speed_rad_s", "rad/s", "speed_rad_s"),
+    ("joint torque", "6072h", "torque_N_m", "N m", "torque_N_m"),
+    ("motor current", "6073h", "current_A", "A", "current_A"),
+    ("following error", "6065h", "following_error_rad", "rad", "following_error_rad"),
+    ("quick stop option", "605Ah", "quick_stop_option", "", ""),
+    ("quick stop deceleration", "6085h", "quick_stop_deceleration_rad_s2", "rad/s^2", "quick_stop_deceleration_rad_s2"),
 )
+"""Name, objects, field, unit, and the field of :class:`~drivers.interfaces.LimitSteps` that holds its resolution."""
 _REACTIONS = frozenset({"quick_stop_option", "quick_stop_deceleration_rad_s2"})
 
 
-def compare(first: ServoLimits, second: ServoLimits) -> list[Row]:
-    """Return every limit of ``first`` beside that of ``second``, and whether it is looser."""
+def compare(first: ServoLimits, second: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
+    """Return every limit of ``first`` beside that of ``second``, and whether it is looser.
+
+    Two limits are the same within one step of the drive, or within :data:`ROUNDING` of them, whichever is more.
+
+    Args:
+        first: What is tested.
+        second: What it must not be looser than.
+        steps: Resolution of the drive that holds one of them; None where it is not known.
+    """
     return [
-        Row(name, objects, field, unit, a, b, _looser(field, a, b))
-        for name, objects, field, unit in _ROWS
+        Row(name, objects, field, unit, a, b, _looser(field, a, b, _step(steps, resolution)))
+        for name, objects, field, unit, resolution in _ROWS
         for a, b in [(getattr(first, field), getattr(second, field))]
     ]
 
 
-def loosened(wanted: ServoLimits, own: ServoLimits) -> list[Row]:
+def _step(steps: LimitSteps | None, resolution: str) -> float:
+    return float(getattr(steps, resolution)) if steps is not None and resolution else 0.0
+
+
+def loosened(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
     """Return the drive's own limits that ``wanted`` would loosen; see :func:`require_within_own`."""
     keeps_power = wanted.quick_stop_option in _STAYING and own.quick_stop_option not in _STAYING
     return [
         row
-        for row in compare(wanted, own)
+        for row in compare(wanted, own, steps)
         if (row.looser and row.field not in _REACTIONS) or (keeps_power and row.field == "quick_stop_option")
     ]
 
 
-def require_within_own(wanted: ServoLimits, own: ServoLimits) -> None:
+def require_within_own(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None) -> None:
     """Refuse to loosen what the drive was commissioned with.
 
     Args:
         wanted: What is about to be written.
         own: What the drive held when the bus was opened. Its quick stop option is compared as far as a drive that
             takes the power off after the ramp must not be told to keep it; its deceleration is a setting, not a limit.
+        steps: As for :func:`compare`.
 
     Raises:
         ConfigurationError: Lists every limit that would be looser.
     """
-    rows = loosened(wanted, own)
+    rows = loosened(wanted, own, steps)
     if rows:
         raise ConfigurationError(
             f"the bench file is looser than the drive's own limits: {_list(rows, 'bench file', 'drive')}; tighten the "
@@ -89,13 +105,18 @@ def require_within_own(wanted: ServoLimits, own: ServoLimits) -> None:
         )
 
 
-def require_held(held: ServoLimits, wanted: ServoLimits) -> None:
+def require_held(held: ServoLimits, wanted: ServoLimits, steps: LimitSteps | None = None) -> None:
     """Refuse to go on with a drive that holds something looser than what was written into it.
+
+    Args:
+        held: What the drive says it holds.
+        wanted: What was written.
+        steps: As for :func:`compare`.
 
     Raises:
         ConfigurationError: Lists every limit that is looser.
     """
-    rows = [row for row in compare(held, wanted) if row.looser]
+    rows = [row for row in compare(held, wanted, steps) if row.looser]
     if rows:
         raise ConfigurationError(
             f"the drive does not hold the limits written into it: {_list(rows, 'drive', 'wanted')}; it is not "
@@ -110,13 +131,13 @@ def _list(rows: list[Row], first: str, second: str) -> str:
     )
 
 
-def _looser(field: str, first: float | None, second: float | None) -> bool:
+def _looser(field: str, first: float | None, second: float | None, step: float) -> bool:
     """Written as "not tighter", so that a value that is not a number is looser."""
     if second is None:
         return False
     if first is None:
         return True
-    margin = ROUNDING * abs(second)
+    margin = max(ROUNDING * abs(second), _WHOLE_STEP * step)
     if field == "quick_stop_option":
         return first != second
     if field in ("angle_min_rad", "quick_stop_deceleration_rad_s2"):
@@ -125,12 +146,15 @@ def _looser(field: str, first: float | None, second: float | None) -> bool:
 
 
 def show(field: str, value: float | None) -> str:
-    """Return a limit as the bench file states it: degrees for angles, with its unit."""
+    """Return a limit as the bench file states it: degrees for angles, with its unit.
+
+    Four digits tell any two limits apart that are not the same.
+    """
     if value is None:
         return "off"
     if field == "quick_stop_option":
         return f"{value:g}"
-    unit = next(unit for _, _, name, unit in _ROWS if name == field)
+    unit = next(unit for _, _, name, unit, _ in _ROWS if name == field)
     if unit.startswith("rad"):
         return f"{math.degrees(value):.4g} {unit.replace('rad', 'deg')}"
     return f"{value:.4g} {unit}"

@@ -16,3 +16,11 @@ class InputError(Exception):
     def __init__(self, problems: str | Iterable[str]) -> None:
         self.problems: tuple[str, ...] = (problems,) if isinstance(problems, str) else tuple(problems)
         super().__init__("\n".join(self.problems))
+
+
+class StorageError(Exception):
+    """A recording, a run folder or a lock file cannot be written; the command line exits with status 4."""
+
+
+class InUseError(Exception):
+    """A bench or a run folder is held by another program; the command line exits with status 4."""

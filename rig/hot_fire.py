@@ -55,11 +55,18 @@ def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPl
 
 def expected_force(targets: Array, bench: Bench) -> float:
     """Return the greatest contact force over these joint angles, N, the pressure being steady at each."""
+    return float(np.max(steady_force(targets, bench), initial=0.0))
+
+
+def steady_force(targets: Array, bench: Bench) -> Array:
+    """Return the contact force at these joint angles, N, shape (n,), the pressure being steady at each.
+
+    Zero on a bench without gas generator.
+    """
     generator = believed(bench)
     if generator is None or not len(targets):
-        return 0.0
-    force = (_steady(targets, generator) - generator.p_c0) * impacted_area(targets, generator.valve)
-    return float(np.max(force))
+        return np.zeros(len(targets))
+    return np.asarray((_steady(targets, generator) - generator.p_c0) * impacted_area(targets, generator.valve))
 
 
 def _steady(targets: Array, generator: GasGenerator) -> Array:

@@ -21,6 +21,7 @@ from identification.estimate.transfer import Transfer, transfer
 from identification.recording import Dataset, RecordingError
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
+from rig.partial import partial_warnings, without_partial
 from rig.results import Provenance
 from rig.run_file import read_record
 from rig.run_record import FEEDFORWARD_INPUT, RUN_FILE
@@ -87,6 +88,7 @@ def identify_source(
     score: Path | None = None,
     profile: bool = False,
     draws: int = 0,
+    take_partial: bool = False,
 ) -> Outcome:
     """Identify a run folder or campaign file.
 
@@ -100,18 +102,20 @@ def identify_source(
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
         draws: Bootstrap draws of the default method, 0 for none.
+        take_partial: Whether to take the unfinished excitations of a run as well; the result warns of them.
 
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
     """
     started = time.perf_counter()
     progress("reading", 0.0)
-    dataset = load_source(source)
+    dataset = load_source(source, partial=take_partial)
     other = None if score is None else load_source(score)
     described_by = source / RUN_FILE if source.is_dir() else source
     off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
     if source.is_dir() and FEEDFORWARD_INPUT in read_record(source).inputs:
         off = (*off, _FED)
+    off = (*partial_warnings(dataset), *off)
     results = []
     for method in methods:
         begun = time.perf_counter()
@@ -126,7 +130,7 @@ def identify_source(
                 estimate = partial(identify_any_length, profile=profile, draws=draws)
             result = estimate(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
         except RecordingError as error:
-            raise InputError(f"{source}: {error}") from error
+            raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
         warnings = (*result.warnings, *off)
         results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings))
     rungs: tuple[Rung, ...] = ()

@@ -13,14 +13,14 @@ from rig.errors import InputError
 from rig.identify import Outcome
 from rig.ladder_output import ladder_notes, ladder_record, ladder_table
 from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_notes
+from rig.partial import partial_names
 from rig.places import write_json
 from rig.report import write_report
-from rig.results import identification_record
+from rig.results import RESULT_FILE, identification_record
 from rig.tables import number, percent, table
 from rig.transfer_output import transfer_notes, transfer_record, transfer_table
 from rig.uncertainty_output import uncertainty_notes, uncertainty_record, uncertainty_tables
 
-RESULT_FILE = "identify.json"
 _NUMBER = re.compile(r"\d[\d.e+-]*")
 
 
@@ -76,6 +76,7 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
     first = outcome.results[0]
     record = identification_record(first, outcome.provenance) | uncertainty_record(first)
     record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
+    record["partial"] = partial_names(outcome.dataset)
     if len(outcome.results) > 1:
         others = (identification_record(r, outcome.provenance) for r in outcome.results[1:])
         record["compared"] = list(others)

@@ -24,16 +24,18 @@ from rig.configuration import Document, nearest
 from rig.cycle import Devices, Progress
 from rig.errors import InputError
 from rig.faults import FaultRow, FaultSchedule, load_faults
-from rig.operator import Operator, OperatorStopError, StopButton, Verb, unanswered
+from rig.operator import Operator, Verb
 from rig.phases import Phase
 from rig.places import write_json
 from rig.plan import Plan
+from rig.prompt import unanswered
 from rig.recorder import Recorder
 from rig.run import RunFolder
 from rig.scene import Scene, impossible
 from rig.sequence import Sequence
 from rig.sequencer import Outcome
 from rig.session import Inputs, execute
+from rig.stop_button import OperatorStopError, StopButton
 from rig.tables import table
 
 SCHEMA = "loadrig.faults/1"
@@ -329,6 +331,10 @@ class _Unreliable:
     def tell(self, words: str) -> None:
         """Show it to the real one."""
         self._inner.tell(words)
+
+    def result(self, words: str, good: bool) -> None:
+        """Show it to the real one."""
+        self._inner.result(words, good)
 
 
 class _DyingFile(io.FileIO):

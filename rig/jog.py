@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from drivers.errors import DeviceError
-from drivers.interfaces import RawFrame, ServoState
+from drivers.interfaces import RawFrame, ServoLimits, ServoState
 from rig.bench import Bench
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
 from rig.errors import InputError
-from rig.operator import OperatorStopError, StopButton
 from rig.plan import bench_limits, servo_limits
 from rig.safety import Limits
 from rig.sample import Sample
 from rig.sequence import approach
 from rig.sequencer import Ending, Outcome
-from rig.teardown import give_back, make_safe
+from rig.stop_button import OperatorStopError, StopButton
+from rig.teardown import attempt_all, give_back, make_safe, words_of
 
 SPEED_MARGIN = 2.0
 """Limit on the speed over the speed that was asked for: room for breaking away."""
@@ -80,52 +81,79 @@ class _Discard:
 
 
 def move(
-    jog: Jog, bench: Bench, devices: Devices, stop: StopButton, progress: Progress, reset_fault: bool = False
+    jog: Jog,
+    bench: Bench,
+    devices: Devices,
+    stop: StopButton,
+    progress: Progress,
+    tell: Callable[[str, bool], None],
+    reset_fault: bool = False,
 ) -> Outcome:
-    """Make the moves and leave the drive de-energised, whatever happens.
+    """Make the moves and leave the drive de-energised, whatever happens. Never raises.
 
     The limits are written into the drive before each enabling, and its own back at the end. A fault that the drive is
-    in is cleared where ``reset_fault`` says so.
+    in is cleared where ``reset_fault`` says so. ``tell`` shows how it ended, and whether that is good, the moment it is
+    known; what nobody foresaw is the outcome's ``error``.
     """
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
-    servo, wanted = devices.servo, servo_limits(jog.limits, bench)
-    own, ending = None, None
-    try:
-        try:
-            if reset_fault and servo.state() is ServoState.FAULT:
-                servo.reset_fault()
-            devices.prepare(bench.cycle_s)
-            own = servo.read_limits()
-            require_within_own(wanted, own)
-            servo.write_limits(wanted)
-            require_held(servo.read_limits(), wanted)
-            here = _enable(cycle, devices, bench)
-            for angle in jog.angles:
-                _go(cycle, here, angle, jog.speed, bench.cycle_s)
-                here = angle
-            servo.disable()
-            ending, words = Ending.DONE, f"{len(jog.angles)} moves done"
-        except TripError as error:
-            ending, words = Ending.TRIPPED, str(error)
-        except (OperatorStopError, KeyboardInterrupt):
-            ending, words = Ending.STOPPED, "stopped by the operator"
-        except DeviceError as error:
-            ending, words = Ending.FAILED, str(error)
-    finally:
-        presses = stop.presses
-        safe = make_safe(
-            servo,
-            cycle.watch,
-            bench.cycle_ns,
-            brake=ending is not Ending.DONE,
-            hurry=lambda: stop.presses > presses,
-            watched=devices.link.has_watchdog,
-        )
-        if own is not None:
-            give_back(servo, own, safe)
+    servo = devices.servo
+    own: list[ServoLimits] = []
+    ending, words, error = _moves(jog, bench, devices, cycle, stop, reset_fault, own)
+    presses = stop.presses
+    safe = make_safe(
+        servo,
+        cycle.watch,
+        bench.cycle_ns,
+        brake=ending is not Ending.DONE,
+        hurry=lambda: stop.presses > presses,
+        watched=devices.link.has_watchdog,
+    )
     if ending is Ending.DONE and not safe.verified:
         ending = Ending.FAILED
-    return Outcome(ending, f"{words}; {safe.message}", safe)
+    words = f"{words}; {safe.message}"
+    unforeseen = [*safe.unforeseen, *attempt_all(lambda: tell(f"{ending.value}: {words}", ending is Ending.DONE))]
+    if own:
+        unforeseen += give_back(servo, own[0], safe)
+    if unforeseen:
+        ending, error = Ending.CRASHED, error or unforeseen[0]
+    return Outcome(ending, words, safe, error=error)
+
+
+def _moves(
+    jog: Jog,
+    bench: Bench,
+    devices: Devices,
+    cycle: Cycle,
+    stop: StopButton,
+    reset_fault: bool,
+    own: list[ServoLimits],
+) -> tuple[Ending, str, BaseException | None]:
+    """Make the moves; returns how they ended. ``own`` takes the drive's own limits once they are read."""
+    servo, wanted = devices.servo, servo_limits(jog.limits, bench)
+    try:
+        stop.check()
+        if reset_fault and servo.state() is ServoState.FAULT:
+            servo.reset_fault()
+        devices.prepare(bench.cycle_s)
+        held = servo.read_limits()
+        require_within_own(wanted, held, servo.limit_steps())
+        own.append(held)
+        servo.write_limits(wanted)
+        require_held(servo.read_limits(), wanted, servo.limit_steps())
+        here = _enable(cycle, devices, bench)
+        for angle in jog.angles:
+            _go(cycle, here, angle, jog.speed, bench.cycle_s)
+            here = angle
+        servo.disable()
+    except TripError as trip:
+        return Ending.TRIPPED, str(trip), None
+    except (OperatorStopError, KeyboardInterrupt):
+        return Ending.STOPPED, stop.words, None
+    except DeviceError as failure:
+        return Ending.FAILED, str(failure), None
+    except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the command raises it again
+        return Ending.CRASHED, f"the program broke down ({words_of(defect)})", defect
+    return Ending.DONE, f"{len(jog.angles)} moves done", None
 
 
 def _enable(cycle: Cycle, devices: Devices, bench: Bench) -> float:

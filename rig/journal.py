@@ -26,6 +26,14 @@ class Journal(Protocol):
         """The weight of a stage was checked."""
         ...
 
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """The run is over, and the drive was left like this.
+
+        Raises:
+            StorageError: It cannot be written down.
+        """
+        ...
+
     def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
         """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of the recording."""
         ...

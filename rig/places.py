@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from rig.errors import InputError
+from rig.text import valid, valid_record
 
 
 def require_folder(path: Path, option: str) -> None:
@@ -76,7 +77,7 @@ def write_text(path: Path, text: str) -> None:
         OSError: It cannot be written; an earlier version is kept.
     """
     with replacing(path) as draft, open(draft, "w", encoding="utf-8") as stream:
-        stream.write(text)
+        stream.write(valid(text))
 
 
 def write_json(path: Path, record: Mapping[str, Any]) -> None:
@@ -85,7 +86,11 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
     Raises:
         OSError: It cannot be written; an earlier version is kept.
     """
-    write_text(path, json.dumps(record, indent=1) + "\n")
+    text = json.dumps(record, indent=1)
+    if "\\ud" in text:
+        # Bytes that were not decoded may be among the escapes, and strict readers of JSON refuse those.
+        text = json.dumps(valid_record(record), indent=1)
+    write_text(path, text + "\n")
 
 
 def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:

@@ -82,6 +82,7 @@ class Plan:
         servo_limits: The same, as the drive is to hold them.
         approach_speed: Peak speed of moves to a start angle, rad/s.
         cycle_ns: Control cycle, ns.
+        feedforward: What the stages' torque offsets were computed from; None where there are none.
     """
 
     name: str
@@ -90,6 +91,7 @@ class Plan:
     servo_limits: ServoLimits
     approach_speed: float
     cycle_ns: int
+    feedforward: Feedforward | None = None
 
     @property
     def cycle_s(self) -> float:
@@ -152,7 +154,21 @@ def make_plan(
         servo_limits=servo_limits(limits, bench.value),
         approach_speed=APPROACH_SPEED_SHARE * limits.speed,
         cycle_ns=bench.value.cycle_ns,
+        feedforward=feedforward,
     )
+
+
+def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage:
+    """Return a stage with the mass that was confirmed, kg: contact force and feed-forward follow from it."""
+    if weight_kg == stage.weight_kg:
+        return stage
+    force = stage.contact_force_N * (weight_kg / stage.weight_kg if stage.weight_kg else 1.0)
+    stage = dataclasses.replace(stage, weight_kg=weight_kg, contact_force_N=force)
+    if stage.offsets is None or plan.feedforward is None:
+        return stage
+    limits = plan.limits
+    offsets = stage_offsets(plan.feedforward, stage.targets, weight_kg, plan.cycle_s, limits.torque, limits.speed)
+    return dataclasses.replace(stage, offsets=offsets)
 
 
 def bench_limits(bench: Bench) -> Limits:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from drivers.interfaces import RawFrame
+from rig.errors import StorageError
 from rig.mcap_layout import (
     EVENT_JSON_SCHEMA,
     EVENT_TOPIC,
@@ -53,7 +53,7 @@ class Recorder:
         """Record one cycle. What is older than 0.1 s of run time is with the operating system on return.
 
         Raises:
-            OSError: It cannot be written (disk full).
+            StorageError: It cannot be written (disk full).
         """
         # Spelled out, not `with self._writing()`: this runs every cycle.
         if self._broken:
@@ -68,15 +68,15 @@ class Recorder:
             if time_ns - self._flushed_ns >= FLUSH_NS:
                 self._flushed_ns = time_ns
                 self._writer.flush()
-        except OSError:
+        except OSError as error:
             self._broken = True
-            raise
+            raise _failed(error) from error
 
     def event(self, time_ns: int, event: str, **details: object) -> None:
         """Record something that happened, with JSON details, and hand it to the operating system at once.
 
         Raises:
-            OSError: It cannot be written.
+            StorageError: It cannot be written.
         """
         time_ns = self._latest_ns = max(time_ns, self._latest_ns)
         record = {"time": time_ns / 1e9, "event": event, **details}
@@ -88,7 +88,7 @@ class Recorder:
         """Record frames seen outside the control cycle, and hand them to the operating system at once.
 
         Raises:
-            OSError: They cannot be written.
+            StorageError: They cannot be written.
         """
         if frames:
             time_ns = self._latest_ns = max(time_ns, self._latest_ns)
@@ -100,7 +100,7 @@ class Recorder:
         """Record a message just as another recording holds it.
 
         Raises:
-            OSError: It cannot be written.
+            StorageError: It cannot be written.
         """
         channel = {SAMPLE_TOPIC: self._sample, EVENT_TOPIC: self._event, FRAMES_TOPIC: self._frames}[topic]
         with self._writing():
@@ -110,7 +110,7 @@ class Recorder:
         """Attach a file.
 
         Raises:
-            OSError: It cannot be written.
+            StorageError: It cannot be written.
         """
         with self._writing():
             self._writer.attachment(name, media_type, content)
@@ -120,7 +120,7 @@ class Recorder:
         """Add key-value metadata.
 
         Raises:
-            OSError: It cannot be written.
+            StorageError: It cannot be written.
         """
         with self._writing():
             self._writer.metadata(name, values)
@@ -133,28 +133,37 @@ class Recorder:
             raise _broken_before()
         try:
             yield
-        except OSError:
+        except OSError as error:
             self._broken = True
-            raise
+            raise _failed(error) from error
 
     def close(self) -> None:
         """Write the index and close; safe to call twice.
 
         Raises:
-            OSError: The end could not be written; ``rig recover`` mends such a file.
+            StorageError: The end could not be written; ``rig recover`` mends such a file.
         """
         if self._stream.closed:
             return
         try:
-            if not self._broken:
-                self._writer.finish()
-                os.fsync(self._stream.fileno())
-        finally:
-            _close_whatever_happens(self._stream, self._broken)
+            try:
+                if not self._broken:
+                    self._writer.finish()
+                    os.fsync(self._stream.fileno())
+            finally:
+                _close_whatever_happens(self._stream, self._broken)
+        except OSError as error:
+            self._broken = True
+            raise _failed(error) from error
 
 
-def _broken_before() -> OSError:
-    return OSError(errno.EIO, "the recording failed before")
+def _broken_before() -> StorageError:
+    return StorageError("the recording failed before")
+
+
+def _failed(error: OSError) -> StorageError:
+    reason = error.strerror or str(error)
+    return StorageError(f"the recording cannot be written ({reason}); free disk space, then run again")
 
 
 def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:
@@ -170,6 +179,10 @@ def open_recorder(path: Path) -> Recorder:
     """Create a recording file.
 
     Raises:
-        OSError: It exists already or cannot be created.
+        StorageError: It exists already or cannot be created.
     """
-    return Recorder(open(path, "xb"))
+    try:
+        return Recorder(open(path, "xb"))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError(f"{path}: the recording cannot be created ({reason})") from error

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rig.errors import InputError
+from rig.locks import hold_folder
 from rig.mcap_layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
 from rig.mcap_reader import Log
 from rig.places import write_json
@@ -34,15 +35,38 @@ class Recovery:
         damage: What was wrong with each file that was damaged, beginning with its name.
         samples: How many samples there are now.
         record: ``run.json`` as it stands now.
+        changed: Whether anything was written.
+        taken_over: Who had left the folder locked, in words; None for nobody.
     """
 
     damage: tuple[str, ...]
     samples: int
     record: RunRecord
+    changed: bool
+    taken_over: str | None = None
 
 
-def recover(folder: Path) -> Recovery:
+def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
+    """Lock a run folder meanwhile, and :func:`mend` it.
+
+    Args:
+        folder: The run.
+        purpose: The command that does it, as whoever finds the folder in use is told.
+
+    Raises:
+        InputError: There is no readable recording, or an earlier recovery is in the way.
+        InUseError: The run is still going, or another program works on it.
+        StorageError: The folder cannot be locked.
+        OSError: The folder cannot be written.
+    """
+    with hold_folder(folder, purpose) as lock:
+        return dataclasses.replace(mend(folder), taken_over=lock.taken_over)
+
+
+def mend(folder: Path) -> Recovery:
     """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``. A whole run is left alone.
+
+    The caller holds the folder.
 
     Raises:
         InputError: There is no readable recording, or an earlier recovery is in the way.
@@ -57,10 +81,11 @@ def recover(folder: Path) -> Recovery:
         if log.damage is not None:
             damage.append(f"{part.file}: {log.damage}")
             _mend(folder / part.file, log)
-    if damage or record.state == "running":
+    changed = bool(damage) or record.state == "running"
+    if changed:
         _complete(record, logs)
         write_json(folder / RUN_FILE, dataclasses.asdict(record))
-    return Recovery(tuple(damage), sum(len(log.samples["time"]) for log in logs), record)
+    return Recovery(tuple(damage), sum(len(log.samples["time"]) for log in logs), record, changed)
 
 
 def damaged_name(file: str) -> str:
@@ -157,6 +182,7 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     if record.state == Ending.DONE.value and short:
         record.state = Ending.FAILED.value
         record.message = f"samples of {', '.join(short)} are lost from the recording; `rig resume` does that again"
+    record.stage_ended(record.state)
 
 
 def _add_segments(record: RunRecord, part: int, log: Log) -> None:

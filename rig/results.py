@@ -13,6 +13,8 @@ from identification.recording import Recording
 from rig.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"
+RESULT_FILE = "identify.json"
+"""Name of such a result beside the recordings of a run."""
 PAPER_SCHEMA = "loadrig.paper/1"
 
 

@@ -9,7 +9,8 @@ from rig.bench import Bench, load_bench
 from rig.configuration import Document
 from rig.errors import InputError
 from rig.provenance import sha256_file
-from rig.recover import recover
+from rig.recorded_inputs import recorded_input
+from rig.recover import mend
 from rig.run import discard, first_unfinished
 from rig.run_file import read_record
 from rig.run_record import BENCH_ATTACHMENT, DIED, SEQUENCE_ATTACHMENT, RunRecord
@@ -42,11 +43,13 @@ class Resumption:
 def prepare(folder: Path) -> Resumption:
     """Mend a run if its writer died, and find where it goes on. What its unfinished stage left behind is discarded.
 
+    The caller holds the folder, until the run has ended again.
+
     Raises:
         InputError: There is nothing left to do, or the bench or sequence file is gone or was changed since.
         OSError: The folder cannot be written.
     """
-    recovery = recover(folder)
+    recovery = mend(folder)
     record = read_record(folder)
     stage = first_unfinished(record)
     if stage is None:
@@ -62,7 +65,7 @@ def prepare(folder: Path) -> Resumption:
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     """Return the path of an input file, which must be the one the run began with."""
     entry = record.inputs[name]
-    path = Path(entry["file"])
+    path = recorded_input(folder, entry)
     attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
     if name == BENCH_ATTACHMENT and record.simulated:
         attached = attached.replace(")", ", without the simulated machine's true constants)")

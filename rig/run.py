@@ -12,7 +12,8 @@ from identification.recording import Bench as BenchConstants
 from rig import clocks, run_samples
 from rig.alignment import aligned
 from rig.bench import Bench
-from rig.errors import InputError
+from rig.errors import InputError, StorageError
+from rig.locks import OWNER_FILE, Lock, hold_folder
 from rig.places import write_json
 from rig.plan import Plan
 from rig.provenance import sha256_file
@@ -22,6 +23,10 @@ from rig.weight_check import Weighing
 
 AVERAGED = frozenset({"current", "voltage"})
 """Channels whose samples are means over the cycle that ends at their time."""
+PARTIAL = " (partial)"
+"""Added to the name of an excitation that was not finished."""
+LEAST_SAMPLES = 2
+"""Fresh samples that make an excitation that was not finished a recording."""
 
 
 class RunFolder:
@@ -45,9 +50,21 @@ class RunFolder:
         """Replace ``run.json`` as a whole, so that no reader ever sees half of it.
 
         Raises:
-            OSError: It cannot be written; the last version is kept.
+            StorageError: It cannot be written; the last version is kept.
         """
-        write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        try:
+            write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        except OSError as error:
+            reason = error.strerror or str(error)
+            text = f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
+            raise StorageError(text) from error
+
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """Write the ending down the moment it is known."""
+        record = self.record
+        record.state, record.message, record.de_energised = state, message, de_energised
+        record.stage_ended(state)
+        self.save()
 
     def stage_started(self, index: int) -> None:
         """Note that a stage begins; what it left behind before is not used any more."""
@@ -119,53 +136,98 @@ def bench_constants(bench: Bench) -> BenchConstants:
     )
 
 
-def create_folder(path: Path) -> None:
-    """Make the folder of a new run.
+def create_folder(path: Path, purpose: str) -> Lock:
+    """Make the folder of a new run, and lock it; whoever gets the lock releases it.
+
+    Args:
+        path: The folder.
+        purpose: The command that makes it, as whoever finds it in use is told.
 
     Raises:
         InputError: It exists and is not empty, or cannot be made.
+        InUseError: Another program uses it.
+        StorageError: It cannot be locked.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
-        occupied = next(path.iterdir(), None)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
+    lock = hold_folder(path, purpose)
+    try:
+        # Looked at under the lock, so that of two programs only one can find it empty.
+        require_unused(path)
+    except BaseException:
+        lock.release()
+        raise
+    return lock
+
+
+def require_unused(path: Path) -> None:
+    """Check that a folder is not there, or that there is nothing in it but for the lock; makes nothing.
+
+    Raises:
+        InputError: It is not empty, or cannot be looked into.
+    """
+    try:
+        items = path.iterdir() if path.exists() else ()
+        occupied = next((item.name for item in items if item.name != OWNER_FILE), None)
     except OSError as error:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:
         raise InputError(
-            f"{path}: not empty (holds {occupied.name}); give --out a new folder, so that no run is overwritten"
+            f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is overwritten"
         )
 
 
-def load_run(folder: Path) -> Dataset:
+def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     """Read a run folder for identification: one recording per finished excitation.
 
     Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was done more than
     once, the last counts.
 
+    Args:
+        folder: The run folder.
+        partial: Whether to take excitations that were not finished as well, up to their last fresh sample. Those too
+            short for a recording are left out.
+
     Raises:
-        InputError: The folder is not a run, its recording is unreadable, or no stage was finished.
+        InputError: The folder is not a run, its recording is unreadable, or no stage was finished (with ``partial``: no
+            excitation was recorded).
     """
     record = read_record(folder)
-    finished = [segment for segment in record.segments if segment.kept and segment.end is not None]
-    if not finished:
-        # A recording that cannot be read at all is the better explanation.
-        run_samples.read_log(folder / RECORDING_FILE)
-        raise InputError(f"{folder}: no stage was finished (state {record.state}: {record.message or 'writer died'})")
+    wanted = [s for s in record.segments if s.kept and (s.end is not None or partial)]
+    if not wanted:
+        raise _nothing(folder, record, partial)
     bench = recorded_bench(record)
     recordings: list[Recording] = []
-    for number in sorted({segment.part for segment in finished}):
+    for number in sorted({segment.part for segment in wanted}):
         part = record.parts[number - 1]
         path = folder / part.file
-        mine = [segment for segment in finished if segment.part == number]
+        mine = [segment for segment in wanted if segment.part == number]
         samples, damage = run_samples.by_segment(path, mine, whole=part.state == "done")
         if damage is not None and part.state == "done":
             raise InputError(f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`")
+        mine = [s for s in mine if s.end is not None or np.count_nonzero(samples[s.index]["fresh"]) >= LEAST_SAMPLES]
         digest = sha256_file(path)
         try:
             recordings += [_recording(s, samples.pop(s.index), damage, bench, path, digest) for s in mine]
         except RecordingError as error:
             raise InputError(f"{path}: {error}") from error
+    if not recordings:
+        raise _nothing(folder, record, partial)
     return Dataset(tuple(recordings))
+
+
+def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
+    """Return the error of a run that holds no recording to be used."""
+    # A recording that cannot be read at all is the better explanation.
+    run_samples.read_log(folder / RECORDING_FILE)
+    state = f"(state {record.state}: {record.message or 'writer died'})"
+    if partial:
+        return InputError(f"{folder}: no excitation was recorded {state}; there is nothing to take from this run")
+    unfinished = any(segment.kept for segment in record.segments)
+    remedy = "--partial takes what was recorded" if unfinished else "no excitation was begun either"
+    return InputError(f"{folder}: no stage was finished {state}; {remedy}")
 
 
 def _recording(
@@ -178,7 +240,11 @@ def _recording(
 ) -> Recording:
     """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be held twice."""
     fresh = samples.pop("fresh") != 0.0
-    if len(fresh) != segment.samples:
+    partial = segment.end is None
+    if partial:
+        stop = int(np.flatnonzero(fresh)[-1]) + 1
+        fresh, samples = fresh[:stop], {name: values[:stop] for name, values in samples.items()}
+    elif len(fresh) != segment.samples:
         raise InputError(
             f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though it was finished"
             f" ({damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
@@ -195,6 +261,9 @@ def _recording(
         time = device_time
     else:
         notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
+    if partial:
+        seconds = f"{time[-1] - time[0]:.4g} s"
+        notes.insert(0, f"partial: the run stopped after {len(fresh)} of {segment.samples} samples, {seconds}")
     if not fresh.all():
         notes.append(f"{int(np.sum(~fresh))} samples left out: the answer of a device was missing")
     left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
@@ -204,7 +273,7 @@ def _recording(
     if words:
         notes.append(words)
     return Recording(
-        name=segment.name,
+        name=f"{segment.name}{PARTIAL}" if partial else segment.name,
         channels=channels,
         bench=bench,
         stage="unloaded" if segment.stage == "unloaded" else "loaded",
@@ -214,4 +283,5 @@ def _recording(
         source=str(path),
         sha256=digest,
         notes=tuple(notes),
+        partial=partial,
     )

@@ -22,6 +22,7 @@ from rig.run_record import (
     RUN_FILE,
     SCHEMA,
     SEQUENCE_ATTACHMENT,
+    STAGE_ENDS,
     STRICT,
     RunRecord,
 )
@@ -78,9 +79,11 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete the record of a program that knew of no hot firings, or of no second recording of one run."""
+    """Complete the record of a program that knew of no hot firings, of no second recording, or of no stage's end."""
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
+    if isinstance(raw.get("state"), str) and raw["state"] in STAGE_ENDS and isinstance(raw.get("stages"), list):
+        raw = {**raw, "stages": [_ended(stage, STAGE_ENDS[raw["state"]]) for stage in raw["stages"]]}
     if "parts" in raw or not isinstance(raw.get("stages"), list):
         return raw
     part = {"operator": None, **{key: raw[key] for key in _PART_KEYS if key in raw}, "file": RECORDING_FILE}
@@ -91,6 +94,11 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
             name = str(segment.get("name")).partition("[")[0]
             segment["stage_index"] = names.index(name) if name in names else len(names)
     return {**raw, "parts": [part]}
+
+
+def _ended(stage: Any, state: str) -> Any:
+    """Return a stage with its end, where it was left as running in a run that has ended."""
+    return {**stage, "state": state} if isinstance(stage, dict) and stage.get("state") == "running" else stage
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
@@ -135,8 +143,8 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
             yield ("segments", index, "stage_index"), f"there are {len(record.stages)} stages, numbered from 0"
         elif segment.stage != record.stages[segment.stage_index].stage:
             yield ("segments", index, "stage"), "differs from its stage's"
-        elif segment.weight_kg != record.stages[segment.stage_index].weight_kg:
-            yield ("segments", index, "weight_kg"), "differs from its stage's"
+        elif segment.kept and segment.weight_kg != record.stages[segment.stage_index].mass_kg:
+            yield ("segments", index, "weight_kg"), "differs from its stage's confirmed mass"
         if not 1 <= segment.part <= len(record.parts):
             yield ("segments", index, "part"), f"there are {len(record.parts)} recordings, numbered from 1"
 

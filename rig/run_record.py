@@ -21,11 +21,19 @@ STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
 """How a record is read back; it is built without being checked."""
 Load = Literal["unloaded", "loaded", "hot_fire"]
 Role = Literal["fit", "validate"]
+StageEnd = Literal["stopped", "tripped", "failed"]
+STAGE_ENDS: Mapping[str, StageEnd] = {
+    "stopped": "stopped",
+    "tripped": "tripped",
+    "failed": "failed",
+    "crashed": "failed",
+}
+"""State of a run that ended before its plan did, to the state of the stage that was going on."""
 
 
 @dataclass
 class StageRecord:
-    """State of one stage."""
+    """State of one stage: ``stopped``, ``tripped`` and ``failed`` say how the run ended that it was going on in."""
 
     __pydantic_config__ = STRICT
 
@@ -34,9 +42,14 @@ class StageRecord:
     weight_kg: float
     repeats: int
     samples: int
-    state: Literal["planned", "running", "done"] = "planned"
+    state: Literal["planned", "running", "done"] | StageEnd = "planned"
     confirmed_kg: float | None = None
     role: Role = "fit"
+
+    @property
+    def mass_kg(self) -> float:
+        """The mass that was confirmed, or the planned one where none was yet, kg."""
+        return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
 
     def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
         """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
@@ -45,7 +58,7 @@ class StageRecord:
             index,
             name,
             self.stage,
-            self.weight_kg,
+            self.mass_kg,
             start,
             self.samples,
             stage_index=stage_index,
@@ -100,7 +113,11 @@ class PartRecord:
 
 @dataclass
 class RunRecord:
-    """Everything in ``run.json``."""
+    """Everything in ``run.json``.
+
+    ``drive_state`` is the state that the drive was read back in at the end, in the words of CiA 402; None where that is
+    not known.
+    """
 
     __pydantic_config__ = STRICT
 
@@ -124,8 +141,18 @@ class RunRecord:
     message: str = ""
     trip: Mapping[str, Any] | None = None
     de_energised: bool | None = None
+    drive_state: str | None = None
     cycles: int = 0
     overruns: int = 0
     stale: int = 0
     seconds: float = 0.0
     schema: str = SCHEMA
+
+    def stage_ended(self, state: str) -> None:
+        """Note how the run ended on the stage that was going on, if any: ``state`` is that of the run.
+
+        A stage that still goes on where the run says that it is done has failed.
+        """
+        for stage in self.stages:
+            if stage.state == "running":
+                stage.state = STAGE_ENDS.get(state, "failed")

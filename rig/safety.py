@@ -55,6 +55,14 @@ _REMEDY = {
     Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
 }
 
+AGAIN = ", then run again"
+"""End of a remedy after which the same run can be tried once more."""
+
+
+def remedy(check: Check) -> str:
+    """Return what to do about a trip before anything moves again."""
+    return _REMEDY[check].removesuffix(AGAIN)
+
 
 @dataclass(frozen=True, slots=True)
 class GasLimits:
@@ -114,15 +122,20 @@ class Trip:
     @property
     def message(self) -> str:
         """Value, limit, unit, when and what to do."""
+        return f"{self._found} at {self.time:.3f} s; {_REMEDY[self.check]}"
+
+    @property
+    def now(self) -> str:
+        """The same of a value that was read outside of a run."""
+        return f"{self._found}; {_REMEDY[self.check]}"
+
+    @property
+    def _found(self) -> str:
         if self.check is Check.DRIVE_STATE:
-            found = f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
-        elif self.check is Check.NOT_RESET:
-            found = "the safety latch is open: nobody has asked for its reset"
-        else:
-            found = (
-                f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit {_show(self.limit, self.unit)}"
-            )
-        return f"{found} at {self.time:.3f} s; {_REMEDY[self.check]}"
+            return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
+        if self.check is Check.NOT_RESET:
+            return "the safety latch is open: nobody has asked for its reset"
+        return f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit {_show(self.limit, self.unit)}"
 
 
 def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
-from drivers.errors import DeviceError, DriveFault, StateError
+from drivers.errors import DeviceError, DriveFault
 from drivers.interfaces import ServoLimits, ServoState
 from rig.cycle import Cycle, Devices, Progress, TripError
 from rig.drive_limits import require_held, require_within_own
+from rig.errors import StorageError
 from rig.feedforward import Compensator
 from rig.flow_control import Regulator
 from rig.hot_fire import hot_fire_words
 from rig.journal import Journal
-from rig.operator import Operator, OperatorStopError, StopButton, Verb
+from rig.operator import Operator, Verb
 from rig.phases import Event, Phase, next_phase
-from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage
+from rig.plan import APPROACH_SPEED_SHARE, HOLD_S, Plan, PlannedStage, with_mass
+from rig.preflight import RESET_HINT, energised, require_ready
 from rig.recorder import Recorder
 from rig.safety import Check, Trip
 from rig.sample import Sample
 from rig.scale import Scale, measured_level
 from rig.sequence import approach
-from rig.teardown import SafeState, give_back, make_safe
+from rig.stop_button import OperatorStopError, StopButton
+from rig.teardown import SafeState, attempt_all, give_back, make_safe, words_of
 from rig.weight_check import Verdict
 
 
@@ -33,23 +36,27 @@ class Ending(Enum):
     TRIPPED = "tripped"
     STOPPED = "stopped"
     FAILED = "failed"
+    CRASHED = "crashed"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The end of a run: how, why, what to do, and how the drive was left."""
+    """The end of a run: how, why, what to do, and how the drive was left.
+
+    ``error`` is what nobody foresaw: a defect of this program, to be raised once everything is written down.
+    """
 
     ending: Ending
     message: str
     safe: SafeState
     trip: Trip | None = None
+    error: BaseException | None = None
 
 
 class WeightError(Exception):
     """The friction of a stage is not that of the confirmed mass."""
 
 
-RESET_HINT = "; once its cause is removed, --reset-fault clears it"
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
 """Trips that say that a device, the bus or this computer failed, rather than that the bench went too far."""
 
@@ -106,6 +113,7 @@ class Sequencer:
             Phase.RELEASE: self._release,
             Phase.BOUNDARY: self._boundary,
         }
+        self._stages = list(plan.stages)
         self._stage_index = start
         self._repeat = 0
         self._segment = segment
@@ -123,36 +131,39 @@ class Sequencer:
 
     @property
     def _stage(self) -> PlannedStage:
-        return self._plan.stages[self._stage_index]
+        return self._stages[self._stage_index]
 
     def run(self) -> Outcome:
-        """Run to the end, or to the first thing that stops it. The drive is made safe in every case.
+        """Run to the end, or to the first thing that stops it, and make the drive safe.
 
-        Raises:
-            Exception: Only what is not foreseen (a defect in this program), after the drive was made safe.
+        How the drive was left is shown and written down the moment it is known. Never raises; what nobody foresaw is
+        the outcome's ``error``.
         """
-        ending = None
-        try:
-            ending, message, trip = self._attempt()
-        finally:
-            brake = ending is not Ending.DONE
-            presses = self._stop.presses
-            safe = make_safe(
-                self._devices.servo,
-                self._cycle.watch,
-                self._plan.cycle_ns,
-                brake=brake,
-                hurry=lambda: self._stop.presses > presses,
-                watched=self._devices.link.has_watchdog,
-            )
+        ending, message, trip, error = self._attempt()
+        presses = self._stop.presses
+        safe = make_safe(
+            self._devices.servo,
+            self._cycle.watch,
+            self._plan.cycle_ns,
+            brake=ending is not Ending.DONE,
+            hurry=lambda: self._stop.presses > presses,
+            watched=self._devices.link.has_watchdog,
+        )
         if ending is Ending.DONE and not safe.verified:
             ending = Ending.FAILED
+        outcome = Outcome(ending, f"{message}; {safe.message}", safe, trip, error)
+        unforeseen = [*safe.unforeseen, *self._announce(outcome)]
         if self._own_limits is not None:
-            give_back(self._devices.servo, self._own_limits, safe)
-        outcome = Outcome(ending, f"{message}; {safe.message}", safe, trip)
-        return self._note_end(outcome)
+            unforeseen += give_back(self._devices.servo, self._own_limits, safe)
+        noted: list[Outcome] = []
+        unforeseen += attempt_all(lambda: noted.append(self._note_end(outcome)))
+        outcome = noted[0] if noted else outcome
+        if unforeseen:
+            outcome = replace(outcome, ending=Ending.CRASHED, error=outcome.error or unforeseen[0])
+        return outcome
 
-    def _attempt(self) -> tuple[Ending, str, Trip | None]:
+    def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
+        """Run the phases; returns how they ended, in words, with the trip or the defect that ended them."""
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
@@ -161,26 +172,32 @@ class Sequencer:
                 if self._devices.observer is not None:
                     self._devices.observer(self._stage.name, self.phase)
                 self.phase = next_phase(self.phase, self._handlers[self.phase]())
-        except TripError as error:
-            ending = Ending.FAILED if error.trip.check in _FAILURES else Ending.TRIPPED
-            return ending, self._where(str(error)), error.trip
-        except WeightError as error:
-            return Ending.TRIPPED, self._where(str(error)), None
-        except OperatorStopError as error:
-            return Ending.STOPPED, self._where(str(error)), None
+        except TripError as trip:
+            ending = Ending.FAILED if trip.trip.check in _FAILURES else Ending.TRIPPED
+            return ending, self._where(str(trip)), trip.trip, None
+        except WeightError as wrong:
+            return Ending.TRIPPED, self._where(str(wrong)), None, None
+        except OperatorStopError as stop:
+            return Ending.STOPPED, self._where(str(stop)), None, None
         except KeyboardInterrupt:
-            return Ending.STOPPED, self._where("stopped by the operator"), None
-        except DeviceError as error:
-            hint = RESET_HINT if isinstance(error, DriveFault) and self.phase is Phase.ENABLE else ""
-            return Ending.FAILED, self._where(str(error)) + hint, None
-        except OSError as error:
-            reason = error.strerror or str(error)
-            return (
-                Ending.FAILED,
-                self._where(f"the run folder cannot be written ({reason}); free disk space, then run again"),
-                None,
-            )
-        return Ending.DONE, f"all {len(self._plan.stages)} stages done", None
+            return Ending.STOPPED, self._where(self._stop.words), None, None
+        except DeviceError as failure:
+            hint = RESET_HINT if isinstance(failure, DriveFault) and self.phase is Phase.ENABLE else ""
+            return Ending.FAILED, self._where(str(failure)) + hint, None, None
+        except StorageError as failure:
+            return Ending.FAILED, self._where(str(failure)), None, None
+        except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the session raises it again
+            words = f"the program broke down ({words_of(defect)})"
+            return Ending.CRASHED, self._where(words), None, defect
+        return Ending.DONE, f"all {len(self._plan.stages)} stages done", None, None
+
+    def _announce(self, outcome: Outcome) -> tuple[BaseException, ...]:
+        """Show and write down how the drive was left, at once: nothing that follows can hide it."""
+        ending = outcome.ending
+        return attempt_all(
+            lambda: self._operator.result(f"{ending.value}: {outcome.message}", ending is Ending.DONE),
+            lambda: self._journal.ended(ending.value, outcome.message, outcome.safe.verified),
+        )
 
     def _where(self, message: str) -> str:
         return f"stage {self._stage.name}, phase {self.phase.value}: {message}"
@@ -192,17 +209,19 @@ class Sequencer:
             self._recorder.event(
                 self._cycle.now_ns, outcome.ending.value, message=outcome.message, phase=self.phase.value
             )
-        except OSError as error:
+        except StorageError as error:
             if outcome.ending is Ending.DONE:
-                text = f"the recording's end cannot be written ({error.strerror}); {outcome.safe.message}"
-                return Outcome(Ending.FAILED, text, outcome.safe)
+                text = f"the recording lacks its end: {error}; {outcome.safe.message}"
+                return replace(outcome, ending=Ending.FAILED, message=text)
         return outcome
 
     def _load(self) -> Event:
-        devices, stage = self._devices, self._stage
-        state = devices.servo.state()
-        if state.energised:
-            raise StateError(f"the drive is in {state.value!r} before the weight prompt; it must be de-energised")
+        devices, stage = self._devices, self._plan.stages[self._stage_index]
+        if (error := energised(devices.servo.state())) is not None:
+            raise error
+        if devices.hang is None and self._own_limits is None:
+            # Before a person hangs a weight for a run that would be refused.
+            require_ready(devices, self._plan.servo_limits, self._plan.cycle_s, self._reset_fault)
         self._journal.stage_started(self._stage_index)
         self._recorder.event(
             self._cycle.now_ns, "prompt", stage=stage.name, index=self._stage_index, weight_kg=stage.weight_kg
@@ -216,6 +235,8 @@ class Sequencer:
             return self._go_back()
         self._recorder.event(self._cycle.now_ns, "answer", stage=stage.name, weight_kg=confirmed)
         self._journal.weight_confirmed(self._stage_index, confirmed)
+        # What was weighed, not what was planned, is what force, feed-forward and weight check go by.
+        self._stages[self._stage_index] = stage = with_mass(self._plan, self._plan.stages[self._stage_index], confirmed)
         # Having confirmed the weight, the operator asks for the drive to be enabled, and so for the latch's reset.
         self._cycle.ask_reset()
         if self._reset_fault and devices.servo.state() is ServoState.FAULT:
@@ -240,12 +261,13 @@ class Sequencer:
     def _prepare(self) -> Event:
         devices, plan = self._devices, self._plan
         devices.prepare(plan.cycle_s)
+        steps = devices.servo.limit_steps()
         if self._own_limits is None:
             own = devices.servo.read_limits()
-            require_within_own(plan.servo_limits, own)
+            require_within_own(plan.servo_limits, own, steps)
             self._own_limits = own
         devices.servo.write_limits(plan.servo_limits)
-        require_held(devices.servo.read_limits(), plan.servo_limits)
+        require_held(devices.servo.read_limits(), plan.servo_limits, steps)
         self._recorder.event(self._cycle.now_ns, "stage start", stage=self._stage.name)
         return Event.DONE
 

@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,10 +17,12 @@ from rig.calibration import calibration_records, overdue
 from rig.configuration import Document
 from rig.connect import device_files
 from rig.cycle import Cycle, Devices, Progress
+from rig.errors import StorageError
 from rig.feedforward import Feedforward
-from rig.operator import Operator, StopButton
+from rig.operator import Operator
 from rig.plan import Plan
 from rig.provenance import sha256, sha256_file, utc_now, versions
+from rig.recorded_inputs import input_entry
 from rig.recorder import Recorder, open_recorder
 from rig.redact import redacted
 from rig.reference import Reference
@@ -29,6 +32,7 @@ from rig.scale import Scale
 from rig.sequence import Sequence
 from rig.sequencer import Ending, Outcome, Sequencer
 from rig.serial_bus import GUARDED, NO_WATCHDOG
+from rig.stop_button import StopButton
 
 MEDIA_YAML = "application/yaml"
 MEDIA_JSON = "application/json"
@@ -81,10 +85,10 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
         cycle_s=plan.cycle_s,
         versions=versions(),
         inputs={
-            name: {"file": str(path), "sha256": sha256(content)}
+            name: input_entry(path, sha256(content))
             for (name, content), path in zip(inputs.files().items(), paths, strict=True)
         }
-        | {name: {"file": str(path), "sha256": sha256_file(path)} for name, path in device_files(inputs.bench).items()}
+        | {name: input_entry(path, sha256_file(path)) for name, path in device_files(inputs.bench).items()}
         | _feedforward_entry(inputs.feedforward),
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
@@ -97,7 +101,7 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
 def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
     if feedforward is None:
         return {}
-    return {FEEDFORWARD_INPUT: {"file": feedforward.source, "sha256": feedforward.sha256}}
+    return {FEEDFORWARD_INPUT: input_entry(feedforward.source, feedforward.sha256)}
 
 
 def execute(
@@ -126,7 +130,7 @@ def execute(
 
     Raises:
         DeviceError: A device cannot even be identified; nothing was energised.
-        OSError: The recording cannot be started; nothing was energised.
+        StorageError: The recording cannot be started; nothing was energised.
     """
     wall = RealClock()
     began_ns = wall.now_ns()
@@ -142,10 +146,9 @@ def execute(
     folder.save()
     if devices.guard is not None:
         devices.guard.record_in(path)
-    recorder = start_recording(folder.recording)
+    recorder = _start_recording(folder, inputs, identities, start_recording)
     outcome = None
     try:
-        _head(recorder, inputs, record, identities)
         sequencer = Sequencer(
             plan,
             devices,
@@ -159,10 +162,8 @@ def execute(
             segment=max((segment.index for segment in record.segments), default=0),
             reset_fault=inputs.reset_fault,
         )
-        try:
-            outcome = sequencer.run()
-        finally:
-            _count(record, part, sequencer.cycle)
+        outcome = sequencer.run()
+        _count(record, part, sequencer.cycle)
     finally:
         outcome = _close(recorder, outcome)
         part.seconds = (wall.now_ns() - began_ns) / NS
@@ -172,9 +173,37 @@ def execute(
     return folder, outcome
 
 
+def _start_recording(
+    folder: RunFolder,
+    inputs: Inputs,
+    identities: dict[str, Any],
+    start: Callable[[Path], Recorder],
+) -> Recorder:
+    """Create the recording with its head.
+
+    Raises:
+        StorageError: It cannot be written; nothing was energised, and ``run.json`` says so.
+    """
+    recorder = None
+    try:
+        recorder = start(folder.recording)
+        _head(recorder, inputs, folder.record, identities)
+    except StorageError as error:
+        message = f"{error}; nothing was energised"
+        folder.record.parts[-1].state = Ending.FAILED.value
+        with suppress(StorageError):
+            folder.ended(Ending.FAILED.value, message, de_energised=True)
+        if recorder is not None:
+            with suppress(StorageError):
+                recorder.close()
+        raise StorageError(message) from error
+    return recorder
+
+
 def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
     """Add a recording to the record of a run."""
     record.state, record.message, record.trip, record.de_energised = "running", "", None, None
+    record.drive_state = None
     part = PartRecord(
         file=part_file(len(record.parts) + 1),
         created=utc_now().isoformat(timespec="seconds"),
@@ -234,8 +263,8 @@ def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
     """Close the recording; a run whose recording cannot be finished has failed."""
     try:
         recorder.close()
-    except OSError as error:
-        return _failed(outcome, f"the recording's end cannot be written ({error.strerror}); use `rig recover`")
+    except StorageError as error:
+        return _failed(outcome, f"the recording lacks its end: {error}; then use `rig recover`")
     return outcome
 
 
@@ -243,27 +272,31 @@ def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
     """Save ``run.json``; on a full disk the last version stays, and the outcome says so."""
     try:
         folder.save()
-    except OSError as error:
-        return _failed(outcome, f"run.json cannot be written ({error.strerror}); use `rig recover`")
+    except StorageError as error:
+        return _failed(outcome, str(error))
     return outcome
 
 
 def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
+    """Return the outcome of a run whose files lack something; only a good ending becomes another."""
     if outcome is None:
         return None
-    return dataclasses.replace(outcome, ending=Ending.FAILED, message=f"{outcome.message}; {problem}")
+    ending = Ending.FAILED if outcome.ending is Ending.DONE else outcome.ending
+    return dataclasses.replace(outcome, ending=ending, message=f"{outcome.message}; {problem}")
 
 
 def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> None:
     """Write the ending into the record; without an outcome the program itself broke down."""
     record.seconds += part.seconds
     if outcome is None:
-        record.state, record.message = Ending.FAILED.value, "the program broke down; see its traceback"
+        record.state, record.message = Ending.CRASHED.value, "the program broke down"
         part.state = record.state
+        record.stage_ended(record.state)
         return
     record.state, record.message = outcome.ending.value, outcome.message
     part.state = record.state
-    record.de_energised = outcome.safe.verified
+    record.stage_ended(record.state)
+    record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
     if outcome.trip is not None:
         trip = outcome.trip
         value = trip.value if math.isfinite(trip.value) else None

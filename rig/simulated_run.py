@@ -10,19 +10,23 @@ from rig.configuration import Document
 from rig.connect import connect
 from rig.errors import InputError
 from rig.feedforward import Feedforward
-from rig.operator import AutomaticOperator, StopButton
+from rig.operator import AutomaticOperator
 from rig.plan import make_plan
 from rig.run import create_folder, load_run
 from rig.sample import Sample
 from rig.sequence import Sequence
 from rig.sequencer import Ending
 from rig.session import Inputs, execute
+from rig.stop_button import StopButton
 
 
 class _Unattended(AutomaticOperator):
     """Answers as planned, and has nobody to tell."""
 
     def tell(self, words: str) -> None:
+        """Say nothing."""
+
+    def result(self, words: str, good: bool) -> None:
         """Say nothing."""
 
 
@@ -49,10 +53,14 @@ def run_simulated(
     if not bench.value.simulated:
         raise InputError(bench.problem(("bus",), "this runs unattended, so the bench must be simulated"))
     plan = make_plan(sequence, bench, feedforward=feedforward)
-    create_folder(folder)
     inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)
-    with connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices:
+    with (
+        create_folder(folder, "rig"),
+        connect(bench, seed, realtime=False, torque_offset=feedforward is not None) as devices,
+    ):
         _, outcome = execute(inputs, plan, devices, folder, _Unattended(), StopButton(), _silent)
+    if outcome.error is not None:
+        raise outcome.error
     if outcome.ending is Ending.STOPPED:
         raise KeyboardInterrupt
     if outcome.ending is not Ending.DONE:

@@ -1,16 +1,18 @@
-"""Making the drive safe, whatever happened before, and saying honestly whether that was verified."""
+"""Takes the power off, whatever happened before, and says honestly whether that was verified."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 from drivers.errors import DeviceError
 from drivers.interfaces import Servo, ServoLimits, ServoState
+from rig.errors import StorageError
 
 BRAKING_TIMEOUT_S = 1.0
 STATE_CYCLES = 20
+DISABLE_ATTEMPTS = 2
 
 
 @dataclass(frozen=True)
@@ -22,12 +24,15 @@ class SafeState:
         state: That state in words, or ``unknown``.
         problems: What went wrong on the way.
         watched: Whether the drive takes its power off by itself once nobody commands it.
+        unforeseen: Exceptions of the steps that are neither device or storage errors nor Ctrl-C: defects
+            of this program, to be raised again once the operator knows how the drive was left.
     """
 
     verified: bool
     state: str
     problems: tuple[str, ...] = ()
     watched: bool = True
+    unforeseen: tuple[BaseException, ...] = field(default=(), repr=False, compare=False)
 
     @property
     def message(self) -> str:
@@ -44,6 +49,52 @@ class SafeState:
             f"(state {self.state}; {'; '.join(self.problems)}); {by_itself}"
         )
 
+    def record(self) -> dict[str, Any]:
+        """Return what a result file keeps."""
+        return {
+            "verified": self.verified,
+            "state": self.state,
+            "problems": list(self.problems),
+            "watched": self.watched,
+        }
+
+
+def words_of(error: BaseException) -> str:
+    """Return an exception's class and words, also where its ``__str__`` is broken."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # noqa: BLE001 whatever it raises, the class says enough
+        return type(error).__name__
+
+
+class _Steps:
+    """Runs the steps of a teardown one by one; whatever one raises, the next is still run."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        self.unforeseen: list[BaseException] = []
+
+    def attempt(self, step: Callable[[], object]) -> bool:
+        """Run one step; returns whether it ended without an exception."""
+        try:
+            step()
+        except KeyboardInterrupt:
+            self.problems.append("interrupted again while stopping")
+        except (DeviceError, StorageError) as error:
+            self.problems.append(str(error))
+        except BaseException as error:  # noqa: BLE001 a defect must not keep the power on; the caller raises it
+            self.problems.append(f"unforeseen {words_of(error)}")
+            self.unforeseen.append(error)
+        else:
+            return True
+        return False
+
+    def state(self, servo: Servo) -> ServoState | None:
+        """Read the drive's state; None where that fails."""
+        found: list[ServoState] = []
+        self.attempt(lambda: found.append(servo.state()))
+        return found[0] if found else None
+
 
 def make_safe(
     servo: Servo,
@@ -54,9 +105,10 @@ def make_safe(
     hurry: Callable[[], bool],
     watched: bool = True,
 ) -> SafeState:
-    """Brake if asked to, take the power off and read the state back. Never raises a device error.
+    """Brake if asked to, take the power off and read the state back. Never raises.
 
-    Every step has a time-out of its own; none is skipped because one before it failed.
+    Each step has a time-out of its own, and is tried whatever the steps before it raised. Where the
+    state cannot be read, or shows power, taking the power off is tried once more.
 
     Args:
         servo: The drive.
@@ -66,17 +118,36 @@ def make_safe(
         brake: Start with a quick stop: after anything but an orderly end.
         hurry: Whether the operator asks again: then the power goes off without waiting for the end of the ramp.
         watched: Whether the drive takes its power off by itself once nobody commands it.
+
+    Returns:
+        How the drive was left; exceptions that nobody foresaw are in ``unforeseen``.
     """
-    problems: list[str] = []
+    steps = _Steps()
     if brake:
-        _attempt(servo.quick_stop, problems)
-        _attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry), problems)
-    if brake or _state(servo, []) is not ServoState.SWITCH_ON_DISABLED:
-        _attempt(servo.disable, problems)
-    state = _state(servo, problems)
-    if state is None:
-        return SafeState(False, "unknown", tuple(problems), watched)
-    return SafeState(not state.energised, state.value, tuple(problems), watched)
+        steps.attempt(servo.quick_stop)
+        steps.attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry))
+    state = None if brake else steps.state(servo)
+    for _ in range(DISABLE_ATTEMPTS):
+        if state is not ServoState.SWITCH_ON_DISABLED:
+            steps.attempt(servo.disable)
+        state = steps.state(servo)
+        if state is not None and not state.energised:
+            break
+    return SafeState(
+        verified=state is not None and not state.energised,
+        state="unknown" if state is None else state.value,
+        problems=tuple(dict.fromkeys(steps.problems)),
+        watched=watched,
+        unforeseen=tuple(steps.unforeseen),
+    )
+
+
+def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
+    """Run every step, whatever those before it raised; returns what nobody foresaw."""
+    taken = _Steps()
+    for step in steps:
+        taken.attempt(step)
+    return tuple(taken.unforeseen)
 
 
 def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]) -> None:
@@ -89,31 +160,12 @@ def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int,
         watch()
 
 
-def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> None:
+def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:
     """Write the drive's own limits back, so that the tighter ones of a run do not stand in the way of the next.
 
     Only into a drive that is verified off. A drive that does not take them keeps the tighter ones, which is safe.
+
+    Returns:
+        What nobody foresaw, as in :attr:`SafeState.unforeseen`.
     """
-    if safe.verified:
-        with suppress(DeviceError, KeyboardInterrupt):
-            servo.write_limits(own)
-
-
-def _attempt(action: Callable[[], None], problems: list[str]) -> None:
-    """Do one step of the teardown; whatever it meets, the next step must still be tried."""
-    try:
-        action()
-    except DeviceError as error:
-        problems.append(str(error))
-    except KeyboardInterrupt:
-        problems.append("interrupted again while stopping")
-
-
-def _state(servo: Servo, problems: list[str]) -> ServoState | None:
-    try:
-        return servo.state()
-    except DeviceError as error:
-        problems.append(str(error))
-    except KeyboardInterrupt:
-        problems.append("interrupted while reading the state")
-    return None
+    return attempt_all(lambda: servo.write_limits(own)) if safe.verified else ()

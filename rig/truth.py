@@ -12,6 +12,7 @@ from rig.bench import load_bench
 from rig.errors import InputError
 from rig.packaged import packaged
 from rig.provenance import sha256_file
+from rig.recorded_inputs import recorded_input
 from rig.run_file import read_record
 from rig.run_record import BENCH_ATTACHMENT, RUN_FILE
 
@@ -49,7 +50,7 @@ def truth_of(source: Path) -> dict[str, float] | None:
     entry = record.inputs.get(BENCH_ATTACHMENT)
     if not record.simulated or entry is None:
         return None
-    path = Path(entry["file"])
+    path = recorded_input(source, entry)
     for candidate in (path, packaged(path.stem, "benches")):
         if candidate.is_file() and sha256_file(candidate) == entry["sha256"]:
             try:

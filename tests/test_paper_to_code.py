@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import ast
-import importlib
 import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+
+from .names import found
 
 ROOT = Path(__file__).parents[1]
 ITEMS = (
@@ -50,20 +51,6 @@ def numbers(items: str) -> Iterator[str]:
             yield f"{kind} {part}"
         else:
             yield from (f"{kind} {n}" for n in range(int(first), int(last or first) + 1))
-
-
-def found(name: str) -> object:
-    """What a dotted name stands for."""
-    parts = name.split(".")
-    for end in range(len(parts), 0, -1):
-        try:
-            value: object = importlib.import_module(".".join(parts[:end]))
-        except ModuleNotFoundError:
-            continue
-        for attribute in parts[end:]:
-            value = getattr(value, attribute)
-        return value
-    raise ModuleNotFoundError(name)
 
 
 def test_every_row_stands_there_once() -> None:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import heapq
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 import can
 
@@ -19,6 +20,15 @@ FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
 
 
 _NEVER = 1 << 62
+
+
+@contextmanager
+def _of_python_can() -> Iterator[None]:
+    """Raise what the bus refuses as python-can's interfaces do."""
+    try:
+        yield
+    except OSError as error:
+        raise can.CanOperationError(str(error)) from error
 
 
 class Port:
@@ -142,10 +152,10 @@ class SimulatedBus(can.BusABC):
         """Queue a frame of the host.
 
         Raises:
-            can.CanOperationError: The bus is down or shut.
+            OSError: The bus is down or shut.
         """
         if self.down or self._is_shutdown:
-            raise can.CanOperationError("bus-off" if self.down else "the bus is shut")
+            raise OSError("bus-off" if self.down else "the bus is shut")
         self._host.send(identifier, data)
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
@@ -155,7 +165,7 @@ class SimulatedBus(can.BusABC):
         time at which it arrived.
 
         Raises:
-            can.CanOperationError: The bus is shut.
+            OSError: The bus is shut.
         """
         deadline = self._clock.now_ns() + round(timeout_s * NS)
         if not self._wait(deadline):
@@ -165,14 +175,26 @@ class SimulatedBus(can.BusABC):
         return frames
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Queue a frame of the host; raises as :meth:`transmit`."""
-        self.transmit(msg.arbitration_id, bytes(msg.data))
+        """Queue a frame of the host.
+
+        Raises:
+            can.CanOperationError: The bus is down or shut.
+        """
+        with _of_python_can():
+            self.transmit(msg.arbitration_id, bytes(msg.data))
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """Return the next frame that passes python-can's filters; raises as :meth:`collect`.
+        """Return the next frame that passes python-can's filters.
 
         ``timeout`` is in seconds of simulated time; None waits as long as anything at all is scheduled.
+
+        Raises:
+            can.CanOperationError: The bus is shut.
         """
+        with _of_python_can():
+            return self._next(timeout)
+
+    def _next(self, timeout: float | None) -> can.Message | None:
         deadline = _NEVER if timeout is None else self._clock.now_ns() + round(timeout * NS)
         while self._wait(deadline):
             time_ns, identifier, data, _ = self._received.pop(0)
@@ -187,7 +209,7 @@ class SimulatedBus(can.BusABC):
     def _wait(self, deadline_ns: int) -> bool:
         """Advance simulated time until there is a frame for the host; False where there is none by the deadline."""
         if self._is_shutdown:
-            raise can.CanOperationError("the bus is shut")
+            raise OSError("the bus is shut")
         clock = self._clock
         while not self._received:
             due = clock.next_event_ns()

@@ -27,6 +27,7 @@ import click
     is_flag=True,
     help="Diagnose the gas generator, from pressure and valve angle; needed only where there is torque as well.",
 )
+@click.option("--partial", is_flag=True, help="Also take what was recorded of excitations that a run stopped in.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random generator.")
 @click.option(
     "--out",
@@ -41,6 +42,7 @@ def command(
     bandwidth: float | None,
     refine: bool | None,
     gas: bool,
+    partial: bool,
     seed: int,
     out: Path | None,
     json_file: Path | None,
@@ -67,7 +69,7 @@ def command(
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:
-        outcome = diagnose_source(source, seed, bandwidth, bar, refine, gas)
+        outcome = diagnose_source(source, seed, bandwidth, bar, refine, gas, partial=partial)
         bar("writing the report", 1.0)
         report, beside = write(folder, source, outcome, json_file)
     click.echo(text(outcome))

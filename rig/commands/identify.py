@@ -62,6 +62,7 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     type=click.FloatRange(min=0.0, min_open=True),
     help="Bandwidth of torque and regressors; chosen from the recordings if left out.",
 )
+@click.option("--partial", is_flag=True, help="Also take what was recorded of excitations that a run stopped in.")
 @click.option("--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well.")
 @click.option(
     "--score",
@@ -89,6 +90,7 @@ def command(
     nominal: Path | None,
     current_noise: float | None,
     bandwidth: float | None,
+    partial: bool,
     ladder: bool,
     score: Path | None,
     seed: int,
@@ -109,6 +111,7 @@ def command(
       rig identify --plan figure10 --bench practical --nominal runs/demo/identify.json
       rig identify bench.yaml --method both --bandwidth 30 --json result.json
       rig identify monday.yaml --score friday.yaml
+      rig identify runs/stopped --partial
     """
     # Imported late: --help must not wait for the numerics.
     from rig.bar import ShareBar
@@ -143,6 +146,7 @@ def command(
             score=score,
             profile=profile,
             draws=draws or 0,
+            take_partial=partial,
         )
         truth = truth_of(source)
         if compared:

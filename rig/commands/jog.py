@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import click
 
 from rig.aftermath import STATUS
+from rig.attendance import connected
 from rig.bench import Bench, load_bench
 from rig.cli import DONE
-from rig.connect import connect
+from rig.crash import note_drive
 from rig.cycle import Devices
-from rig.jog import move, plan_jog
-from rig.operator import StopButton
+from rig.errors import InputError
+from rig.jog import Jog, move, plan_jog
+from rig.ownership import say_taken_over
 from rig.places import require_file, write_asked
+from rig.preflight import require_startable
 from rig.progress import RunProgress
+from rig.prompt import InputEndedError, Prompt
 from rig.provenance import utc_now
+from rig.screen import Screen
 from rig.sequencer import Ending, Outcome
+from rig.stop_button import OperatorStopError, StopButton
 
 SCHEMA = "loadrig.jog/1"
 
@@ -54,39 +61,60 @@ def command(
     require_file(json_file, "--json")
     document = load_bench(bench)
     plan_jog(document.value, angles, speed)
-    with connect(document, seed, realtime) as devices, StopButton() as stop:
-        outcome = None
-        for batch in [angles] if angles else _asked():
-            outcome = _move(document.value, batch, speed, devices, stop, reset_fault)
-            click.echo(f"{outcome.ending.value}: {outcome.message}", err=outcome.ending is not Ending.DONE)
+    require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
+    screen = Screen()
+    outcome = None
+    with (
+        closing(screen),
+        StopButton(screen.say) as stop,
+        connected(stop, document, seed, realtime, purpose="rig jog") as devices,
+    ):
+        say_taken_over(devices.lock, screen)
+        batches = [angles] if angles else _asked(Prompt(screen), stop, screen)
+        for batch in batches:
+            try:
+                jog = plan_jog(document.value, batch, speed)
+            except InputError as error:
+                screen.say(str(error))
+                continue
+            outcome = _move(document.value, jog, devices, stop, screen, reset_fault)
             if outcome.ending is not Ending.DONE:
                 break
     write_asked(json_file, _record(bench, outcome))
+    if outcome is not None and outcome.error is not None:
+        note_drive(outcome.error, outcome.safe.message)
+        raise outcome.error
     return DONE if outcome is None else STATUS[outcome.ending]
 
 
-def _asked() -> Iterator[tuple[float, ...]]:
-    """Yield the angles typed at the terminal, until an empty answer or the end of the input."""
+def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[float, ...]]:
+    """Yield the angles typed at the terminal, until an empty answer or the end of the input.
+
+    Raises:
+        KeyboardInterrupt: The operator stopped it at the prompt, where the drive is off.
+    """
     while True:
         try:
-            typed = click.prompt("Joint angle, deg (empty to end)", default="", show_default=False, err=True).strip()
-        except click.Abort:
+            with stop.interruptible():
+                typed = prompt.ask("Joint angle, deg (empty to end): ")
+        except InputEndedError:
             return
+        except OperatorStopError as error:
+            raise KeyboardInterrupt from error
         if not typed:
             return
         try:
-            yield (float(typed),)
+            yield (float(typed.replace(",", ".")),)
         except ValueError:
-            click.echo(f"{typed!r} is not an angle in degrees", err=True)
+            screen.say(f"{typed!r} is not an angle in degrees")
 
 
-def _move(
-    bench: Bench, angles: tuple[float, ...], speed: float, devices: Devices, stop: StopButton, reset_fault: bool
-) -> Outcome:
-    jog = plan_jog(bench, angles, speed)
+def _move(bench: Bench, jog: Jog, devices: Devices, stop: StopButton, screen: Screen, reset_fault: bool) -> Outcome:
     span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
-    with RunProgress(bench.cycle_s, len(angles) * span / jog.speed) as progress:
-        return move(jog, bench, devices, stop, progress, reset_fault)
+    with RunProgress(bench.cycle_s, len(jog.angles) * span / jog.speed, screen) as progress:
+        return move(
+            jog, bench, devices, stop, progress, lambda words, good: screen.say(words, err=not good), reset_fault
+        )
 
 
 def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:

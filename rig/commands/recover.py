@@ -7,10 +7,15 @@ from pathlib import Path
 
 import click
 
+from rig.aftermath import write_page
 from rig.cli import DONE
 from rig.errors import InputError
+from rig.go_on import go_on_words
+from rig.locks import hold_folder
+from rig.ownership import until_the_end
 from rig.places import require_file, write_asked
-from rig.recover import damaged_name, recover
+from rig.recover import damaged_name, mend
+from rig.run_report import REPORT_FILE
 from rig.tables import table
 
 
@@ -18,17 +23,18 @@ from rig.tables import table
 @click.argument("run", type=click.Path(path_type=Path))
 @click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the completed run.json here.")
 def command(run: Path, json_file: Path | None) -> int:
-    """Rewrite RUN's recording from everything that is readable in it, and complete its run.json.
+    """Rewrite RUN's recording from everything that is readable in it, and complete its run.json and its page.
 
-    The damaged file is kept beside it. A whole run is left as it is.
+    The damaged file is kept beside it. A whole run is left as it is; its page is written where it is missing.
 
     \b
     Example:
       rig recover runs/20261120T101500Z-figure10
     """
     require_file(json_file, "--json")
+    until_the_end(hold_folder(run, "rig recover"))
     try:
-        recovery = recover(run)
+        recovery = mend(run)
     except OSError as error:
         raise InputError(f"{run}: cannot be written: {error.strerror}") from error
     if not recovery.damage:
@@ -38,5 +44,9 @@ def command(run: Path, json_file: Path | None) -> int:
         click.echo(f"{problem}; the damaged file is kept as {kept}")
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in recovery.record.stages]
     click.echo(table(["stage", "load", "weight kg", "state"], rows, right=[2]))
+    if words := go_on_words(recovery.record, run):
+        click.echo(words)
+    if recovery.changed or not (run / REPORT_FILE).exists():
+        write_page(run, recovery.record, lambda words, good: click.echo(words, err=not good))
     write_asked(json_file, dataclasses.asdict(recovery.record))
     return DONE

@@ -2,32 +2,39 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 
-from drivers.errors import LinkError
 from rig.aftermath import conclude
-from rig.calibration import require_current
-from rig.connect import connect
+from rig.attendance import connected, require_attendance
 from rig.errors import InputError
 from rig.feedforward import load_feedforward
-from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
+from rig.locks import hold_folder
+from rig.operator import AutomaticOperator, ConsoleOperator
+from rig.ownership import say_taken_over, until_the_end
 from rig.places import require_file
 from rig.plan import make_plan
+from rig.preflight import require_startable
 from rig.progress import RunProgress
+from rig.prompt import at_terminal
 from rig.provenance import utc_now
+from rig.recorded_inputs import recorded_input
 from rig.reference import load_reference
 from rig.resume import prepare, stopped_words
 from rig.run import bench_constants
 from rig.run_record import FEEDFORWARD_INPUT
+from rig.screen import Screen
 from rig.session import Inputs, execute
+from rig.stop_button import StopButton
+from rig.text import valid
 
 
 @click.command("resume")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
-@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -64,6 +71,7 @@ def command(
       rig resume runs/20261120T101500Z-figure10
     """
     require_file(json_file, "--json")
+    until_the_end(hold_folder(run, "rig resume"))
     try:
         resumed = prepare(run)
     except OSError as error:
@@ -71,12 +79,12 @@ def command(
     for problem in resumed.mended:
         click.echo(problem)
     click.echo(stopped_words(resumed.record))
-    require_current(resumed.bench, utc_now().date())
+    require_startable(resumed.bench, utc_now().date(), lambda words: click.echo(words, err=True))
     constants = bench_constants(resumed.bench.value)
     reference = None if identification is None else load_reference(identification, constants)
     record = resumed.record
     told = record.inputs.get(FEEDFORWARD_INPUT)
-    feedforward = None if told is None else load_feedforward(Path(told["file"]), constants)
+    feedforward = None if told is None else load_feedforward(recorded_input(run, told), constants)
     # Each recording has noise of its own.
     seed = record.seed + len(record.parts)
     reset = reset_fault or resumed.died
@@ -85,14 +93,19 @@ def command(
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
-    with (
-        connect(resumed.bench, seed, record.realtime, torque_offset=feedforward is not None) as devices,
-        StopButton() as stop,
-    ):
-        operator = AutomaticOperator() if yes else ConsoleOperator(resumed.bench.value.prompt_timeout_s)
-        with RunProgress(plan.cycle_s, plan.duration_s) as progress:
-            try:
+    bench = resumed.bench
+    screen = Screen()
+    require_attendance(plan, bench, yes, at_terminal())
+    with closing(screen), StopButton(screen.say) as stop:
+        offset = feedforward is not None
+        with connected(stop, bench, seed, record.realtime, torque_offset=offset, purpose="rig resume") as devices:
+            say_taken_over(devices.lock, screen)
+            patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
+            operator = (
+                AutomaticOperator(screen=screen)
+                if yes
+                else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
+            )
+            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress, record=record)
-            except OSError as error:
-                raise LinkError(f"{run}: the recording cannot be started: {error.strerror}; nothing moved") from error
-    return conclude(folder, outcome, reference, json_file)
+        return conclude(folder, outcome, reference, json_file, screen)

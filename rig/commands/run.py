@@ -2,38 +2,49 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import click
 
-from drivers.errors import LinkError
 from rig.aftermath import STATUS, conclude
-from rig.bench import load_bench
-from rig.calibration import require_current
-from rig.cli import DONE
-from rig.connect import connect
+from rig.attendance import connected, require_attendance
+from rig.bench import Bench, load_bench
+from rig.bench_text import bench_line
+from rig.cli import BAD_VERDICT, DONE
+from rig.configuration import Document
+from rig.crash import noting_folder
+from rig.dry_run import describe_dry_run, dry_run_record
+from rig.dry_run import dry_run as compute_dry_run
 from rig.feedforward import load_feedforward
+from rig.friction_model import FrictionModel, friction_model, of_another_bench
 from rig.inject import describe as describe_findings
 from rig.inject import sabotage
-from rig.operator import AutomaticOperator, ConsoleOperator, StopButton
-from rig.places import require_file, require_folder
-from rig.plan import make_plan
-from rig.plan_text import describe
+from rig.locks import OWNER_FILE
+from rig.operator import AutomaticOperator, ConsoleOperator
+from rig.ownership import say_taken_over, until_the_end
+from rig.places import require_file, require_folder, write_asked
+from rig.plan import Plan, make_plan
+from rig.preflight import require_startable
 from rig.progress import RunProgress
+from rig.prompt import at_terminal
 from rig.provenance import utc_now
 from rig.reference import load_reference
-from rig.run import bench_constants, create_folder
+from rig.run import bench_constants, create_folder, require_unused
+from rig.screen import Screen
 from rig.sequence import load_sequence
 from rig.session import Inputs, execute
+from rig.stop_button import StopButton
+from rig.text import valid
 
 
 @click.command("run")
 @click.argument("sequence")
 @click.option("--bench", default="practical", show_default=True, help="Bench file, or the name of a packaged one.")
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty. [default: runs/<utc>-<name>]")
-@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned.")
+@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
-@click.option("--dry-run", is_flag=True, help="Print the plan; connect to nothing, move nothing.")
+@click.option("--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
 @click.option(
     "--faults",
@@ -41,7 +52,7 @@ from rig.session import Inputs, execute
     type=click.Path(path_type=Path),
     help="Schedule (YAML or CSV) of what goes wrong on the mock bench.",
 )
-@click.option("--operator", "operator_name", help="Who runs it; kept with the recording.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -67,7 +78,12 @@ from rig.session import Inputs, execute
     type=click.FloatRange(min=0, min_open=True),
     help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of the bench file]",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(path_type=Path),
+    help="Also write run.json to this file, or what --dry-run finds.",
+)
 def command(
     sequence: str,
     bench: str,
@@ -102,37 +118,51 @@ def command(
     """
     require_file(json_file, "--json")
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    click.echo(bench_line(bench_file))
     constants = bench_constants(bench_file.value)
     feedforward = None if feedforward_file is None else load_feedforward(feedforward_file, constants)
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(sequence_file, bench_file, low, feedforward)
     if feedforward is not None and feedforward.remark:
         click.echo(feedforward.remark, err=True)
-    if dry_run:
-        click.echo(describe(plan))
-        return DONE
     path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
-    require_current(bench_file, utc_now().date())
+    # Of a folder that another program works in, its lock says more than what lies there.
+    if not (path / OWNER_FILE).exists():
+        require_unused(path)
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
-    with (
-        connect(
-            bench_file, seed, realtime, None if saboteur is None else saboteur.attach, feedforward is not None
-        ) as devices,
-        StopButton() as stop,
-    ):
-        create_folder(path)
-        operator = AutomaticOperator() if yes else ConsoleOperator(patience_s)
-        carry_out = execute if saboteur is None else saboteur.execute
-        with RunProgress(plan.cycle_s, plan.duration_s) as progress:
-            try:
+    require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
+    require_attendance(plan, bench_file, yes, dry_run or at_terminal())
+    for words in (of_another_bench(file, constants) for file in (identification, feedforward_file) if file):
+        if words is not None:
+            click.echo(f"warning: {words}", err=True)
+    if dry_run:
+        return _dry_run(bench_file, plan, friction_model(constants, identification or feedforward_file), yes, json_file)
+    screen = Screen()
+    with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
+        attach = None if saboteur is None else saboteur.attach
+        with connected(stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run") as devices:
+            say_taken_over(devices.lock, screen)
+            until_the_end(create_folder(path, "rig run"))
+            operator = (
+                AutomaticOperator(screen=screen)
+                if yes
+                else ConsoleOperator(screen, patience_s=patience_s, tolerance=bench_file.value.weight_tolerance)
+            )
+            carry_out = execute if saboteur is None else saboteur.execute
+            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
-            except OSError as error:
-                raise LinkError(f"{path}: the recording cannot be started: {error.strerror}; nothing moved") from error
-    status = conclude(folder, outcome, reference, json_file)
+        status = conclude(folder, outcome, reference, json_file, screen)
     if saboteur is not None:
         click.echo(describe_findings(saboteur.conclude(STATUS[outcome.ending], outcome.message)))
     return status
+
+
+def _dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, yes: bool, json_file: Path | None) -> int:
+    computed = compute_dry_run(bench, plan, model, asks=not yes)
+    click.echo(describe_dry_run(computed))
+    write_asked(json_file, dry_run_record(computed))
+    return BAD_VERDICT if computed.problems else DONE

@@ -17,8 +17,12 @@ from rig.sources.formats import FORMATS
 from rig.sources.table import format_of
 
 
-def load_source(path: Path) -> Dataset:
+def load_source(path: Path, *, partial: bool = False) -> Dataset:
     """Load a run folder or a campaign file.
+
+    Args:
+        path: Where it is.
+        partial: Whether to take a run's unfinished excitations as well.
 
     Raises:
         InputError: It is neither, or something in it or its recordings cannot be used; lists everything found.
@@ -27,13 +31,15 @@ def load_source(path: Path) -> Dataset:
         # Imported here because the run folder's reader is not needed for recordings made elsewhere.
         from rig.run import load_run
 
-        return load_run(path)
+        return load_run(path, partial=partial)
     if path.is_dir():
         raise InputError(f"{path}: a folder without run.json; name a run folder or a campaign file (.yaml)")
     if path.suffix.lower() not in (".yaml", ".yml"):
         remedy = "; describe recordings made elsewhere in a campaign file (.yaml)" if path.is_file() else ""
         missing = "" if path.exists() else "no such file; "
         raise InputError(f"{path}: {missing}a source is a run folder or a campaign file{remedy}")
+    if partial:
+        raise InputError(f"{path}: --partial is for a run folder; a campaign file names what is to be taken")
     return _load_campaign(load_campaign(path))
 
 

@@ -7,12 +7,9 @@ from __future__ import annotations
 
 import socket
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from unittest.mock import patch
+from collections.abc import Callable, Sequence
 
 import can
-import serial
 
 from drivers.can_port import PythonCanPort
 from drivers.clock import NS, SimulatedClock
@@ -103,24 +100,6 @@ class LockStepCan(PythonCanPort):
 
         self._step.wait(timeout_s, look)
         return found
-
-
-@contextmanager
-def slcan_counted(step: LockStep) -> Iterator[None]:
-    """Count what python-can's slcan writes and reads."""
-    write, read = serial.Serial.write, serial.Serial.read
-
-    def counted_write(port: serial.Serial, data: bytes) -> int:
-        step.sent += len(data)
-        return int(write(port, data))
-
-    def counted_read(port: serial.Serial, size: int = 1) -> bytes:
-        data = bytes(read(port, size))
-        step.read += len(data)
-        return data
-
-    with patch.object(serial.Serial, "write", counted_write), patch.object(serial.Serial, "read", counted_read):
-        yield
 
 
 def count_socketcand(bus: can.BusABC, step: LockStep) -> None:

@@ -28,16 +28,16 @@ from drivers.mock.pty import Ports
 from drivers.mock.serial_line import SimulatedLine
 from drivers.mock.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import BytePort
+from drivers.slcan_port import SlcanPort
 from drivers.units import EncoderScales
 
 from .contract import Rig
 from .host import SCALES
-from .lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile, slcan_counted
+from .lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile
 
 BAUD = 1_000_000
 ENCODER_BAUD = 2_000_000
 CYCLE_S = 0.002
-SLCAN = {"sleep_after_open": 0, "timeout": 1e-4}
 GATE = Gate(speed_rad_s=10.0, acceleration_rad_s2=350.0)
 MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))
 
@@ -113,11 +113,10 @@ def slcan_over_pty() -> Iterator[Rig]:
     path = ports.open_pty(LawicelAdapter(bench.bus))
     step = LockStep(bench.clock, ports, path)
 
-    def connect() -> LockStepCan:
-        return LockStepCan(can.Bus(interface="slcan", channel=path, bitrate=1_000_000, **SLCAN), step)
+    def connect() -> SlcanPort:
+        return SlcanPort(LockStepSerial(path, BAUD, step), bench.clock, 1_000_000)
 
-    with slcan_counted(step):
-        yield from _rig(ports, can_devices(CanopenLink(bench.clock, connect, "slcan")))
+    yield from _rig(ports, can_devices(CanopenLink(bench.clock, connect, "slcan")))
 
 
 @contextmanager

@@ -25,6 +25,12 @@ class Objects:
         return self.values[index, subindex]
 
 
+def check(scales: ServoScales, drive: Objects) -> None:
+    """Raise what preparing a drive would raise of its units."""
+    for error in scales.mismatches(drive):
+        raise error
+
+
 @given(
     st.integers(-(1 << 31), (1 << 31) - 1),
     st.sampled_from([1, -1]),
@@ -50,34 +56,34 @@ def test_one_motor_turn_is_a_hundredth_of_a_joint_turn() -> None:
 
 
 def test_a_drive_as_in_the_bench_file_passes() -> None:
-    ServoScales(**GOOD).check(Objects())
+    check(ServoScales(**GOOD), Objects())
 
 
 def test_a_drive_without_608f_is_taken_at_its_word() -> None:
     drive = Objects()
     del drive.values[0x608F, 1]
-    ServoScales(**GOOD).check(drive)
+    check(ServoScales(**GOOD), drive)
 
 
 @pytest.mark.parametrize(("changed", "match"), [("x6075", "rated current"), ("x6076", "rated torque")])
 def test_a_drive_that_differs_is_refused(changed: str, match: str) -> None:
     with pytest.raises(ConfigurationError, match=match):
-        ServoScales(**GOOD).check(Objects(**{changed: 600}))
+        check(ServoScales(**GOOD), Objects(**{changed: 600}))
 
 
 @pytest.mark.parametrize(("current", "accepted"), [(15014, True), (15016, False), (14986, True), (14984, False)])
 def test_the_tolerance_is_a_thousandth(current: int, accepted: bool) -> None:
     scales = ServoScales(**GOOD)
     if accepted:
-        scales.check(Objects(x6075=current))
+        check(scales, Objects(x6075=current))
     else:
         with pytest.raises(ConfigurationError, match=r"the bench file 15 A"):
-            scales.check(Objects(x6075=current))
+            check(scales, Objects(x6075=current))
 
 
 def test_a_wrong_encoder_resolution_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="608Fh: the drive says 4096"):
-        ServoScales(**GOOD | {"counts_per_turn": 8192}).check(Objects())
+        check(ServoScales(**GOOD | {"counts_per_turn": 8192}), Objects())
 
 
 @pytest.mark.parametrize("wrong", [{"gear_ratio": 0.0}, {"counts_per_turn": -1}, {"rated_current_A": math.inf}])

@@ -91,7 +91,7 @@ CASES: Mapping[str, Case] = {
     "the drive's frames lost, 40 of them": Case(
         (fault("bus", "lost", frames={"device": "drive"}, count=40),),
         Must(4, "sample age", WATCH_S),
-        at("enable", NO_ANSWER) | at("prompt prepare disable", replace(NO_ANSWER, verified=False)),
+        at("enable prepare disable", NO_ANSWER) | at("prompt", replace(NO_ANSWER, verified=False)),
     ),
     "cable pulled": Case(
         (fault("bus", "lost", count=0),),
@@ -168,7 +168,7 @@ CASES: Mapping[str, Case] = {
         at("prompt prepare enable disable", RIDES),
     ),
     "recorder fails": Case((fault("host", "recorder_fails"),), Must(4, "Input/output error", 0.25)),
-    "disk full": Case((fault("disk", "full"),), Must(4, "run folder cannot be written", 0.25)),
+    "disk full": Case((fault("disk", "full"),), Must(4, "cannot be written", 0.25)),
     "Ctrl-C": Case((fault("operator", "stop"),), Must(3, "stopped by the operator", BRAKE_S)),
     "prompt unanswered": Case(
         (fault("operator", "unanswered", value=30.0),), RIDES, at("prompt", Must(3, "without an answer", 0.0))

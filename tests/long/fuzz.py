@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers import amt21, epos_serial
+from drivers import amt21, epos_serial, slcan
 from drivers.can_port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FramePort
 from drivers.canopen_link import CanopenLink
 from drivers.cia402_servo import Cia402Servo
@@ -257,6 +257,45 @@ def fuzz_epos_serial(count: int, rng: np.random.Generator) -> Counter[str]:
     return counts
 
 
+def fuzz_slcan(count: int, rng: np.random.Generator) -> Counter[str]:
+    """Feed ``count`` bytes of noise and of damaged lines to the decoder of CAN adapters on a serial line.
+
+    What it takes for a frame must have been a whole line, and every good line after the next end of one must be found.
+    """
+    decoder = slcan.LineDecoder()
+    counts: Counter[str] = Counter()
+    while counts["bytes"] < count:
+        line = bytearray()
+        for _ in range(20):
+            good = bytearray(slcan.encode(int(rng.integers(0x800)), rng.bytes(int(rng.integers(9)))))
+            match int(rng.integers(4)):
+                case 0:
+                    good = bytearray(rng.bytes(len(good)))
+                case 1:
+                    good[rng.integers(len(good))] ^= 1 << int(rng.integers(8))
+                case 2:
+                    del good[rng.integers(len(good))]
+            line += good
+        whole = int(rng.integers(0x800)), rng.bytes(8)
+        line += b"\r" + slcan.encode(*whole)
+        found = []
+        at = 0
+        while at < len(line):
+            step = int(rng.integers(1, 40))
+            found += decoder.feed(bytes(line[at : at + step]))
+            at += step
+        said = b"\r" + bytes(line).replace(b"\a", b"\r").upper()
+        for identifier, data in found:
+            if identifier <= 0x7FF:
+                text = b"\r" + slcan.encode(identifier, data)[:-1].upper()
+                assert text in said, f"{identifier:03X} {data.hex()} was never on the line"
+        assert found[-1] == whole
+        counts["frames"] += len(found)
+        counts["bytes"] += len(line)
+    counts["dropped"] = decoder.bad
+    return counts
+
+
 def fuzz_amt21(count: int, rng: np.random.Generator) -> Counter[str]:
     """Feed ``count`` answers of 0 to 4 bytes to the AMT21 decoder; those it takes are whole words that check."""
     counts: Counter[str] = Counter()
@@ -330,6 +369,7 @@ DECODERS: Mapping[str, Callable[[int, np.random.Generator], Counter[str]]] = {
     "host's SDO client": fuzz_sdo_client,
     "simulated devices": fuzz_twins,
     "EPOS serial": fuzz_epos_serial,
+    "slcan": fuzz_slcan,
     "AMT21": fuzz_amt21,
 }
 

@@ -31,6 +31,7 @@ from drivers.mock.pty import Ports
 from drivers.mock.serial_line import Station
 from drivers.mock.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import BytePort
+from drivers.slcan_port import SlcanPort
 from rig import connect, serial_bus
 from rig.bench import load_bench
 from rig.cli import status
@@ -39,16 +40,10 @@ from rig.tables import number, table
 from rig.truth import true_parameters
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
-from lock_step import (
-    LockStep,
-    LockStepCan,
-    LockStepSerial,
-    count_socketcand,
-    served_meanwhile,
-    slcan_counted,
-)
+from lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile
 
 MISSES = 0.05
+_ADAPTER_BAUD = 115_200
 LINES = ("EPOS serial, AMT21", "slcan on a pty", "socketcand on loopback")
 BENCHES: Mapping[str, str] = {
     "CANopen": "practical",
@@ -70,7 +65,7 @@ def wired(transport: str) -> Iterator[None]:
         if transport == "EPOS serial, AMT21":
             stack.enter_context(patch.object(serial_bus, "_simulated", _over_ptys(ports)))
         elif transport in LINES:
-            over = _over_slcan(ports, stack) if transport == "slcan on a pty" else _over_socketcand(ports)
+            over = _over_slcan(ports) if transport == "slcan on a pty" else _over_socketcand(ports)
             stack.enter_context(patch.object(connect, "_link", over))
         yield
 
@@ -83,17 +78,15 @@ def _over_ptys(ports: Ports) -> Callable[[SimulatedBench, str, int, Station], Ca
     return line
 
 
-def _over_slcan(ports: Ports, stack: contextlib.ExitStack) -> Callable[..., tuple[CanopenLink, SimulatedBench]]:
+def _over_slcan(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench]]:
     def link(bench: Any, servo: Any, bus: Any, seed: int, attach: Any) -> tuple[CanopenLink, SimulatedBench]:
         twin, clock = connect._twin(bench, servo, bus.bitrate, seed, attach)
         assert twin is not None
         path = ports.open_pty(LawicelAdapter(twin.bus))
         step = LockStep(twin.clock, ports, path)
-        stack.enter_context(slcan_counted(step))
-        options: dict[str, Any] = {"sleep_after_open": 0, "timeout": 1e-4}
 
-        def adapter() -> LockStepCan:
-            return LockStepCan(can.Bus(interface="slcan", channel=path, bitrate=bus.bitrate, **options), step)
+        def adapter() -> SlcanPort:
+            return SlcanPort(LockStepSerial(path, _ADAPTER_BAUD, step), twin.clock, bus.bitrate)
 
         return CanopenLink(clock, adapter, "slcan"), twin
 

@@ -26,12 +26,13 @@ from drivers.interfaces import (
 from rig.bench import load_bench
 from rig.configuration import Document, load_located
 from rig.cycle import Devices
-from rig.operator import AutomaticOperator, StopButton
+from rig.operator import AutomaticOperator
 from rig.plan import Plan, make_plan
 from rig.run import RunFolder
 from rig.sequence import Sequence
 from rig.sequencer import Outcome
 from rig.session import Inputs, execute
+from rig.stop_button import StopButton
 
 GEAR = 100.0
 STATUSWORDS = {

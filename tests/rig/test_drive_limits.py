@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 
 from drivers.errors import ConfigurationError, LinkError
-from drivers.interfaces import ServoLimits
+from drivers.interfaces import LimitSteps, ServoLimits
+from drivers.servo_limits import decode, encode, steps
+from drivers.units import ServoScales
 from rig.drive_limits import compare, loosened, require_held, require_within_own, show
 from rig.sequencer import Ending
 
@@ -52,6 +54,67 @@ def test_a_thousandth_is_rounding() -> None:
     require_held(changed(torque_N_m=60.0 * 1.0009), WANTED)
     with pytest.raises(ConfigurationError):
         require_held(changed(torque_N_m=60.0 * 1.0011), WANTED)
+
+
+STEPS = LimitSteps(0.01, 0.02, 0.5, 0.1, 0.001, 0.3)
+COARSE = (
+    ("angle_min_rad", -0.01),
+    ("angle_max_rad", 0.01),
+    ("speed_rad_s", 0.02),
+    ("torque_N_m", 0.5),
+    ("current_A", 0.1),
+    ("following_error_rad", 0.001),
+)
+
+
+@pytest.mark.parametrize(("field", "step"), COARSE)
+@pytest.mark.parametrize(("share", "same"), [(0.5, True), (1.0, True), (1.01, False), (2.0, False)])
+def test_limits_within_one_step_of_the_drive_are_the_same(field: str, step: float, share: float, same: bool) -> None:
+    other = changed(**{field: getattr(WANTED, field) + share * step})
+    assert [row.looser for row in compare(other, WANTED, STEPS) if row.field == field] == [not same]
+    if same:
+        require_held(other, WANTED, STEPS)
+        require_within_own(other, WANTED, STEPS)
+        return
+    with pytest.raises(ConfigurationError, match="does not hold"):
+        require_held(other, WANTED, STEPS)
+    with pytest.raises(ConfigurationError, match="looser than the drive's own"):
+        require_within_own(other, WANTED, STEPS)
+
+
+@pytest.mark.parametrize(("share", "same"), [(1.0, True), (1.01, False)])
+def test_a_ramp_within_one_step_is_the_same(share: float, same: bool) -> None:
+    slower = changed(quick_stop_deceleration_rad_s2=35.0 - share * 0.3)
+    row = next(r for r in compare(slower, WANTED, STEPS) if r.field == "quick_stop_deceleration_rad_s2")
+    assert row.looser is not same
+
+
+def test_a_step_finer_than_a_thousandth_leaves_the_thousandth() -> None:
+    fine = LimitSteps(1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6)
+    require_held(changed(torque_N_m=60.0 * 1.0009), WANTED, fine)
+    with pytest.raises(ConfigurationError):
+        require_held(changed(torque_N_m=60.0 * 1.0011), WANTED, fine)
+
+
+@pytest.mark.parametrize(
+    ("rated_A", "rated_N_m", "gear", "current", "torque"),
+    [(15.0, 0.45, 100.0, 5.0, 12.0), (3.21, 0.0302, 51.0, 5.0, 3.885), (1.0, 0.388, 1.0, 0.4995, 0.3885)],
+)
+def test_what_a_run_wrote_does_not_refuse_the_next(
+    rated_A: float, rated_N_m: float, gear: float, current: float, torque: float
+) -> None:
+    scales = ServoScales(4096, gear, rated_A, rated_N_m)
+    asked = changed(current_A=current, torque_N_m=torque)
+    left = decode(encode(asked, scales), scales)
+    assert left.current_A <= asked.current_A
+    assert left.torque_N_m <= asked.torque_N_m
+    require_within_own(asked, left, steps(scales))
+    more = changed(
+        current_A=left.current_A + max(1.1 * scales.current_unit_A, 1.1e-3 * left.current_A),
+        torque_N_m=left.torque_N_m + max(1.1 * scales.joint_torque_unit_N_m, 1.1e-3 * left.torque_N_m),
+    )
+    rows = [row.field for row in loosened(more, left, steps(scales))]
+    assert rows == ["torque_N_m", "current_A"]
 
 
 def test_a_limit_that_is_not_a_number_is_looser() -> None:

@@ -226,7 +226,7 @@ def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) ->
     plain, fed = (load_run(Path(folder)).recordings for folder in ("plain", "fed"))
     assert all(tracking_rms(one) > 100 * tracking_rms(other) for one, other in zip(plain, fed, strict=True))
     record = read_record(Path("fed"))
-    assert record.inputs["feedforward.json"]["file"] == "result.json"
+    assert record.inputs["feedforward.json"]["file"] == str(Path("result.json").absolute())
     assert json.loads(read_run(Path("fed/recording.mcap")).attachments["feedforward.json"])["alpha"] == 2.0
     assert "feedforward.json" not in read_record(Path("plain")).inputs
 

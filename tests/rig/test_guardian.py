@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import State
 from drivers.units import ServoScales
 from rig.guard import Guard
-from rig.guardian import REPORT_FILE, Deed, Ward, report, stop, watch
+from rig.guardian import REPORT_FILE, Cause, Deed, Ward, report, stop, watch
 from rig.teardown import SafeState
 
 from ..drivers.serial_host import SerialHost, make_serial_host
@@ -28,9 +29,14 @@ class Witness:
 
     def __init__(self) -> None:
         self.told: list[str] = []
+        self.fed = 0
 
-    def arm(self) -> None:
+    def arm(self, limit_s: float) -> None:
         self.told.append("arm")
+
+    def feed(self) -> None:
+        if self.told[-1:] == ["arm"]:
+            self.fed += 1
 
     def release(self) -> None:
         self.told.append("release")
@@ -39,7 +45,7 @@ class Witness:
 class Absent(Witness):
     """A guard that cannot be had."""
 
-    def arm(self) -> None:
+    def arm(self, limit_s: float) -> None:
         raise LinkError("the guardian did not start")
 
 
@@ -50,25 +56,69 @@ def host() -> Iterator[SerialHost]:
     made.link.close()
 
 
+def heard(lines: list[bytes], ward: Ward, silent: bool = False) -> Cause:
+    """Let the guardian hear these lines, and then the end of the input, or nothing any more."""
+    reading, writing = os.pipe()
+    for line in lines:
+        os.write(writing, line)
+    waits: list[float | None] = []
+
+    def wait(descriptor: int, seconds: float | None) -> bool:
+        waits.append(seconds)
+        return len(waits) <= bool(lines) or not silent
+
+    try:
+        if not silent:
+            os.close(writing)
+        return watch(reading, ward, wait)
+    finally:
+        os.close(reading)
+        if silent:
+            os.close(writing)
+
+
 @pytest.mark.parametrize(
-    ("lines", "armed"),
+    ("lines", "cause"),
     [
-        ([], False),
-        ([ARMED], True),
-        ([ARMED, RELEASED], False),
-        ([ARMED, RELEASED, ARMED], True),
-        ([ARMED, b'{"armed": fal'], True),
-        ([ARMED, b"\xff\xfe\n", b"[1]\n", b'{"other": 1}\n'], True),
-        ([b'{"armed": true'], False),
+        ([], Cause.RELEASED),
+        ([ARMED], Cause.GONE),
+        ([ARMED, RELEASED], Cause.RELEASED),
+        ([ARMED, RELEASED, ARMED], Cause.GONE),
+        ([ARMED, b'{"armed": fal'], Cause.GONE),
+        ([ARMED, b"\xff\xfe\n", b"[1]\n", b'{"other": 1}\n'], Cause.GONE),
+        ([b'{"armed": true'], Cause.RELEASED),
+        ([ARMED[:9], ARMED[9:]], Cause.GONE),
     ],
 )
-def test_it_acts_only_where_the_pipe_ends_with_the_drive_armed(lines: list[bytes], armed: bool) -> None:
-    assert watch(lines, Ward()) is armed
+def test_it_acts_where_the_pipe_ends_with_the_drive_armed(lines: list[bytes], cause: Cause) -> None:
+    assert heard(lines, Ward()) is cause
+
+
+def test_it_acts_where_nobody_feeds_it_while_the_drive_is_armed() -> None:
+    assert heard([ARMED], Ward(), silent=True) is Cause.SILENT
+
+
+def test_it_waits_for_ever_while_the_drive_is_off_and_for_the_limit_while_it_is_armed() -> None:
+    waits: list[float | None] = []
+    reading, writing = os.pipe()
+    lines = [b'{"armed": true, "limit_s": 0.3}\n', b"\n", RELEASED]
+
+    def wait(descriptor: int, seconds: float | None) -> bool:
+        waits.append(seconds)
+        if lines:
+            os.write(writing, lines.pop(0))
+        elif len(waits) == 4:
+            os.close(writing)
+        return True
+
+    assert watch(reading, Ward(), wait) is Cause.RELEASED
+    os.close(reading)
+    assert waits == [None, 0.3, 0.3, None]
 
 
 def test_it_remembers_the_drive_and_the_folder() -> None:
     ward = Ward()
-    watch([b'{"drive": {"name": "the drive"}}\n', ARMED, RELEASED], ward)
+    heard([b'{"drive": {"name": "the drive"}}\n', ARMED, RELEASED], ward)
     assert ward.drive == {"name": "the drive"}
     assert ward.folder == Path("/somewhere")
 
@@ -82,6 +132,9 @@ def test_the_guard_stands_by_before_power_and_until_it_is_verified_off(host: Ser
     host.bench.drive.entered.append(lambda state: armed_before_power.append(witness.told[-1] == "arm"))
     host.servo.enable()
     assert all(armed_before_power)
+    fed = witness.fed
+    host.cycles(10)
+    assert witness.fed >= fed + 10
     host.servo.quick_stop()
     assert witness.told[-1] == "arm"
     host.servo.disable()
@@ -128,7 +181,7 @@ def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> N
     LineFaults(moving(host).line, host.bench.clock).cut(None)
     deed = stop(host.servo, host.bench.clock, patience_s=5.0)
     assert not deed.safe.verified
-    words = report(deed, Ward({"name": "the drive"}, tmp_path))
+    words = report(deed, Ward({"name": "the drive"}, tmp_path), Cause.GONE)
     assert "could NOT be verified" in words
     assert "it has no watch of its own and may go on HOLDING UNDER POWER" in words
     record = json.loads((tmp_path / REPORT_FILE).read_text())
@@ -138,7 +191,7 @@ def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> N
 
 def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:
     deed = Deed(SafeState(True, "switch on disabled"), 1, 0.05)
-    words = report(deed, Ward({"name": "the drive"}, tmp_path / "gone"))
+    words = report(deed, Ward({"name": "the drive"}, tmp_path / "gone"), Cause.GONE)
     assert "the program that drove the drive is gone; after 0.05 s the drive is de-energised" in words
     assert "guardian.json cannot be written: No such file" in words
 
@@ -146,6 +199,6 @@ def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:
 def test_a_port_that_is_not_open_cannot_be_guarded(tmp_path: Path) -> None:
     guard = Guard("/dev/none", 1_000_000, 1, tmp_path / "drive.eds", ServoScales(4096, 100.0, 15.0, 0.45))
     with pytest.raises(LinkError, match="EPOS4 at /dev/none is not open"):
-        guard.arm()
+        guard.arm(0.2)
     guard.release()
     guard.close()

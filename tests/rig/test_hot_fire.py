@@ -22,7 +22,7 @@ from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device
 from rig.errors import InputError
 from rig.label_check import comparable, off_label
 from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator, StopButton
+from rig.operator import AutomaticOperator
 from rig.packaged import resolve
 from rig.plan import make_plan
 from rig.plan_text import describe
@@ -34,6 +34,7 @@ from rig.sequence import load_sequence
 from rig.sequencer import Ending
 from rig.session import Inputs, execute
 from rig.sources import load_source
+from rig.stop_button import StopButton
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
 HOT = f"""\

@@ -16,7 +16,9 @@ from rig.mcap_reader import read_run
 from rig.run import read_record
 
 CHILD = """
+import dataclasses
 import sys
+import rig.plan
 import rig.sequencer
 from drivers.cia402_servo import Cia402Servo
 from rig.cli import status
@@ -38,6 +40,9 @@ def brake(self):
     print("braking", flush=True)
     sys.stdin.readline()
 
+limits = rig.plan._limits
+# A busy machine is late; the signals are on trial here.
+rig.plan._limits = lambda values, bench: dataclasses.replace(limits(values, bench), lateness=30.0)
 rig.sequencer.next_phase, Cycle.follow = announce, count
 if sys.argv.pop(1) == "hold":
     Cia402Servo.quick_stop = brake
@@ -94,9 +99,9 @@ def assert_stopped(child: subprocess.Popen[str], tmp_path: Path, words: str) -> 
 
 def test_at_the_prompt(tmp_path: Path) -> None:
     with running(tmp_path) as child:
-        wait_for(child, "Mass on the lever now, kg: ")
+        wait_for(child, "Mass on the lever, kg: ")
         child.send_signal(signal.SIGINT)
-        assert_stopped(child, tmp_path, "phase load: stopped at the weight prompt")
+        assert_stopped(child, tmp_path, "phase load: stopped by the operator at the weight prompt")
 
 
 def test_on_the_way_to_the_start(tmp_path: Path) -> None:

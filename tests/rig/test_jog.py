@@ -18,8 +18,8 @@ from rig.bench import load_bench
 from rig.cli import status
 from rig.errors import InputError
 from rig.jog import move, plan_jog
-from rig.operator import StopButton
 from rig.sequencer import Ending
+from rig.stop_button import StopButton
 
 BENCH = load_bench("practical").value
 
@@ -28,10 +28,14 @@ def ignore(stage: str, cycles: int, sample: Any) -> None:
     """Show no progress."""
 
 
+def silent(words: str, good: bool) -> None:
+    pass
+
+
 def test_it_goes_there_slowly_and_ends_without_power(fake_bench: Any) -> None:
     bench = fake_bench(joint=0.1)
     jog = plan_jog(BENCH, (10.0, -5.0), 5.0)
-    outcome = move(jog, BENCH, bench.devices(), StopButton(), ignore)
+    outcome = move(jog, BENCH, bench.devices(), StopButton(), ignore, silent)
     assert outcome.ending is Ending.DONE
     assert outcome.safe.verified
     assert not bench.drive_state.energised
@@ -53,7 +57,7 @@ def test_the_limits_are_low_in_host_and_drive(fake_bench: Any, monkeypatch: pyte
     monkeypatch.setattr(fake_bench, "write_limits", noting)
     bench = fake_bench()
     own = bench.read_limits()
-    move(plan_jog(BENCH, (1.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore)
+    move(plan_jog(BENCH, (1.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent)
     assert written[0].speed_rad_s == pytest.approx(math.radians(10))
     assert written[0].torque_N_m == pytest.approx(45.0)
     assert written[0].current_A == pytest.approx(15.0)
@@ -71,7 +75,7 @@ def test_the_limits_are_low_in_host_and_drive(fake_bench: Any, monkeypatch: pyte
 def test_a_limit_trips(fake_bench: Any, change: dict[str, float], words: str) -> None:
     bench = fake_bench()
     bench.faults["exchange", 200] = lambda: bench.overrides.update(change)
-    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore)
+    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent)
     assert outcome.ending is Ending.TRIPPED
     assert words in outcome.message
     assert outcome.safe.verified
@@ -81,7 +85,7 @@ def test_a_limit_trips(fake_bench: Any, change: dict[str, float], words: str) ->
 def test_the_stop_button(fake_bench: Any) -> None:
     bench, stop = fake_bench(), StopButton()
     bench.faults["exchange", 200] = stop.press
-    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), stop, ignore)
+    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), stop, ignore, silent)
     assert (outcome.ending, outcome.safe.verified) == (Ending.STOPPED, True)
     assert bench.calls["quick_stop"] == 1
 
@@ -92,7 +96,7 @@ def test_a_bus_that_dies(fake_bench: Any) -> None:
 
     bench = fake_bench()
     bench.faults["exchange", 200] = gone
-    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore)
+    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent)
     assert outcome.ending is Ending.FAILED
     assert "bus-off" in outcome.message
     assert not bench.drive_state.energised

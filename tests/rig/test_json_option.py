@@ -51,8 +51,8 @@ def test_a_missing_folder_is_bad_input_before_anything_is_done(
     def connected(*arguments: Any) -> None:
         raise AssertionError("a bench was connected to")
 
-    for name in ("run", "check", "jog", "resume"):
-        monkeypatch.setattr(f"rig.commands.{name}.connect", connected)
+    for name in ("rig.attendance", "rig.commands.check"):
+        monkeypatch.setattr(f"{name}.connect", connected)
     assert status([*command, "--json", "missing/x.json"]) == 2
     assert "missing/x.json: the folder missing does not exist" in capsys.readouterr().err
     assert not Path("out").exists()

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from drivers.interfaces import RawFrame
+from rig.errors import StorageError
 from rig.mcap_layout import (
     SAMPLE_SIZES,
     SAMPLE_TOPIC,
@@ -323,7 +324,7 @@ def test_a_full_disk_is_raised_and_closing_still_works() -> None:
     """/dev/full accepts an open and refuses every write, as a full disk does."""
     with open("/dev/full", "wb") as stream:
         recorder = Recorder(stream)
-        with pytest.raises(OSError, match="No space left"):
+        with pytest.raises(StorageError, match="No space left"):
             recorder.event(0, "x")
         recorder.close()
         recorder.close()
@@ -338,6 +339,6 @@ def fill(recorder: Recorder) -> None:
 def test_a_full_disk_met_by_a_full_chunk() -> None:
     with open("/dev/full", "wb", buffering=4096) as stream:
         recorder = Recorder(stream)
-        with pytest.raises(OSError, match="No space left"):
+        with pytest.raises(StorageError, match="No space left"):
             fill(recorder)
         recorder.close()

@@ -24,12 +24,13 @@ from rig.cli import COMMANDS, status
 from rig.connect import DRIVE_EDS, ENCODER_EDS, connect
 from rig.mcap_layout import decode_frames
 from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator, StopButton
+from rig.operator import AutomaticOperator
 from rig.packaged import resolve
 from rig.progress import RunProgress
 from rig.run import load_run, read_record
 from rig.session import execute
 from rig.sources import load_source
+from rig.stop_button import StopButton
 
 
 @pytest.fixture(autouse=True)
@@ -168,7 +169,7 @@ def test_no_answer_stops_the_run(short_sequence: Path, monkeypatch: pytest.Monke
     assert run(str(short_sequence), "--out", "out") == 3
     record = read_record(Path("out"))
     assert (record.state, record.de_energised) == ("stopped", True)
-    assert [s.state for s in record.stages] == ["done", "running"]
+    assert [s.state for s in record.stages] == ["done", "stopped"]
     assert len(load_run(Path("out")).recordings) == 2
 
 
@@ -252,7 +253,8 @@ def test_check_reads_the_bench_and_moves_nothing(capsys: pytest.CaptureFixture[s
     assert status(["check", "practical", "--json", "check.json"]) == 0
     text = capsys.readouterr().out
     assert "simulated drive" in text
-    assert "switch on disabled (good)" in text
+    assert "state of the drive: switch on disabled\n" in text
+    assert text.splitlines()[-1] == "verdict: good: a run would start"
     assert [line.split()[-3] for line in text.splitlines() if line.startswith("angle m")] == ["set", "set"]
     assert "e+0" not in text
     found = json.loads(Path("check.json").read_text())
@@ -364,7 +366,7 @@ def test_recover_a_run_cut_off_in_its_stage(finished: Path) -> None:
     folder = torn(finished, 0.5)
     assert status(["recover", str(folder)]) == 0
     record = read_record(folder)
-    assert record.stages[0].state == "running"
+    assert record.stages[0].state == "failed"
     assert record.segments[0].end is None
     assert status(["export", str(folder)]) == 2
     assert status(["recover", str(folder)]) == 0
@@ -417,7 +419,7 @@ def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(
     assert status(["recover", str(holed)]) == 0
     assert "lost between" in capsys.readouterr().out
     record = read_record(holed)
-    assert (record.state, record.stages[0].state) == ("failed", "running")
+    assert (record.state, record.stages[0].state) == ("failed", "failed")
     assert "samples of empty are lost" in record.message
     # What came behind the hole is there: the end of the run, and most of its samples.
     log = read_run(holed / "recording.mcap")

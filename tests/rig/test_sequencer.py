@@ -14,10 +14,11 @@ from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
 from rig.mcap_reader import read_run
 from rig.mcap_writer import McapWriter
-from rig.operator import AutomaticOperator, OperatorStopError, StopButton
+from rig.operator import AutomaticOperator
 from rig.phases import TRANSITIONS, Event, Phase, next_phase
 from rig.run import load_run, read_record
 from rig.sequencer import Ending
+from rig.stop_button import OperatorStopError, StopButton
 
 
 def throw(error: BaseException) -> Callable[[], None]:
@@ -199,7 +200,7 @@ def test_the_operator_gives_up_at_the_second_prompt(runner: Any, fake_bench: Any
     folder, outcome = runner(bench, operator=GivesUp())
     assert outcome.ending is Ending.STOPPED
     assert bench.hung == [0.0]
-    assert [s.state for s in folder.record.stages] == ["done", "running"]
+    assert [s.state for s in folder.record.stages] == ["done", "stopped"]
     assert_safe_and_readable(runner, bench, folder, outcome)
     assert len(load_run(folder.path).recordings) == 2
 
@@ -263,12 +264,16 @@ def test_a_full_disk(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPat
 def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
     bench.faults["exchange", 700] = throw(ZeroDivisionError("a defect"))
-    with pytest.raises(ZeroDivisionError):
-        runner(bench)
+    _, outcome = runner(bench)
+    assert outcome.ending is Ending.CRASHED
+    assert isinstance(outcome.error, ZeroDivisionError)
+    assert outcome.safe.verified
+    assert "the program broke down (ZeroDivisionError: a defect); the drive is de-energised" in outcome.message
     assert bench.drive_state is ServoState.SWITCH_ON_DISABLED
-    assert bench.order[-1] == "state"
+    assert bench.order[-2:] == ["state", "write_limits"]
     assert read_run(runner.folder / "recording.mcap").damage is None
-    assert read_record(runner.folder).state == "failed"
+    record = read_record(runner.folder)
+    assert (record.state, record.de_energised) == ("crashed", True)
 
 
 def test_a_drive_that_stays_on_is_reported_loudly(runner: Any, fake_bench: Any) -> None:
@@ -354,18 +359,21 @@ def test_lateness_and_losses_are_counted(runner: Any, fake_bench: Any) -> None:
     assert timing["answer"]["p50_us"] == pytest.approx(500.0)
 
 
-def test_lateness_against_real_time_is_counted_and_trips_nothing(runner: Any, fake_bench: Any) -> None:
-    """The simulated bench waits for the host, so that a busy computer is no danger there; it is told all the same."""
+@pytest.mark.parametrize(("busy_ms", "ending"), [(26, Ending.DONE), (27, Ending.FAILED)])
+def test_lateness_against_real_time_is_counted_and_judged(
+    runner: Any, fake_bench: Any, busy_ms: int, ending: Ending
+) -> None:
+    """A simulated bench that is held to real time is judged by this computer's lateness; its limit is 25 ms."""
     pacer = Pacer()
     bench = fake_bench(pacer=pacer)
 
     def busy() -> None:
-        pacer.now += 40_000_000
+        pacer.now += busy_ms * 1_000_000
 
     bench.faults["exchange", 700] = busy
     folder, outcome = runner(bench)
-    assert outcome.ending is Ending.DONE
+    assert outcome.ending is ending
     timing = folder.record.parts[0].timing
-    assert timing["missed_syncs"] == 39
-    assert timing["lateness"]["worst_us"] == pytest.approx(39_000.0)
+    assert timing["missed_syncs"] == busy_ms - 1
+    assert timing["lateness"]["worst_us"] == pytest.approx(1000.0 * (busy_ms - 1))
     assert folder.record.overruns == 1

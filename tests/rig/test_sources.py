@@ -324,11 +324,13 @@ def test_globs_names_and_roles(tmp_path: Path) -> None:
         load_source(campaign(tmp_path, "file: a.xlsx"))
 
 
-def test_a_run_folder_goes_to_its_own_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("partial", [False, True])
+def test_a_run_folder_goes_to_its_own_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, partial: bool) -> None:
     (tmp_path / "run.json").write_text("{}")
     loaded = Dataset(())
-    monkeypatch.setattr("rig.run.load_run", lambda folder: loaded if folder == tmp_path else None)
-    assert load_source(tmp_path) is loaded
+    asked = (tmp_path, partial)
+    monkeypatch.setattr("rig.run.load_run", lambda folder, *, partial: loaded if (folder, partial) == asked else None)
+    assert load_source(tmp_path, partial=partial) is loaded
 
 
 def test_sources_that_are_none(tmp_path: Path) -> None:

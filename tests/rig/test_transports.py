@@ -53,3 +53,21 @@ def test_an_epos_and_an_amt21_on_pseudo_terminals(transports: ModuleType, tmp_pa
     moving = samples["segment"] == 1
     assert samples["fresh"][moving].all()
     assert np.abs(samples["angle"] - samples["command"])[moving].max() < np.radians(1.0)
+
+
+@pytest.mark.parametrize(
+    ("transport", "bench"),
+    [
+        ("slcan on a pty", "practical"),
+        ("socketcand on loopback", "practical"),
+        ("EPOS serial, AMT21", "practical_serial"),
+    ],
+)
+def test_a_bench_is_checked_over_its_wire(
+    transports: ModuleType, capsys: pytest.CaptureFixture[str], transport: str, bench: str
+) -> None:
+    with transports.wired(transport):
+        assert status(["check", bench]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[-2:] for line in lines if line.startswith("supply voltage ")] == [["60.0", "V"]]
+    assert lines[-1] == "verdict: good: a run would start"

@@ -252,7 +252,7 @@ def test_a_wrong_weight_is_refused_before_full_amplitude(tmp_path: Path, capsys:
     assert [w["verdict"] for w in record.weights] == ["right", "wrong"]
     assert record.weights[1]["measured_kg"] == pytest.approx(24.0, rel=0.05)
     assert (record.state, record.de_energised) == ("tripped", True)
-    assert [stage.state for stage in record.stages] == ["done", "running"]
+    assert [stage.state for stage in record.stages] == ["done", "tripped"]
     assert "phase weight check" in record.message
     log = read_run(out / "recording.mcap")
     assert set(np.unique(log.samples["segment"])) == {0, 1}

@@ -1,7 +1,6 @@
 """The one place that asks for compilation, so that options are the same everywhere.
 
-The machine code is kept beside each module and renewed when that module changes, not when one it calls does: after
-editing a called kernel run ``make clean``, or touch the caller.
+The machine code is kept on disk for the next process: :mod:`drivers.mock.plant.kernel_cache`.
 """
 
 from __future__ import annotations
@@ -13,17 +12,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from drivers.mock.plant.kernel_cache import KernelCache
+
 Vector = NDArray[np.float64]
 
-_INLINED: dict[str, Any] = {"cache": True, "error_model": "numpy", "forceinline": True, "_nrt": False}
+_INLINED: dict[str, Any] = {"error_model": "numpy", "forceinline": True, "_nrt": False}
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
 
 def compiled(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a numeric kernel with numba and keep the machine code on disk for the next process."""
-    return cast(Callable[P, R], njit(cache=True, error_model="numpy")(function))
+    """Compile a numeric kernel with numba and keep the machine code for the next process."""
+    return _kept(function, error_model="numpy")
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
@@ -32,4 +33,10 @@ def inlined(function: Callable[P, R]) -> Callable[P, R]:
     Without ``_nrt=False`` numba counts references to every array at every call, atomically, which costs more than the
     formulas: the hiding kernel is 2.7 times slower so, and the nominal one by a sixth.
     """
-    return cast(Callable[P, R], njit(**_INLINED)(function))
+    return _kept(function, **_INLINED)
+
+
+def _kept(function: Callable[P, R], **options: Any) -> Callable[P, R]:
+    kernel = njit(**options)(function)
+    kernel._cache = KernelCache(kernel.py_func)
+    return cast(Callable[P, R], kernel)

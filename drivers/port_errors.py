@@ -1,0 +1,63 @@
+"""The error boundary of the ports: what a library raises becomes OSError; closing never raises.
+
+pyserial, termios, python-can and its backends have no exception class in common: on an unplugged
+adapter, a closed port or a garbled line they raise OSError, termios.error, CanError, ValueError,
+TypeError and others.
+"""
+
+from __future__ import annotations
+
+import termios
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+
+
+def words(error: Exception) -> str:
+    """Return what an exception says, with its type where that is a built-in one."""
+    if isinstance(error, termios.error):
+        # As an OSError says it; its own text is a tuple.
+        return str(OSError(*error.args))
+    text = str(error)
+    name = type(error).__name__
+    if isinstance(error, OSError) or type(error).__module__ != "builtins":
+        return text or name
+    return f"{name}: {text}" if text else name
+
+
+def os_errors(action: Callable[_P, _R]) -> Callable[_P, _R]:
+    """Return the action with every exception translated into OSError.
+
+    KeyboardInterrupt and SystemExit are no exceptions of a library and pass.
+    """
+
+    @wraps(action)
+    def translated(*args: _P.args, **kwargs: _P.kwargs) -> _R:
+        try:
+            return action(*args, **kwargs)
+        except OSError:
+            raise
+        except Exception as error:
+            raise OSError(words(error)) from error
+
+    return translated
+
+
+def close_all(*closers: Callable[[], object]) -> None:
+    """Call every closer, in this order, whatever the ones before it raise.
+
+    Exceptions are dropped: what could not be closed has failed before, and was reported then.
+    KeyboardInterrupt and SystemExit are raised after the last closer.
+    """
+    with ExitStack() as stack:
+        for closer in reversed(closers):
+            stack.callback(_quietly, closer)
+
+
+def _quietly(closer: Callable[[], object]) -> None:
+    with suppress(Exception):
+        closer()

@@ -1,0 +1,180 @@
+"""The standard streams of the command line: writing to them never raises, and never ends the work.
+
+A reader that went away (``| head -1``, a terminal that was closed) takes no more output, which is its
+right: the command goes on and its exit status is its own. A stream that cannot hold what is written (a
+full disk) is a failure of storage, which is said and gives a status of its own.
+"""
+
+from __future__ import annotations
+
+import codecs
+import errno
+import io
+import os
+import select
+import sys
+from typing import Any, Final
+
+SHOWN: Final = "rig.shown"
+"""Error handler of the encoder: undecoded bytes go out as they came, other characters as escapes."""
+_GONE: Final = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENXIO})
+
+
+class Outlet(io.FileIO):
+    """The raw end of an output stream. After the first failure it takes everything and keeps nothing.
+
+    Args:
+        descriptor: Open file descriptor; it stays open.
+
+    Attributes:
+        failure: Why nothing more can be written; None while it can, or where only the reader went away.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "w", closefd=False)
+        self.failure: OSError | None = None
+        self._ended = False
+        self._terminal = self.isatty()
+
+    def write(self, data: Any, /) -> int:
+        """Write, and return how much was taken; waits where the descriptor is in non-blocking mode."""
+        size = memoryview(data).nbytes
+        while not self._ended:
+            try:
+                written: int | None = super().write(data)
+            except OSError as error:
+                self._end(error)
+                break
+            if written is not None:
+                return written
+            select.select([], [self.fileno()], [])
+        return size
+
+    def _end(self, error: OSError) -> None:
+        self._ended = True
+        if not reader_gone(error, terminal=self._terminal):
+            self.failure = error
+
+
+def reader_gone(error: OSError, *, terminal: bool) -> bool:
+    """Return whether nobody reads any more, rather than that what is written cannot be kept.
+
+    Args:
+        error: Of a write.
+        terminal: Whether it was to a terminal, which says "input/output error" when it is gone, as a broken disk does.
+    """
+    return error.errno in _GONE or (terminal and error.errno == errno.EIO)
+
+
+class Inlet(io.FileIO):
+    """The raw end of the input; where it cannot be read (its terminal is gone) it is at its end.
+
+    Args:
+        descriptor: Open file descriptor; it stays open.
+    """
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "r", closefd=False)
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Read into a buffer; 0 is the end."""
+        while True:
+            try:
+                # None, which the stubs do not know, is a descriptor in non-blocking mode that has nothing yet.
+                count: int | None = super().readinto(buffer)
+            except OSError:
+                return 0
+            if count is not None:
+                return count
+            select.select([self.fileno()], [], [])
+
+
+class Streams:
+    """The standard streams of this process, made safe; :meth:`finish` says at the end how that went."""
+
+    def __init__(self) -> None:
+        _occupy_standard_descriptors()
+        codecs.register_error(SHOWN, _shown)
+        self._output = Outlet(1)
+        if _is_standard(sys.stdin, 0):
+            sys.stdin = io.TextIOWrapper(io.BufferedReader(Inlet(0)), encoding=_encoding(sys.stdin), errors="replace")
+        if _is_standard(sys.stdout, 1):
+            sys.stdout = _writer(self._output, sys.stdout, line_buffering=self._output.isatty())
+        if _is_standard(sys.stderr, 2):
+            sys.stderr = _writer(Outlet(2), sys.stderr, line_buffering=True)
+
+    def finish(self) -> str | None:
+        """Write what is buffered; return why the output could not be written, or None where it was."""
+        for stream in (sys.stdout, sys.stderr):
+            stream.flush()
+        failure = self._output.failure
+        return None if failure is None else f"the output cannot be written: {failure.strerror}"
+
+
+def complain(words: str) -> None:
+    """Print to stderr, wherever that is, or nowhere: what is said there must not hide what is said next."""
+    if sys.stderr is None:
+        return
+    try:
+        sys.stderr.write(f"{words}\n")
+        sys.stderr.flush()
+    except UnicodeEncodeError:
+        sys.stderr.write(words.encode("ascii", "backslashreplace").decode("ascii") + "\n")
+    except (OSError, ValueError):
+        # The terminal is gone, or the stream is closed: there is nobody to tell.
+        return
+
+
+def _occupy_standard_descriptors() -> None:
+    """Open the null device wherever a standard descriptor is closed.
+
+    The next file that is opened would get its number, and everything that is written to stderr would go into it: into
+    the recording, or to the drive.
+    """
+    for descriptor in (0, 1, 2):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            # The lowest free number is this one: those below it are open.
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)
+
+
+def _is_standard(stream: object, descriptor: int) -> bool:
+    """Return whether a stream is the one that Python opened, or missing; what a caller put in its place stays."""
+    if stream is None:
+        return True
+    try:
+        return isinstance(stream, io.TextIOWrapper) and stream.fileno() == descriptor
+    except (OSError, ValueError):
+        return False
+
+
+def _writer(raw: Outlet, replaced: object, *, line_buffering: bool) -> io.TextIOWrapper:
+    through = isinstance(replaced, io.TextIOWrapper) and replaced.write_through
+    return io.TextIOWrapper(
+        io.BufferedWriter(raw),
+        encoding=_encoding(replaced),
+        errors=SHOWN,
+        line_buffering=line_buffering,
+        write_through=through,
+    )
+
+
+def _encoding(stream: object) -> str:
+    """Return the encoding of a stream; click too takes ASCII for a locale that nobody has set."""
+    if not isinstance(stream, io.TextIOWrapper) or codecs.lookup(stream.encoding).name == "ascii":
+        return "utf-8"
+    return stream.encoding
+
+
+def _shown(error: UnicodeError) -> tuple[bytes, int]:
+    """Encode what a stream's encoding lacks."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    found = bytearray()
+    for character in error.object[error.start : error.end]:
+        if "\udc80" <= character <= "\udcff":
+            found.append(ord(character) - 0xDC00)
+        else:
+            found += character.encode("ascii", "backslashreplace")
+    return bytes(found), error.end

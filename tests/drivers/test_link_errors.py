@@ -1,0 +1,491 @@
+"""Whatever a port raises, a link raises nothing but DeviceError, and closing it raises nothing."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drivers import serial_port
+from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder
+from drivers.amt21_line import Amt21Line
+from drivers.can_port import PythonCanPort
+from drivers.canopen_link import CanopenLink
+from drivers.cia402_servo import Cia402Servo
+from drivers.clock import NS, Clock, SimulatedClock
+from drivers.dbc_bind import bind
+from drivers.dbc_file import read_dbc
+from drivers.dbc_link import DbcLink
+from drivers.dbc_servo import DbcServo
+from drivers.encoder_link import EncoderLink
+from drivers.epos_serial import Opcode, encode
+from drivers.epos_serial_link import EposSerialLink
+from drivers.errors import ConfigurationError, DeviceError, LinkError
+from drivers.interfaces import Link, RawFrame, Servo
+from drivers.mock.bench import DRIVE_NODE, simulated_bench
+from drivers.mock.dbc_bench import simulated_dbc_bench
+from drivers.mock.dbc_drive import DRIVE_DBC
+from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.plant.constants import Machine
+from drivers.mock.serial_line import SimulatedLine
+from drivers.serial_port import InheritedPort
+from drivers.units import EncoderScales
+
+from .dbc_host import DRIVE, MAP
+from .host import SCALES
+from .library_errors import ERRORS, name
+from .pty_line import pty_line
+from .serial_host import GATE
+
+Make = Callable[[], BaseException]
+
+
+class Broken:
+    """A port that lets out whatever its library raises, against its promise; from a given call on, or from now on."""
+
+    def __init__(self, inner: Any, make: Make, good: int = 0) -> None:
+        self.inner = inner
+        self.left = good
+        self.made = 0
+        self.closed = 0
+        self._make = make
+
+    def _pass(self, method: str, *args: object) -> Any:
+        if self.left <= 0:
+            self.made += 1
+            raise self._make()
+        self.left -= 1
+        return getattr(self.inner, method)(*args)
+
+    def write(self, data: bytes) -> None:
+        self._pass("write", data)
+
+    def read(self, timeout_s: float) -> bytes:
+        return self._pass("read", timeout_s)
+
+    def discard(self) -> None:
+        self._pass("discard")
+
+    def transmit(self, identifier: int, data: bytes) -> None:
+        self._pass("transmit", identifier, data)
+
+    def collect(self, timeout_s: float) -> Sequence[RawFrame]:
+        return self._pass("collect", timeout_s)
+
+    def close(self) -> None:
+        self.closed += 1
+        self._pass("close")
+
+    shutdown = close
+
+
+@dataclass
+class Bench:
+    link: Link
+    servo: Servo | None
+    uses: dict[str, Callable[[], object]]
+    port: Broken
+
+
+def canopen(make: Make, good: int = 0) -> Bench:
+    twin = simulated_bench(Machine(), 1)
+    port = Broken(twin.bus, make, good)
+    link = CanopenLink(twin.clock, lambda: port, "CAN")
+    node = link.add_node(DRIVE_NODE, DRIVE_EDS)
+    uses = {
+        "exchange": link.exchange,
+        "send": lambda: link.send(0x123, b""),
+        "heartbeat": link.heartbeat,
+        "pump": lambda: link.pump(lambda: False, 0.01),
+        "read": lambda: node.read(0x6041),
+        "read_text": lambda: node.read_text(0x1008),
+        "write": lambda: node.write(0x6040, 0, 0),
+        "insist": lambda: node.insist(0x6040, 0, 0),
+        "map": lambda: node.map_process_data([], [], 0.001),
+        "watch": lambda: node.watch(0.1),
+        "unwatch": node.unwatch,
+    }
+    return Bench(link, Cia402Servo(node, link, SCALES), uses, port)
+
+
+def dbc(make: Make, good: int = 0) -> Bench:
+    twin = simulated_dbc_bench(Machine(), 1, 1_000_000)
+    port = Broken(twin.bus, make, good)
+    link = DbcLink(twin.clock, lambda: port, "CAN")
+    channel = link.add_channel(bind(MAP, read_dbc(DRIVE_DBC)), "the house servo")
+    servo = DbcServo(link, channel, DRIVE)
+    slot = next(iter(channel.slots.values()))
+    uses = {
+        "exchange": link.exchange,
+        "send": lambda: link.send(0x123, b""),
+        "command": lambda: link.command(channel),
+        "await": lambda: link.await_frame(channel, slot, 0.01),
+        "state": servo.state,
+        "disable": servo.disable,
+        "quick stop": servo.quick_stop,
+    }
+    return Bench(link, servo, uses, port)
+
+
+def epos(make: Make, good: int = 0) -> Bench:
+    twin = simulated_bench(Machine(), 1)
+    port = Broken(SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive)), make, good)
+    link = EposSerialLink(twin.clock, lambda: port, "EPOS4")
+    node = link.add_node(DRIVE_NODE, DRIVE_EDS)
+    uses = {
+        "set_cycle": lambda: link.set_cycle(0.002, "node 1"),
+        "read": lambda: node.read(0x6041),
+        "read_bytes": lambda: node.read_bytes(0x1008),
+        "write": lambda: node.write(0x6040, 0, 0),
+        "insist": lambda: node.insist(0x6040, 0, 0),
+        "write_bytes": lambda: node.write_bytes(0x607D, 1, bytes(4)),
+        "map": lambda: node.map_process_data([], [], 0.002),
+    }
+    return Bench(link, Cia402Servo(node, link, SCALES), uses, port)
+
+
+def amt21(make: Make, good: int = 0) -> Bench:
+    clock = SimulatedClock()
+    port = Broken(SimulatedLine(clock, 2_000_000, Nobody()), make, good)
+    line = Amt21Line(clock, lambda: port, "AMT21")
+    uses = {"find_echo": line.find_echo, "ask": line.ask, "collect": line.collect}
+    return Bench(line, None, uses, port)  # type: ignore[arg-type]
+
+
+class Nobody:
+    def receive(self, _data: bytes) -> bytes:
+        return b""
+
+
+LINKS = (canopen, dbc, epos, amt21)
+SERVO_LINKS = (canopen, dbc, epos)
+
+
+@pytest.mark.parametrize("make", ERRORS, ids=name)
+@pytest.mark.parametrize("kind", LINKS)
+def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(
+    kind: Callable[..., Bench], make: Callable[[], Exception]
+) -> None:
+    bench = kind(make)
+    bench.link.open()
+    for what, use in bench.uses.items():
+        failed = bench.port.made
+        with pytest.raises(LinkError, match=r"(is gone|cannot send|cannot receive): \S.*; check") as caught:
+            use()
+        assert bench.port.made > failed, what
+        assert isinstance(caught.value.__cause__, type(make()))
+    bench.link.take_frames()
+    bench.link.close()
+    bench.link.close()
+    assert bench.port.closed == 1
+
+
+@pytest.mark.parametrize("kind", LINKS)
+@pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
+def test_who_ends_the_program_is_not_held_up(kind: Callable[..., Bench], stop: type[BaseException]) -> None:
+    bench = kind(stop)
+    bench.link.open()
+    for use in bench.uses.values():
+        with pytest.raises(stop):
+            use()
+    with pytest.raises(stop):
+        bench.link.close()
+    assert bench.port.closed == 1
+
+
+def lived(bench: Bench) -> None:
+    """Do what a short run does, in which each step fails or not."""
+    link, servo = bench.link, bench.servo
+    assert servo is not None
+    link.open()
+    with suppress(DeviceError):
+        servo.prepare(0.002)
+        servo.enable()
+        for _ in range(5):
+            link.exchange()
+    for step in (servo.quick_stop, link.exchange, servo.disable, servo.state):
+        with suppress(DeviceError):
+            step()
+    link.take_frames()
+    link.close()
+    link.close()
+
+
+@pytest.mark.parametrize("kind", SERVO_LINKS)
+def test_a_port_that_breaks_at_any_call_leaves_nothing_but_device_errors(kind: Callable[..., Bench]) -> None:
+    whole = kind(AssertionError, good=1 << 30)
+    lived(whole)
+    calls = (1 << 30) - whole.port.left
+
+    @settings(max_examples=40)
+    @given(st.integers(0, calls), st.sampled_from(ERRORS))
+    def breaks(good: int, make: Callable[[], Exception]) -> None:
+        bench = kind(make, good)
+        lived(bench)
+        assert bench.port.closed == 1
+        assert bench.port.made or good == calls
+
+    breaks()
+
+
+@pytest.mark.parametrize("make", ERRORS, ids=name)
+@pytest.mark.parametrize("link", ["canopen", "epos", "amt21"])
+def test_whatever_opening_raises_is_a_link_error(link: str, make: Callable[[], Exception]) -> None:
+    def connect() -> Any:
+        raise make()
+
+    made = unopened(link, connect)
+    with pytest.raises(LinkError, match=r"^port cannot be opened: \S.*; check the ") as caught:
+        made.open()
+    assert isinstance(caught.value.__cause__, type(make()))
+    made.close()
+
+
+@pytest.mark.parametrize("error", [ConfigurationError("two owners"), KeyboardInterrupt()])
+@pytest.mark.parametrize("link", ["canopen", "epos", "amt21"])
+def test_who_opens_may_say_more_himself(link: str, error: BaseException) -> None:
+    def connect() -> Any:
+        raise error
+
+    with pytest.raises(type(error)) as caught:
+        unopened(link, connect).open()
+    assert caught.value is error
+
+
+def unopened(link: str, connect: Callable[[], Any]) -> Any:
+    clock = SimulatedClock()
+    kinds = {"canopen": CanopenLink, "epos": EposSerialLink, "amt21": Amt21Line}
+    return kinds[link](clock, connect, "port")
+
+
+def test_a_backend_that_is_not_installed_is_a_link_error() -> None:
+    """Each interface of python-can fails in its own way where its library is missing; none of them ends the program."""
+    for interface in ("pcan", "ixxat", "kvaser", "vector", "nican", "neovi", "no_such"):
+        link = CanopenLink.on_interface(SimulatedClock(), interface, "0", 1_000_000)
+        with pytest.raises(LinkError, match=f"{interface} 0 at 1000000 bit/s cannot be opened: "):
+            link.open()
+        link.close()
+
+
+class Part(Link):
+    """A link that only opens and closes, and may fail at either."""
+
+    has_watchdog = False
+
+    def __init__(self, opening: BaseException | None = None, closing: BaseException | None = None) -> None:
+        self.clock: Clock = SimulatedClock()
+        self.closed = 0
+        self._opening = opening
+        self._closing = closing
+
+    def open(self) -> None:
+        if self._opening is not None:
+            raise self._opening
+
+    def close(self) -> None:
+        self.closed += 1
+        if self._closing is not None:
+            raise self._closing
+
+    def exchange(self) -> None:
+        """Nothing to exchange."""
+
+    def take_frames(self) -> list[RawFrame]:
+        return []
+
+
+def with_encoder(servo_link: Part, line: Part) -> EncoderLink:
+    encoder = Amt21Encoder(line, EncoderScales(COUNTS_PER_TURN), GATE)  # type: ignore[arg-type]
+    return EncoderLink(servo_link, encoder)
+
+
+@pytest.mark.parametrize("make", ERRORS, ids=name)
+def test_both_parts_are_closed_whatever_either_raises(make: Callable[[], Exception]) -> None:
+    servo_link, line = Part(closing=make()), Part(closing=make())
+    with_encoder(servo_link, line).close()
+    assert (servo_link.closed, line.closed) == (1, 1)
+
+
+@pytest.mark.parametrize("error", [LinkError("no such port"), KeyboardInterrupt(), ValueError("odd")])
+def test_where_the_encoder_cannot_be_opened_the_drive_is_closed(error: BaseException) -> None:
+    servo_link = Part(closing=OSError(5))
+    with pytest.raises(type(error)) as caught:
+        with_encoder(servo_link, Part(opening=error)).open()
+    assert caught.value is error
+    assert servo_link.closed == 1
+
+
+def test_every_drive_is_sent_its_stop_frame_even_where_one_cannot_be_sent() -> None:
+    twin = simulated_dbc_bench(Machine(), 1, 1_000_000)
+    sent: list[int] = []
+
+    class Once:
+        """Refuses the first frame."""
+
+        def transmit(self, identifier: int, _data: bytes) -> None:
+            sent.append(identifier)
+            if len(sent) == 1:
+                raise ValueError(identifier)
+
+        def collect(self, _timeout_s: float) -> Sequence[RawFrame]:
+            return ()
+
+        def shutdown(self) -> None:
+            sent.append(-1)
+            raise TypeError
+
+    link = DbcLink(twin.clock, Once, "CAN")
+    channels = [link.add_channel(bind(MAP, read_dbc(DRIVE_DBC)), f"drive {n}") for n in range(2)]
+    link._channels = link._channels[:1]
+    link.open()
+    link._channels = tuple(channels)
+    for channel in channels:
+        channel.commanded = True
+    link.close()
+    stop = channels[0].wiring.stop_frame[0]
+    assert sent == [stop, stop, -1]
+    twin.bus.shutdown()
+
+
+@pytest.mark.parametrize("make", ERRORS, ids=name)
+def test_the_real_ports_bring_it_to_a_link_error(make: Callable[[], Exception]) -> None:
+    """The library under the port raises, not the port."""
+
+    def fail(*_: object, **__: object) -> Any:
+        raise make()
+
+    bus = SimpleNamespace(send=fail, recv=fail, shutdown=fail)
+    link = CanopenLink(SimulatedClock(), lambda: PythonCanPort(bus, SimulatedClock()), "CAN")  # type: ignore[arg-type]
+    link.open()
+    for use in (link.exchange, link.heartbeat):
+        with pytest.raises(LinkError, match=r"CAN cannot"):
+            use()
+    link.close()
+    with pty_line() as far:
+        line = Amt21Line(SimulatedClock(), lambda: InheritedPort(os.dup(far.theirs)), "AMT21")
+        line.open()
+        with patch.object(serial_port.termios, "tcflush", fail), pytest.raises(LinkError, match="AMT21 is gone"):
+            line.ask()
+        with (
+            patch.object(serial_port, "select", SimpleNamespace(select=fail)),
+            pytest.raises(LinkError, match="AMT21 is gone"),
+        ):
+            line.collect()
+        line.close()
+
+
+class Babble:
+    """A line that never falls silent: every look at it gives the next piece, and takes five milliseconds."""
+
+    def __init__(self, clock: SimulatedClock, pieces: Sequence[bytes]) -> None:
+        self.reads = 0
+        self._clock = clock
+        self._pieces = pieces
+
+    def write(self, _data: bytes) -> None:
+        """Nobody listens."""
+
+    def read(self, _timeout_s: float) -> bytes:
+        self._clock.sleep_until_ns(self._clock.now_ns() + NS // 200)
+        self.reads += 1
+        return self._pieces[self.reads % len(self._pieces)]
+
+    def discard(self) -> None:
+        """There is more where that came from."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+PIECES = st.lists(
+    st.one_of(st.binary(min_size=1, max_size=40), st.sampled_from([b"\x90\x02", b"\x90\x02\x00\x02" + bytes(6)])),
+    min_size=1,
+    max_size=5,
+)
+
+
+@settings(max_examples=40)
+@given(PIECES)
+def test_a_serial_line_that_babbles_is_a_link_error_in_time(pieces: list[bytes]) -> None:
+    clock = SimulatedClock()
+    link = EposSerialLink(clock, lambda: Babble(clock, pieces), "EPOS4")
+    node = link.add_node(1, DRIVE_EDS)
+    link.open()
+    with pytest.raises(DeviceError):
+        node.read(0x6041)
+    assert clock.now_ns() < 2 * NS
+    with suppress(DeviceError):
+        link.exchange()
+    line = Amt21Line(clock, lambda: Babble(clock, pieces), "AMT21")
+    line.open()
+    with suppress(LinkError):
+        line.find_echo()
+    for _ in range(3):
+        line.ask()
+        line.collect()
+    assert clock.now_ns() < 3 * NS
+    assert len(link.take_frames()) + len(line.take_frames()) > 0
+
+
+def test_good_frames_without_end_are_no_answer_either() -> None:
+    """A drive in step is looked for by its identity; whole frames of another content must not keep that up for ever."""
+    twin = simulated_bench(Machine(), 1)
+    ports: list[Any] = [SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive))]
+    link = EposSerialLink(twin.clock, lambda: ports.pop(), "EPOS4")
+    node = link.add_node(DRIVE_NODE, DRIVE_EDS)
+    link.open()
+    link.set_cycle(0.002, "node 1")
+    link._port = Babble(twin.clock, [encode(Opcode.ANSWER, bytes(8))])
+    link._in_step = False
+    began = twin.clock.now_ns()
+    with pytest.raises(LinkError, match="no good answer"):
+        node.read(0x6041)
+    assert twin.clock.now_ns() - began < 2 * NS
+
+
+def test_answers_to_other_requests_without_end_are_none_to_this_one() -> None:
+    clock = SimulatedClock()
+    late = RawFrame(0, 0x581, bytes.fromhex("4364600001000000"), False)
+
+    class Server:
+        def transmit(self, _identifier: int, _data: bytes) -> None:
+            """Nobody listens."""
+
+        def collect(self, _timeout_s: float) -> Sequence[RawFrame]:
+            return (late,)
+
+        def shutdown(self) -> None:
+            """Nothing to shut."""
+
+    link = CanopenLink(clock, Server, "CAN")
+    node = link.add_node(1, DRIVE_EDS)
+    link.open()
+    with pytest.raises(LinkError, match=r"object 6041h:00h: 64 SDO responses to other requests, none to this one"):
+        node.read(0x6041)
+    link.close()
+
+
+def test_a_frame_that_canopen_cannot_take_counts_as_lost(monkeypatch: pytest.MonkeyPatch) -> None:
+    twin = simulated_bench(Machine(), 1)
+    link = CanopenLink(twin.clock, lambda: twin.bus, "CAN")
+    node = link.add_node(DRIVE_NODE, DRIVE_EDS)
+    link.open()
+
+    def odd(*_: object) -> None:
+        raise IndexError("odd frame")
+
+    monkeypatch.setattr(link._network, "notify", odd)
+    with pytest.raises(LinkError, match="no SDO response"):
+        node.read(0x6041)
+    monkeypatch.undo()
+    assert node.read(0x6041) >= 0
+    link.close()

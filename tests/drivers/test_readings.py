@@ -1,0 +1,334 @@
+"""Devices asked for what they are and show, unprepared: nothing is written, and what is not there is NaN."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+
+import pytest
+
+from drivers.cia404 import Cia404Transmitter
+from drivers.epos_serial import FrameDecoder, Opcode
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, ObjectAccessError
+from drivers.interfaces import Link, RawFrame, Servo, ServoLimits
+from drivers.mock import dictionary as od
+from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.dictionary import key
+from drivers.mock.plant.constants import Machine
+from drivers.mock.transmitter import TRANSMITTER_EDS
+from drivers.servo_limits import OBJECTS, decode, encode
+from drivers.units import EncoderScales, ServoScales
+
+from .dbc_host import DRIVE, make_dbc_host
+from .host import SCALES, Host, make_host
+from .serial_host import SerialHost, make_serial_host
+
+LIMITS = ServoLimits(-0.5, 0.5, 2.0, 75.0, 25.0, 0.03, 2, 35.0)
+READS = {Opcode.READ_OBJECT, Opcode.INITIATE_SEGMENTED_READ, Opcode.SEGMENT_READ}
+DOWNLOADS = {0, 1}
+"""Command specifiers of SDO requests that write: a segment and the start of one (CiA 301, 7.2.4.3)."""
+
+
+def ask_everything(servo: Servo, *others: object) -> list[DeviceError]:
+    """Ask for all that `rig check` asks for."""
+    found = list(servo.refusals(0.001)) + list(servo.limit_refusals(LIMITS))
+    servo.identity(), servo.state(), servo.read_limits(), servo.readings(), servo.limit_steps()
+    for other in others:
+        other.identity(), other.reading()  # type: ignore[attr-defined]
+        found += other.refusals(0.001)  # type: ignore[attr-defined]
+    return found
+
+
+def sent(link: Link) -> list[RawFrame]:
+    return [frame for frame in link.take_frames() if frame.sent]
+
+
+@pytest.fixture
+def can() -> Iterator[Host]:
+    host = make_host()
+    yield host
+    host.link.close()
+
+
+@pytest.fixture
+def serial() -> Iterator[SerialHost]:
+    host = make_serial_host()
+    yield host
+    host.link.close()
+
+
+def test_a_canopen_bench_is_only_read(can: Host) -> None:
+    assert ask_everything(can.servo, can.encoder) == []
+    frames = sent(can.link)
+    assert {frame.identifier for frame in frames} == {0x601, 0x602}
+    assert not [frame for frame in frames if frame.data[0] >> 5 in DOWNLOADS]
+    assert can.powered == []
+
+
+def test_a_bench_on_serial_lines_is_only_read(serial: SerialHost) -> None:
+    assert ask_everything(serial.servo, serial.encoder) == []
+    by_line: dict[int, bytes] = {}
+    for frame in sent(serial.link):
+        line = frame.identifier & 0xFF
+        by_line[line] = by_line.get(line, b"") + frame.data
+    assert set(by_line.pop(serial.encoder.line.address)) == {serial.encoder.line.address}
+    opcodes = {frame.opcode for data in by_line.values() for frame in FrameDecoder().feed(data)}
+    assert opcodes <= READS
+    assert Opcode.READ_OBJECT in opcodes
+
+
+def test_a_drive_with_frames_of_its_own_is_only_heard() -> None:
+    host = make_dbc_host()
+    assert ask_everything(host.servo) == []
+    assert sent(host.link) == []
+    host.link.close()
+
+
+@pytest.mark.parametrize("kind", ["can", "serial"])
+def test_readings_are_what_a_sample_shows(kind: str, request: pytest.FixtureRequest) -> None:
+    host = request.getfixturevalue(kind)
+    readings, angle = host.servo.readings(), host.encoder.reading()
+    assert readings.supply_voltage_V == 60.0
+    assert readings.temperature_C == 25.0
+    host.servo.prepare(host.cycle_s)
+    host.encoder.prepare(host.cycle_s)
+    host.cycles(20)
+    sample = host.servo.sample()
+    assert readings.motor_angle_rad == sample.motor_angle_rad
+    assert readings.velocity_rad_s == sample.velocity_rad_s == 0.0
+    assert readings.current_A == pytest.approx(sample.current_A, abs=1e-9)
+    assert angle == host.encoder.sample().angle_rad
+
+
+def test_readings_carry_sign_and_zero_of_the_bench_file() -> None:
+    scales = dataclasses.replace(SCALES, sign=-1, offset_rad=0.25)
+    host = make_host(scales=scales)
+    host.bench.drive.objects.values[key(0x6064)] = 4096
+    assert host.servo.readings().motor_angle_rad / scales.gear_ratio == pytest.approx(0.25)
+    host.link.close()
+
+
+def test_an_encoder_below_zero_is_read_as_negative(can: Host) -> None:
+    can.bench.encoder.distort = lambda counts: counts - 100
+    assert can.encoder.reading() == pytest.approx(-100 * math.tau / 262144)
+
+
+def test_a_drive_with_frames_of_its_own_shows_what_comes_by_itself() -> None:
+    host = make_dbc_host(drive=dataclasses.replace(DRIVE, offset_rad=0.5))
+    readings = host.servo.readings()
+    assert readings.motor_angle_rad == pytest.approx(50.0, abs=1e-6)
+    assert (readings.supply_voltage_V, readings.temperature_C, readings.current_A) == (60.0, 25.0, 0.0)
+    assert math.isnan(readings.velocity_rad_s)  # it only comes as an answer to a command
+    host.link.close()
+
+
+@pytest.mark.parametrize(("address", "field"), [(0x2101, "temperature_C"), (0x6079, "supply_voltage_V")])
+def test_a_value_that_the_drive_refuses_is_nan(can: Host, address: int, field: str) -> None:
+    refuse(can.bench, address)
+    readings = can.servo.readings()
+    assert [name for name, value in readings._asdict().items() if math.isnan(value)] == [field]
+    (error,) = can.servo.refusals(0.001)
+    assert isinstance(error, ObjectAccessError)
+    with pytest.raises(ObjectAccessError, match=f"{address:04X}h") as caught:
+        can.servo.prepare(0.001)
+    assert str(caught.value) == str(error)
+
+
+def refuse(bench: SimulatedBench, index: int) -> None:
+    """Have the drive refuse to be asked for an object."""
+    read = bench.drive.objects.read
+
+    def refusing(asked: int, subindex: int) -> bytes:
+        if asked == index:
+            raise od.SdoAbortError(0x08000020)
+        return read(asked, subindex)
+
+    bench.drive.objects.read = refusing  # type: ignore[method-assign]
+
+
+def test_a_silent_drive_is_no_reading(can: Host) -> None:
+    can.bench.bus.frame_filters.append(lambda time, identifier, data, host: None)
+    with pytest.raises(LinkError):
+        can.servo.readings()
+    with pytest.raises(LinkError):
+        list(can.servo.refusals(0.001))
+    with pytest.raises(LinkError):
+        can.encoder.reading()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"rated_current_A": 10.0}, {"rated_torque_N_m": 0.5}, {"counts_per_turn": 1024}, {}], ids=str
+)
+def test_preparing_raises_the_first_refusal(wrong: dict[str, float]) -> None:
+    host = make_host(scales=dataclasses.replace(SCALES, **wrong))
+    found = [str(error) for error in host.servo.refusals(0.001)]
+    assert len(found) == len(wrong)
+    if found:
+        with pytest.raises(ConfigurationError) as caught:
+            host.servo.prepare(0.001)
+        assert str(caught.value) == found[0]
+    else:
+        host.servo.prepare(0.001)
+    host.link.close()
+
+
+def test_all_refusals_of_a_drive_are_yielded() -> None:
+    scales = ServoScales(4000, 100.0, 14.0, 0.5)
+    host = make_host(scales=scales)
+    words = [str(error) for error in host.servo.refusals(0.0015)]
+    assert [word.split(":")[0] for word in words] == [
+        "rated current, 6075h",
+        "rated torque, 6076h",
+        "encoder resolution, 608Fh",
+        "cycle is 1.5 ms, must be whole milliseconds (60C2h)",
+    ]
+    host.link.close()
+
+
+@pytest.mark.parametrize(("turns", "count"), [(1, 0), (0, 1)])
+def test_a_drive_that_claims_no_motor_turn_is_refused(can: Host, turns: int, count: int) -> None:
+    can.bench.drive.objects.values[key(0x608F, 2)] = turns
+    assert len(list(can.servo.refusals(0.001))) == count
+
+
+@pytest.mark.parametrize(("torque", "accepted"), [(0.4510, True), (0.4511, False), (0.4490, True), (0.4489, False)])
+def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(torque: float, accepted: bool) -> None:
+    host = make_host(scales=dataclasses.replace(SCALES, rated_torque_N_m=torque))
+    assert (not list(host.servo.refusals(0.001))) is accepted
+    host.link.close()
+
+
+def test_an_encoder_says_what_preparing_it_would_refuse(can: Host) -> None:
+    values = can.bench.encoder.objects.values
+    values[key(0x6001)], values[key(0x6503)] = 1000, 0x1
+    resolution, alarm = can.encoder.refusals(0.001)
+    assert "6001h says 1000 counts per turn, the bench file 262144" in str(resolution)
+    assert "reports alarms 0001h" in str(alarm)
+    with pytest.raises(ConfigurationError) as caught:
+        can.encoder.prepare(0.001)
+    assert str(caught.value) == str(resolution)
+
+
+def test_an_amt21_says_that_its_answers_differ(serial: SerialHost) -> None:
+    answers = iter(range(0, 100, 10))
+    serial.encoder._ask = lambda offset=0: next(answers)  # type: ignore[method-assign]
+    (error,) = serial.encoder.refusals(0.002)
+    assert "answers at rest should agree" in str(error)
+
+
+def test_a_bad_answer_of_an_amt21_is_nan(serial: SerialHost) -> None:
+    serial.encoder._ask = lambda offset=0: None  # type: ignore[method-assign]
+    assert math.isnan(serial.encoder.reading())
+
+
+@pytest.mark.parametrize(("status", "pressure"), [(0, 1.0e6), (1, math.nan)])
+def test_a_transmitter_is_read(status: int, pressure: float) -> None:
+    bench = simulated_bench(Machine(), 0, transmitter_node=4)
+    host = make_host()
+    assert bench.transmitter is not None
+    link = type(host.link)(bench.clock, lambda: bench.bus, "simulated bus")
+    device = Cia404Transmitter(link.add_node(4, TRANSMITTER_EDS), 100.0)
+    link.open()
+    bench.transmitter._sdo._refresh = lambda: None
+    values = bench.transmitter.objects.values
+    values[key(0x9130, 1)], values[key(0x6150, 1)] = 10_000, status
+    assert device.reading() == pytest.approx(pressure, nan_ok=True)
+    assert len(list(device.refusals(0.001))) == status
+    assert not [frame for frame in sent(link) if frame.data[0] >> 5 in DOWNLOADS]
+    link.close()
+    host.link.close()
+
+
+def test_a_transmitter_in_another_unit_is_refused_as_preparing_refuses_it() -> None:
+    bench = simulated_bench(Machine(), 0, transmitter_node=4)
+    host = make_host()
+    link = type(host.link)(bench.clock, lambda: bench.bus, "simulated bus")
+    device = Cia404Transmitter(link.add_node(4, TRANSMITTER_EDS), 1000.0)
+    link.open()
+    (error,) = device.refusals(0.001)
+    with pytest.raises(ConfigurationError) as caught:
+        device.prepare(0.001)
+    assert str(caught.value) == str(error)
+    link.close()
+    host.link.close()
+
+
+def test_a_fault_is_read_with_its_meaning(can: Host) -> None:
+    can.bench.drive.fail(0x3220)
+    fault = can.servo.fault()
+    assert isinstance(fault, DriveFault)
+    assert "DC link under-voltage" in str(fault)
+
+
+@pytest.mark.parametrize(("current", "count"), [(0xFFFF * 0.015, 0), (0x10000 * 0.015, 1)])
+def test_a_limit_must_fit_its_object(can: Host, current: float, count: int) -> None:
+    limits = dataclasses.replace(LIMITS, current_A=current)
+    found = list(can.servo.limit_refusals(limits))
+    assert len(found) == count
+    if found:
+        with pytest.raises(ConfigurationError) as caught:
+            can.servo.write_limits(limits)
+        assert str(caught.value) == str(found[0])
+
+
+def test_a_limit_must_fit_its_signal() -> None:
+    host = make_dbc_host()
+    wide = dataclasses.replace(LIMITS, speed_rad_s=409.6)
+    (error,) = host.servo.limit_refusals(wide)
+    assert "limit speed" in str(error)
+    assert not list(host.servo.limit_refusals(LIMITS))
+    host.link.close()
+
+
+def test_a_watchdog_of_a_drive_of_its_own_kind_must_outlast_two_commands() -> None:
+    host = make_dbc_host()
+    assert list(host.servo.refusals(0.05)) == []
+    (error,) = host.servo.refusals(0.051)
+    assert "at most half of that" in str(error)
+    host.link.close()
+
+
+@pytest.mark.parametrize("address", OBJECTS)
+def test_the_step_of_a_limit_is_one_unit_of_its_object(address: tuple[int, int]) -> None:
+    values = encode(LIMITS, SCALES)
+    before, after = (decode({**values, address: values[address] + k}, SCALES) for k in (0, 1))
+    host = make_host()
+    steps = host.servo.limit_steps()
+    host.link.close()
+    assert steps is not None
+    changed = [
+        (field.name, abs(getattr(after, field.name) - getattr(before, field.name)))
+        for field in dataclasses.fields(ServoLimits)
+        if getattr(after, field.name) != getattr(before, field.name)
+    ]
+    ((name, change),) = changed
+    if name == "quick_stop_option":
+        return
+    held = "angle_rad" if name.startswith("angle") else name
+    assert change == pytest.approx(getattr(steps, held), rel=1e-6)
+
+
+def test_the_steps_of_signals() -> None:
+    host = make_dbc_host()
+    steps = host.servo.limit_steps()
+    host.link.close()
+    assert steps is not None
+    assert steps.current_A == pytest.approx(0.03)
+    assert steps.torque_N_m == pytest.approx(0.03 * 0.03 * 100.0)
+    assert steps.speed_rad_s == pytest.approx(0.1 / 100.0)
+    assert steps.angle_rad == pytest.approx(0.01 * math.tau / 100.0)
+    assert steps.following_error_rad == pytest.approx(0.001 * math.tau / 100.0)
+    assert steps.quick_stop_deceleration_rad_s2 == 0.0
+
+
+def test_who_stops_a_drive_is_known_beforehand() -> None:
+    can, dbc = make_host(), make_dbc_host(drive=dataclasses.replace(DRIVE, watchdog_s=None))
+    assert (can.servo.watch_s, dbc.servo.watch_s) == (0.1, None)
+    can.link.close()
+    dbc.link.close()
+
+
+def test_another_encoder_zero_is_seen(can: Host) -> None:
+    encoder = type(can.encoder)(can.link._nodes[2], EncoderScales(262144, -1, 0.5))
+    assert encoder.reading() == pytest.approx(0.5)

@@ -1,0 +1,218 @@
+"""`rig run --dry-run`: what it predicts, from which values, and with which exit status it ends."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from identification.model.nominal import NOMINAL
+from rig.bench import load_bench
+from rig.cli import status
+from rig.dry_run import PROMPT_S
+from rig.errors import InputError
+from rig.friction_model import friction_model, of_another_bench
+from rig.run import bench_constants
+
+from .benches import variant
+
+SEQUENCE = """\
+sequence: 1
+name: one
+stages:
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 5, frequency_Hz: 2}}], duration_s: 0.5, ramp_in_s: 0.1,
+     ramp_out_s: 0.1, settle_s: 0.05}}
+  - {{name: heavy, stage: loaded, weight_kg: 10, tones: [{{amplitude_deg: 5, frequency_Hz: 2}}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}}
+limits: {{torque_N_m: {torque}}}
+"""
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("one.yaml").write_text(SEQUENCE.format(torque=75))
+
+
+def dry(*arguments: str) -> tuple[int, dict[str, Any]]:
+    code = status(["run", "one.yaml", "--dry-run", "--json", "dry.json", *arguments])
+    return code, json.loads(Path("dry.json").read_text()) if code < 2 else {}
+
+
+def result(path: Path, **changes: Any) -> Path:
+    raw = {
+        "schema": "loadrig.identify/1",
+        "motion": "rotary",
+        "alpha": 2.0,
+        "parameters": {
+            name: {"value": value, "low": value, "high": value} for name, value in {**NOMINAL, **changes}.items()
+        },
+    }
+    path.write_text(json.dumps(raw))
+    return path
+
+
+def heavy(record: dict[str, Any]) -> float:
+    return max(row["torque_N_m"] for row in record["predicted"] if row["stage"] == "heavy")
+
+
+@pytest.mark.parametrize(
+    ("share", "code", "words"), [(1.01, 0, "warning"), (0.99, 1, "problem"), (1.26, 0, None), (1.24, 0, "warning")]
+)
+def test_both_sides_of_a_limit_and_of_its_warning(
+    share: float, code: int, words: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    peak = heavy(dry()[1])
+    Path("one.yaml").write_text(SEQUENCE.format(torque=round(peak * share, 6)))
+    capsys.readouterr()
+    found, record = dry()
+    shown = capsys.readouterr().out
+    assert found == code
+    assert record["good"] is (code == 0)
+    lines = [line for line in shown.splitlines() if line.startswith(("warning", "problem"))]
+    if words is None:
+        assert lines == record["warnings"] == record["problems"] == []
+        return
+    (line,) = lines
+    assert line.startswith(f"{words}: heavy: predicted peak torque {peak:.4g} N m is ")
+    assert ("above its limit" in line) is (words == "problem")
+    assert record[f"{words}s"] == [line.removeprefix(f"{words}: ")]
+    assert line.endswith("it is of the paper's values, and this bench may have others")
+
+
+def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
+    text = SEQUENCE.format(torque=75).replace("torque_N_m: 75", "current_A: 3")
+    Path("one.yaml").write_text(text)
+    code, record = dry()
+    assert code == 1
+    assert [text.split("predicted peak ")[1].split()[0] for text in record["problems"]] == ["current", "current"]
+
+
+def test_the_table_is_aligned_and_the_bench_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
+    assert dry()[0] == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == f"simulated bench practical ({load_bench('practical').path})"
+    start = next(k for k, line in enumerate(lines) if line.startswith("stage  part"))
+    assert len({len(line) for line in lines[start : start + 4]}) == 1
+    assert "watched by: the drive itself: it stops when it hears nothing of this program for 100 ms" in lines
+    assert not Path("runs").exists()
+
+
+@pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
+def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(arguments: tuple[str, ...], prompts: int) -> None:
+    record = dry(*arguments)[1]
+    assert record["prompts"] == prompts
+    assert record["under_power_s"] == pytest.approx(2 * (0.5 + 0.05 + 0.1))
+    assert record["duration_s"] == pytest.approx(
+        record["under_power_s"] + record["moves_s"] + prompts * PROMPT_S, abs=1e-9
+    )
+
+
+def test_moves_to_the_start_take_time() -> None:
+    assert dry()[1]["moves_s"] == 0.0
+    Path("one.yaml").write_text(SEQUENCE.format(torque=75).replace("settle_s: 0.05", "settle_s: 0.05, center_deg: 10"))
+    assert dry()[1]["moves_s"] == pytest.approx(2 * 3.14159 / 2 * 10 / 30, abs=0.01)
+
+
+def test_the_paper_s_values_stand_in_for_an_identification(capsys: pytest.CaptureFixture[str]) -> None:
+    record = dry()[1]
+    assert record["identified"] is False
+    assert "Predicted from the paper's friction and the inertia 0.204 kg m^2" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("option", ["--identification", "--feedforward"])
+def test_what_is_named_is_used(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    plain = heavy(dry()[1])
+    path = result(Path("known.json"), mu_s=0.172)
+    code, record = dry(option, str(path))
+    assert code == 0
+    assert record["identified"] is True
+    assert heavy(record) > plain + 2.0
+    assert "Predicted from the identification known.json" in capsys.readouterr().out
+
+
+def test_what_an_identification_leaves_open_is_said() -> None:
+    bench = bench_constants(load_bench("practical").value)
+    path = Path("open.json")
+    raw = json.loads(result(path).read_text())
+    raw["parameters"]["J"]["value"] = None
+    del raw["parameters"]["mu_2"]
+    path.write_text(json.dumps(raw))
+    model = friction_model(bench, path)
+    assert model.source == "the identification open.json; J, mu_2, which it leaves open, from the paper"
+    assert dict(model.values) == dict(NOMINAL)
+
+
+@pytest.mark.parametrize("option", ["--identification", "--feedforward", "--faults"])
+def test_a_file_that_is_not_there_is_bad_input(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert dry(option, "none.json")[0] == 2
+    assert "none.json" in capsys.readouterr().err
+
+
+def test_an_identification_without_a_load_does_not_fit_the_weight_check(capsys: pytest.CaptureFixture[str]) -> None:
+    path = Path("open.json")
+    raw = json.loads(result(path).read_text())
+    raw["parameters"]["mu_c"]["value"] = None
+    path.write_text(json.dumps(raw))
+    assert dry("--identification", str(path))[0] == 2
+    assert "parameters.mu_c: not identified; the weight check needs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("text", ["{", '{"schema": "loadrig.identify/1", "motion": "rotary"}'])
+def test_a_damaged_identification_is_said(text: str) -> None:
+    Path("bad.json").write_text(text)
+    with pytest.raises(InputError, match=r"bad\.json"):
+        friction_model(bench_constants(load_bench("practical").value), Path("bad.json"))
+
+
+def test_the_newest_identification_of_the_same_bench_is_found(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bench = load_bench("practical")
+    constants = bench_constants(bench.value)
+    assert not friction_model(constants).measured
+    assert status(["run", "one.yaml", "--yes", "--out", "runs/old"]) == 0
+    other = variant(
+        tmp_path,
+        (
+            "moment_arm_m: 0.095\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
+            "moment_arm_m: 0.1\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
+        ),
+    )
+    assert status(["run", "one.yaml", "--yes", "--bench", str(other), "--out", "runs/other"]) == 0
+    assert not friction_model(constants).measured
+    result(Path("runs/old/identify.json"), J=0.3)
+    result(Path("runs/other/identify.json"), J=0.4)
+    Path("runs/none").mkdir()
+    result(Path("runs/none/identify.json"), J=0.5)
+    for age, name in enumerate(("none", "other", "old")):
+        os.utime(f"runs/{name}/identify.json", (1e9 - age, 1e9 - age))
+    model = friction_model(constants)
+    assert (model.measured, model.values["J"]) == (True, 0.3)
+    assert "runs/old/identify.json" in model.source
+    assert friction_model(bench_constants(load_bench(other).value)).values["J"] == 0.4
+    assert friction_model(constants, result(Path("named.json"), J=0.6)).values["J"] == 0.6
+    assert of_another_bench(Path("runs/old/identify.json"), constants) is None
+    assert of_another_bench(Path("named.json"), constants) is None
+    capsys.readouterr()
+    assert dry("--identification", "runs/other/identify.json")[0] == 0
+    assert "other constants (moment_arm 0.1, here 0.095)" in capsys.readouterr().err
+    assert dry("--feedforward", "runs/old/identify.json")[0] == 0
+    assert "other constants" not in capsys.readouterr().err
+
+
+def test_a_folder_in_use_is_refused_in_a_dry_run_too(capsys: pytest.CaptureFixture[str]) -> None:
+    Path("used").mkdir()
+    assert dry("--out", "used")[0] == 0
+    assert list(Path("used").iterdir()) == []
+    Path("used/notes.txt").write_text("mine")
+    assert dry("--out", "used")[0] == 2
+    assert "used: not empty (holds notes.txt)" in capsys.readouterr().err
+
+
+def test_a_bench_without_a_bus_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert dry("--bench", "literal")[0] == 2
+    assert "this bench has no bus" in capsys.readouterr().err

@@ -1,0 +1,188 @@
+"""What an operator is told to do after a run that is not done, and that the command does go on."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drivers.errors import LinkError
+from drivers.interfaces import ServoState
+from rig.cli import status
+from rig.go_on import NEW_RUN, NOT_READ_BACK, go_on_words
+from rig.run_file import read_record
+from rig.run_record import STAGE_ENDS, RunRecord
+from rig.safety import Check, remedy
+
+ONE = """\
+sequence: 1
+name: one
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 1,
+     ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
+"""
+
+
+@pytest.fixture
+def stopped(runner: Any, fake_bench: Any) -> RunRecord:
+    """``run.json`` of a run that tripped on its current in the first excitation."""
+    bench = fake_bench()
+    bench.faults["exchange", 400] = lambda: bench.overrides.update(current_A=1000.0)
+    folder, _ = runner(bench)
+    record: RunRecord = folder.record
+    return record
+
+
+def changed(record: RunRecord, **fields: Any) -> RunRecord:
+    return dataclasses.replace(record, **fields)
+
+
+def test_a_trip_says_first_what_to_do_and_then_how_to_go_on(stopped: RunRecord) -> None:
+    assert go_on_words(stopped, Path("runs/x")).splitlines() == [
+        "first: look for jamming or a weight above the plan",
+        "go on with: rig resume runs/x",
+    ]
+
+
+def test_a_stop_needs_nothing_first(stopped: RunRecord) -> None:
+    words = go_on_words(changed(stopped, state="stopped", trip=None), Path("runs/x"))
+    assert words == "go on with: rig resume runs/x"
+
+
+def test_a_run_that_is_done_needs_no_words(stopped: RunRecord) -> None:
+    assert go_on_words(changed(stopped, state="done"), Path("runs/x")) == ""
+
+
+@pytest.mark.parametrize("folder", ["my runs/it's", "-x", "runs/$(date)", "läufe/x"])
+def test_the_folder_is_quoted_for_the_shell(stopped: RunRecord, folder: str) -> None:
+    command = go_on_words(stopped, Path(folder)).rpartition("go on with: ")[2]
+    assert shlex.split(command) == ["rig", "resume", "./-x" if folder == "-x" else folder]
+
+
+@pytest.mark.parametrize("state", list(ServoState))
+def test_a_fault_is_cleared_only_once_its_cause_is_removed(stopped: RunRecord, state: ServoState) -> None:
+    record = changed(stopped, state="failed", trip=None, drive_state=state.value)
+    first, _, command = go_on_words(record, Path("x")).rpartition("\n")
+    in_fault = state in (ServoState.FAULT, ServoState.FAULT_REACTION)
+    assert command == f"go on with: rig resume x{' --reset-fault' if in_fault else ''}"
+    assert first == ("first: remove the cause of the drive's fault" if in_fault else "")
+
+
+@pytest.mark.parametrize("verified", [True, False, None])
+def test_a_drive_that_was_not_read_back_comes_before_everything(stopped: RunRecord, verified: bool | None) -> None:
+    lines = go_on_words(changed(stopped, de_energised=verified), Path("x")).splitlines()
+    assert (lines[0] == f"first: {NOT_READ_BACK}") is (verified is not True)
+    assert lines[-1] == "go on with: rig resume x"
+
+
+@pytest.mark.parametrize("check", list(Check))
+def test_every_trip_has_a_remedy_without_a_second_command(stopped: RunRecord, check: Check) -> None:
+    assert remedy(check)
+    assert "run again" not in remedy(check)
+    record = changed(stopped, trip={**(stopped.trip or {}), "check": check.value})
+    lines = go_on_words(record, Path("x")).splitlines()
+    assert lines[0] == f"first: {remedy(check)}"
+    by_file = re.search("file|reduce|lower|raise", remedy(check)) is not None
+    assert (f"note: {NEW_RUN}" in lines) is by_file
+
+
+def test_nothing_is_left_where_only_the_ending_failed(stopped: RunRecord) -> None:
+    for stage in stopped.stages:
+        stage.state = "done"
+    words = go_on_words(changed(stopped, state="failed", trip=None), Path("x"))
+    assert words == "every stage is done; nothing is left to go on with"
+
+
+def test_the_words_end_the_message_and_the_command_goes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sequence, out = tmp_path / "one.yaml", tmp_path / "two words"
+    sequence.write_text(ONE)
+    faults = tmp_path / "faults.yaml"
+    faults.write_text(
+        "faults: 1\nrows:\n  - {phase: excite, after_s: 0.3, target: drive, fault: fault, value: 0x7320}\n"
+    )
+    assert status(["run", str(sequence), "--yes", "--out", str(out), "--faults", str(faults)]) == 4
+    told = capsys.readouterr()
+    *_, first, last = told.err.splitlines()
+    assert first == "first: remove the cause of the drive's fault"
+    assert "empty  unloaded          0  failed" in told.out
+    assert f"page: {out / 'run.html'}" in told.out
+    command = shlex.split(last.removeprefix("go on with: "))
+    assert command == ["rig", "resume", str(out), "--reset-fault"]
+    assert status([*command[1:], "--yes"]) == 0
+    told = capsys.readouterr()
+    assert "go on with" not in told.err + told.out
+
+
+@pytest.mark.parametrize(
+    ("fault", "state"),
+    [
+        (lambda bench: bench.overrides.update(current_A=1000.0), "tripped"),
+        (lambda bench: setattr(bench, "drive_state", ServoState.FAULT), "failed"),
+    ],
+)
+def test_the_stage_that_went_on_ends_as_the_run_did(runner: Any, fake_bench: Any, fault: Any, state: str) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: fault(bench)
+    folder, _ = runner(bench)
+    assert [s.state for s in read_record(folder.path).stages] == [state, "planned"]
+
+
+def test_a_program_that_breaks_down_leaves_no_stage_running(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+
+    def defect() -> None:
+        raise ZeroDivisionError
+
+    bench.faults["exchange", 700] = defect
+    runner(bench)
+    assert [s.state for s in read_record(runner.folder).stages] == ["failed", "planned"]
+
+
+def test_a_lost_link_leaves_the_drive_unknown(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+
+    def pulled() -> None:
+        raise LinkError("the adapter is gone")
+
+    first = {"exchange": 700, "state": 2, "quick_stop": 1, "disable": 1}
+    bench.faults.update({(verb, count): pulled for verb, begin in first.items() for count in range(begin, 3000)})
+    folder, _ = runner(bench)
+    assert folder.record.de_energised is False
+    assert folder.record.drive_state == "unknown"
+    assert go_on_words(folder.record, folder.path).startswith(f"first: {NOT_READ_BACK}\n")
+
+
+@pytest.mark.parametrize(("run", "stage"), [*STAGE_ENDS.items(), ("running", "running")])
+def test_a_stage_that_an_older_program_left_running_has_the_end_of_its_run(
+    runner: Any, fake_bench: Any, run: str, stage: str
+) -> None:
+    folder, _ = runner(fake_bench())
+    path = folder.path / "run.json"
+    raw = json.loads(path.read_text())
+    raw["state"], raw["stages"][1]["state"] = run, "running"
+    path.write_text(json.dumps(raw))
+    assert [s.state for s in read_record(folder.path).stages] == ["done", stage]
+
+
+def test_the_ending_of_the_stage_is_written_with_that_of_the_run(runner: Any, fake_bench: Any) -> None:
+    """At once, so that what breaks down after the verdict leaves no stage running on disk."""
+    bench = fake_bench()
+    bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=1000.0)
+    folder, _ = runner(bench)
+    folder.record.stages[0].state = "running"
+    folder.ended("tripped", "words", de_energised=True)
+    assert json.loads((folder.path / "run.json").read_text())["stages"][0]["state"] == "tripped"
+
+
+@pytest.mark.parametrize(("run", "stage"), [*STAGE_ENDS.items(), ("done", "failed"), ("running", "failed")])
+def test_only_the_stage_that_went_on_is_ended(stopped: RunRecord, run: str, stage: str) -> None:
+    stopped.stages[0].state, stopped.stages[1].state = "done", "running"
+    stopped.stage_ended(run)
+    assert [s.state for s in stopped.stages] == ["done", stage]

@@ -1,0 +1,546 @@
+"""One owner: locks of benches and run folders, held by real processes that end in every way they can."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+import signal
+import socket
+import stat
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig import lock_holder, locks
+from rig.errors import InputError, InUseError, StorageError
+from rig.lock_holder import Holder
+from rig.locks import OWNER_FILE, Lock, Resource, file_name, hold_bench, hold_folder
+
+from .lock_child import PART
+
+CHILD = Path(__file__).with_name("lock_child.py")
+ROOT = Path(__file__).parents[2]
+OTHER = Resource("socketcan:can7", "socketcan channel can7")
+KINDS = ("bench", "folder")
+
+
+@dataclass
+class Program:
+    """Another program, and what it is told and answers."""
+
+    process: subprocess.Popen[str]
+
+    @property
+    def pid(self) -> int:
+        return self.process.pid
+
+    def tell(self, words: str, answer: str) -> None:
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{words}\n")
+        self.process.stdin.flush()
+        self.hear(answer)
+
+    def hear(self, answer: str) -> None:
+        assert self.process.stdout is not None
+        assert self.process.stdout.readline() == f"{answer}\n"
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+
+
+@contextmanager
+def program(kind: str, folder: Path, command: str = "rig run") -> Iterator[Program]:
+    """Start a program that holds the lock; it and its child are gone afterwards."""
+    words = [sys.executable, str(CHILD), kind, str(folder), command]
+    with subprocess.Popen(
+        words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)}
+    ) as process:
+        made = Program(process)
+        try:
+            made.hear("held")
+            yield made
+        finally:
+            process.kill()
+
+
+def hold(kind: str, folder: Path, command: str = "rig jog") -> Lock:
+    """Hold the same lock in this process."""
+    return hold_bench("wired", [PART], command, folder) if kind == "bench" else hold_folder(folder, command)
+
+
+def lock_file(kind: str, folder: Path) -> Path:
+    """Return the file that is locked."""
+    return folder / (file_name(PART.key) if kind == "bench" else OWNER_FILE)
+
+
+def free(kind: str, folder: Path) -> bool:
+    """Whether the lock can be had, with nobody left to be named."""
+    with hold(kind, folder) as lock:
+        return lock.taken_over is None
+
+
+@pytest.fixture(params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    found: str = request.param
+    return found
+
+
+@pytest.fixture
+def hurried(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Do not wait for the name of a holder that gives none."""
+    monkeypatch.setattr(locks, "_PAUSE_S", 0.0)
+
+
+def test_the_second_program_is_told_who_the_first_is(kind: str, tmp_path: Path) -> None:
+    with program(kind, tmp_path) as first:
+        with pytest.raises(InUseError) as refused:
+            hold(kind, tmp_path)
+        subject = r"bench wired \(port /dev/ttyX\)" if kind == "bench" else f"run folder {tmp_path}"
+        words = (
+            rf"{subject} is in use by `rig run` \(process {first.pid}, user \w+\) since \d\d:\d\d:\d\d UTC, "
+            r"(just now|\d+ s ago); wait for it to end, or stop it"
+        )
+        assert refused.match(f"^{words}$")
+        first.tell("release", "released")
+        assert free(kind, tmp_path)
+
+
+def test_a_refusal_disturbs_nothing(kind: str, tmp_path: Path) -> None:
+    with program(kind, tmp_path) as first:
+        before = lock_file(kind, tmp_path).read_bytes()
+        for _ in range(3):
+            with pytest.raises(InUseError, match=f"process {first.pid}"):
+                hold(kind, tmp_path)
+        assert lock_file(kind, tmp_path).read_bytes() == before
+
+
+def test_what_a_killed_program_held_is_taken_over_and_said(kind: str, tmp_path: Path) -> None:
+    with program(kind, tmp_path) as first:
+        first.kill()
+        with hold(kind, tmp_path) as lock:
+            assert lock.taken_over is not None
+            assert f"was left locked by `rig run` (process {first.pid}, user " in lock.taken_over
+            assert lock.taken_over.endswith("which no longer holds it; taken over")
+            with pytest.raises(InUseError, match=f"`rig jog` .process {os.getpid()}"):
+                hold(kind, tmp_path)
+        assert free(kind, tmp_path)
+
+
+def test_a_stopped_program_still_holds_it(kind: str, tmp_path: Path) -> None:
+    with program(kind, tmp_path) as first:
+        first.process.send_signal(signal.SIGSTOP)
+        os.waitid(os.P_PID, first.pid, os.WSTOPPED | os.WNOWAIT)
+        with pytest.raises(InUseError, match=f"process {first.pid}"):
+            hold(kind, tmp_path)
+        first.process.send_signal(signal.SIGCONT)
+        first.tell("release", "released")
+        assert free(kind, tmp_path)
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(kind: str, tmp_path: Path) -> None:
+    with program(kind, tmp_path) as first:
+        first.tell("guard", "guarding")
+        first.kill()
+        with pytest.raises(InUseError, match=rf"process {first.pid}.* is gone, but a process that it started still"):
+            hold(kind, tmp_path)
+        first.tell("note guardian of rig run", "noted")
+        with pytest.raises(InUseError) as refused:
+            hold(kind, tmp_path)
+        assert "in use by `guardian of rig run` (process " in str(refused.value)
+        assert f"process {first.pid}" not in str(refused.value)
+        first.tell("release", "released")
+        assert lock_file(kind, tmp_path).exists() is (kind == "bench")
+        assert free(kind, tmp_path)
+        assert first.process.stdin is not None
+        first.process.stdin.close()
+
+
+@pytest.mark.usefixtures("hurried")
+@pytest.mark.parametrize("noted", [False, True])
+def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path, noted: bool) -> None:
+    with program(kind, tmp_path) as first:
+        first.tell("guard", "guarding")
+        if noted:
+            first.tell("note guardian", "noted")
+        first.process.send_signal(signal.SIGUSR1)
+        first.hear("released")
+        with pytest.raises(InUseError, match="by `guardian`" if noted else "which has not given its name; `fuser "):
+            hold(kind, tmp_path)
+        first.tell("release", "released")
+        assert free(kind, tmp_path)
+        assert first.process.stdin is not None
+        first.process.stdin.close()
+
+
+@pytest.mark.usefixtures("hurried")
+@pytest.mark.parametrize(
+    "content",
+    [b"{x", b"[]", b"null", b'{"pid": 1}\xff', b'{"pid": 0}', b'{"pid": true}', b'{"pid": "12"}', b"[" * 15_000],
+)
+def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: bytes) -> None:
+    with hold(kind, tmp_path):
+        lock_file(kind, tmp_path).write_bytes(content)
+        with pytest.raises(InUseError, match="by another program, which has not given its name"):
+            hold(kind, tmp_path)
+    # Not this process's words, so it has let them stand.
+    with hold(kind, tmp_path) as lock:
+        assert lock.taken_over is not None
+        assert "left locked by a program that is not known" in lock.taken_over
+    assert free(kind, tmp_path)
+
+
+def test_what_a_file_says_cannot_write_to_the_terminal(kind: str, tmp_path: Path) -> None:
+    with hold(kind, tmp_path):
+        told = {"pid": os.getpid(), "command": "\x1b[2J\nrig" + "x" * 5000, "user": 7, "host": None, "since": "soon"}
+        lock_file(kind, tmp_path).write_text(json.dumps(told))
+        with pytest.raises(InUseError) as refused:
+            hold(kind, tmp_path)
+    assert str(refused.value).isprintable()
+    assert len(str(refused.value)) < 600
+
+
+@pytest.mark.parametrize("before", [b"", Holder(2**31 - 1, "gone", "", "", socket.gethostname(), "").content()])
+def test_a_name_that_comes_a_moment_late_is_waited_for(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bytes
+) -> None:
+    with hold(kind, tmp_path):
+        content = lock_file(kind, tmp_path).read_bytes()
+        lock_file(kind, tmp_path).write_bytes(before)
+        waits: list[float] = []
+
+        def wait(seconds: float) -> None:
+            waits.append(seconds)
+            if len(waits) == 3:
+                lock_file(kind, tmp_path).write_bytes(content)
+
+        monkeypatch.setattr(locks.time, "sleep", wait)
+        with pytest.raises(InUseError, match=f"process {os.getpid()}"):
+            hold(kind, tmp_path)
+        assert len(waits) == 3
+
+
+def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None:
+    with hold_bench("one", [OTHER], "rig run", tmp_path):
+        with pytest.raises(
+            InUseError, match=r"^bench two \(socketcan channel can7\) is in use by `rig run` on bench one"
+        ):
+            hold_bench("two", [OTHER, PART], "rig jog", tmp_path)
+        assert free("bench", tmp_path)
+    with hold_bench("two", [OTHER, PART, OTHER], "rig jog", tmp_path) as lock:
+        assert len(lock.descriptors) == 2
+        for part in (OTHER, PART):
+            with pytest.raises(InUseError):
+                hold_bench("one", [part], "rig run", tmp_path)
+
+
+def test_parts_are_taken_in_one_order_by_everyone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    taken: list[str] = []
+    take = locks._take
+    monkeypatch.setattr(locks, "_take", lambda place: taken.append(place.file) or take(place))
+    for parts in ([PART, OTHER], [OTHER, PART]):
+        hold_bench("two", parts, "rig jog", tmp_path).release()
+    assert taken == [file_name(PART.key), file_name(OTHER.key)] * 2
+
+
+def test_a_bench_without_parts_locks_nothing(tmp_path: Path) -> None:
+    with hold_bench("mock", [], "rig run", tmp_path / "none") as lock:
+        assert lock.descriptors == ()
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_folder_of_all_users_is_open_to_all_users(tmp_path: Path) -> None:
+    folder = tmp_path / "locks"
+    before = os.umask(0o077)
+    try:
+        hold("bench", folder).release()
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o1777
+        assert stat.S_IMODE(lock_file("bench", folder).stat().st_mode) == 0o666
+        # What a program that died too early has left is put right.
+        folder.chmod(0o700)
+        lock_file("bench", folder).chmod(0o600)
+        hold("bench", folder).release()
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o1777
+    assert stat.S_IMODE(lock_file("bench", folder).stat().st_mode) == 0o666
+
+
+def _link(file: Path, victim: Path) -> None:
+    file.symlink_to(victim)
+
+
+def _hard_link(file: Path, victim: Path) -> None:
+    file.hardlink_to(victim)
+
+
+def _pipe(file: Path, victim: Path) -> None:
+    os.mkfifo(file)
+
+
+def _directory(file: Path, victim: Path) -> None:
+    file.mkdir()
+
+
+@pytest.mark.parametrize("trap", [_link, _hard_link, _pipe, _directory])
+def test_what_somebody_put_in_the_place_of_a_file_is_refused(tmp_path: Path, trap: Callable[..., None]) -> None:
+    victim, folder = tmp_path / "victim", tmp_path / "locks"
+    victim.write_text("precious")
+    victim.chmod(0o600)
+    folder.mkdir()
+    trap(lock_file("bench", folder), victim)
+    with pytest.raises(
+        StorageError, match=r"bench wired .* cannot be used: .* \(mode 1777\); remove what is in the way"
+    ):
+        hold("bench", folder)
+    assert victim.read_text() == "precious"
+    assert stat.S_IMODE(victim.stat().st_mode) == 0o600
+
+
+@pytest.mark.parametrize("trap", [_link, _pipe])
+def test_what_somebody_put_in_the_place_of_the_folder_is_refused(tmp_path: Path, trap: Callable[..., None]) -> None:
+    victim = tmp_path / "victim"
+    victim.mkdir()
+    trap(tmp_path / "locks", victim)
+    with pytest.raises(StorageError, match=r"cannot be used: (Not a directory|Too many levels)"):
+        hold("bench", tmp_path / "locks")
+    assert not list(victim.iterdir())
+
+
+@pytest.mark.parametrize("reason", [errno.EROFS, errno.EACCES, errno.ENOSPC, errno.EDQUOT])
+def test_a_folder_that_cannot_be_written_is_an_error_in_words(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: int
+) -> None:
+    opened = os.open
+
+    def refuse(path: Any, flags: int, *mode: int, **options: Any) -> int:
+        if flags & os.O_CREAT:
+            raise OSError(reason, os.strerror(reason))
+        return opened(path, flags, *mode, **options)
+
+    monkeypatch.setattr(os, "open", refuse)
+    with pytest.raises(StorageError, match=f"cannot be used: {os.strerror(reason)}; .*folder"):
+        hold(kind, tmp_path)
+
+
+def test_a_file_system_without_locks_is_an_error_in_words(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    with pytest.raises(StorageError, match="No locks available"):
+        hold(kind, tmp_path)
+
+
+def test_a_system_without_locks_is_an_error_in_words(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "fcntl", None)
+    with pytest.raises(StorageError, match="this system cannot lock files; use Linux or macOS"):
+        hold(kind, tmp_path)
+
+
+def test_a_full_disk_takes_the_name_and_leaves_the_lock(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(locks, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(os, "pwrite", refuse)
+    with hold(kind, tmp_path), pytest.raises(InUseError, match="has not given its name"):
+        hold(kind, tmp_path)
+    assert free(kind, tmp_path)
+
+
+def test_releasing_never_raises(kind: str, tmp_path: Path) -> None:
+    folder = tmp_path / "held"
+    folder.mkdir()
+    lock = hold(kind, folder)
+    shutil.rmtree(folder)
+    lock.note("rig resume")
+    for descriptor in lock.descriptors:
+        os.close(descriptor)
+    lock.release()
+    lock.release()
+    assert lock.descriptors == ()
+
+
+def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(kind: str, tmp_path: Path) -> None:
+    code = (
+        "import os, sys; from pathlib import Path; from rig.locks import Resource, hold_bench, hold_folder\n"
+        "bench, folder = sys.argv[1] == 'bench', Path(sys.argv[2])\n"
+        "os.closerange(0, 3)\n"
+        "lock = hold_bench('b', [Resource('k', 'l')], 'rig', folder) if bench else hold_folder(folder, 'rig')\n"
+        "os._exit(min(lock.descriptors))"
+    )
+    words = [sys.executable, "-c", code, kind, str(tmp_path)]
+    assert subprocess.run(words, env={**os.environ, "PYTHONPATH": str(ROOT)}).returncode == 3
+
+
+def test_the_file_of_a_run_folder_is_removed(tmp_path: Path) -> None:
+    with hold("folder", tmp_path):
+        assert (tmp_path / OWNER_FILE).exists()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_not_there_is_bad_input(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for name in ("none", "file", "file/none"):
+        with pytest.raises(InputError, match=f"{name}: no such folder"):
+            hold("folder", tmp_path / name)
+
+
+def test_a_copy_of_a_held_folder_is_taken_over(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    with program("folder", tmp_path / "run") as first:
+        shutil.copytree(tmp_path / "run", tmp_path / "copy")
+        with hold("folder", tmp_path / "copy") as lock:
+            assert lock.taken_over is not None
+            assert f"`rig run` on run folder {tmp_path / 'run'} (process {first.pid}" in lock.taken_over
+        with pytest.raises(InUseError):
+            hold("folder", tmp_path / "run")
+    assert not list((tmp_path / "copy").iterdir())
+
+
+def test_a_folder_that_is_moved_stays_locked(tmp_path: Path) -> None:
+    (tmp_path / "run").mkdir()
+    with program("folder", tmp_path / "run") as first:
+        (tmp_path / "run").rename(tmp_path / "moved")
+        with pytest.raises(InUseError, match=f"process {first.pid}"):
+            hold("folder", tmp_path / "moved")
+        first.tell("release", "released")
+    assert free("folder", tmp_path / "moved")
+
+
+def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    last, locked = hold("folder", tmp_path), locks._locked
+    with ExitStack() as later:
+
+        def late(descriptor: int, fcntl: Any) -> bool:
+            # Its holder releases, and another program comes, before this one locks what it has opened.
+            monkeypatch.setattr(locks, "_locked", locked)
+            last.release()
+            later.enter_context(hold("folder", tmp_path, "rig resume"))
+            return locked(descriptor, fcntl)
+
+        monkeypatch.setattr(locks, "_locked", late)
+        with pytest.raises(InUseError, match=f"`rig resume` .process {os.getpid()}"):
+            hold("folder", tmp_path)
+    assert free("folder", tmp_path)
+
+
+def test_a_file_that_comes_while_the_last_one_is_removed_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    lock, locked = hold("folder", tmp_path), locks._locked
+
+    def late(descriptor: int, fcntl: Any) -> bool:
+        (tmp_path / OWNER_FILE).unlink()
+        (tmp_path / OWNER_FILE).touch()
+        return locked(descriptor, fcntl)
+
+    monkeypatch.setattr(locks, "_locked", late)
+    lock.release()
+    assert (tmp_path / OWNER_FILE).exists()
+
+
+def test_a_file_that_another_user_makes_at_the_same_moment_is_opened(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened, file = os.open, lock_file(kind, tmp_path)
+
+    def protect(path: Any, flags: int, *mode: int, **options: Any) -> int:
+        # As fs.protected_regular does with a file of another user in a sticky folder.
+        if flags & os.O_CREAT:
+            os.close(opened(file, os.O_CREAT | os.O_RDWR, 0o666))
+            if not flags & os.O_EXCL:
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+        return opened(path, flags, *mode, **options)
+
+    monkeypatch.setattr(os, "open", protect)
+    monkeypatch.setattr(locks, "_PAUSE_S", 0.0)
+    with hold(kind, tmp_path), pytest.raises(InUseError, match=f"process {os.getpid()}"):
+        hold(kind, tmp_path)
+
+
+def test_a_new_name_does_not_change_since_when(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with hold(kind, tmp_path, "rig run") as lock:
+        first = Holder.parse(lock_file(kind, tmp_path).read_bytes())
+        later = datetime.now(UTC) + timedelta(days=1)
+        monkeypatch.setattr(lock_holder, "utc_now", lambda: later)
+        lock.note("guardian")
+        assert first is not None
+        assert Holder.parse(lock_file(kind, tmp_path).read_bytes()) == replace(first, command="guardian")
+
+
+CONTEND = """
+import os, sys
+from pathlib import Path
+from rig.errors import InUseError
+from rig.locks import hold_folder
+folder, mark, rounds, clashes = Path(sys.argv[1]), Path(sys.argv[2]), 0, 0
+sys.stdin.readline()
+while rounds < 150:
+    try:
+        lock = hold_folder(folder, "contender")
+    except InUseError:
+        continue
+    with lock:
+        try:
+            os.close(os.open(mark, os.O_CREAT | os.O_EXCL))
+        except FileExistsError:
+            clashes += 1
+        else:
+            os.unlink(mark)
+        rounds += 1
+print(clashes, flush=True)
+"""
+
+
+def test_never_two_at_once_though_each_removes_the_file(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    words = [sys.executable, "-c", CONTEND, str(folder), str(tmp_path / "mark")]
+    env = {**os.environ, "PYTHONPATH": str(ROOT)}
+    rivals = [
+        subprocess.Popen(words, env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(3)
+    ]
+    for rival in rivals:
+        assert rival.stdin is not None
+        rival.stdin.write("go\n")
+        rival.stdin.flush()
+    assert [rival.communicate()[0] for rival in rivals] == ["0\n"] * 3
+
+
+@given(st.text(), st.text())
+def test_every_channel_has_a_safe_file_name_of_its_own(one: str, other: str) -> None:
+    for key in (one, other):
+        name = file_name(key)
+        assert name.isascii()
+        assert set(name) <= set("ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789-.")
+        assert not name.startswith(".")
+        assert len(name) < 100
+    assert (file_name(one) == file_name(other)) is (one == other)
+    assert file_name(one).lower() != file_name(other).lower() or one == other
+
+
+@pytest.mark.parametrize("key", ["../../etc/passwd", "a\0b", "\ud800", "/", "x" * 5000, "ein Kanal: ü"])
+def test_awkward_channels_can_be_locked(tmp_path: Path, key: str) -> None:
+    with hold_bench("odd", [Resource(key, "channel")], "rig run", tmp_path):
+        (file,) = tmp_path.iterdir()
+        assert Holder.parse(file.read_bytes()) is not None

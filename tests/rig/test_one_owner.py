@@ -1,0 +1,279 @@
+"""Two programs on one bench and on one run folder, as users start them: the second is refused and changes nothing."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from drivers.canopen_link import CanopenLink
+from drivers.errors import LinkError
+from rig import connect as connect_module
+from rig import locks
+from rig.bench import load_bench
+from rig.cli import status
+from rig.connect import connect
+from rig.errors import InputError, InUseError
+from rig.locks import OWNER_FILE, Resource, hold_bench, hold_folder
+from rig.recover import recover
+from rig.resources import resources
+from rig.run import create_folder
+from rig.run_file import read_record
+
+from .pty_bench import PtyBench, pty_bench
+
+RIG = [sys.executable, "-c", "import sys; from rig.cli import main; main()"]
+MASS, ANGLE = "Mass on the lever", "Joint angle"
+"""What the prompts begin with."""
+
+
+@dataclass
+class Rig:
+    """A ``rig`` command in a process of its own, at a prompt."""
+
+    process: subprocess.Popen[bytes]
+
+    def wait_for(self, prompt: str) -> None:
+        """Read what it says until it asks."""
+        assert self.process.stderr is not None
+        said = b""
+        while not said.endswith(prompt.encode()):
+            letter = self.process.stderr.read(1)
+            assert letter, said.decode()
+            said += letter
+
+    def answer(self, words: str) -> None:
+        """Type an answer."""
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{words}\n".encode())
+        self.process.stdin.flush()
+
+    def end(self) -> int:
+        """Let it end; returns its status."""
+        self.process.communicate(timeout=60)
+        return self.process.returncode
+
+    def kill(self) -> None:
+        """Kill it as the system does when memory runs out."""
+        self.process.kill()
+        self.process.communicate()
+
+
+@contextmanager
+def rig(*arguments: str) -> Iterator[Rig]:
+    """Start a command; it is gone afterwards."""
+    pipe = subprocess.PIPE
+    env = os.environ | {"CAN_CONFIG": '{"sleep_after_open": 0.0}'}
+    with subprocess.Popen([*RIG, *arguments], stdin=pipe, stdout=pipe, stderr=pipe, env=env) as process:
+        try:
+            yield Rig(process)
+        finally:
+            process.kill()
+
+
+def seconds(bench: PtyBench, sequence: Path, out: Path) -> list[list[str]]:
+    """Return every command that uses a bench."""
+    file = str(bench.path)
+    return [
+        ["check", file],
+        ["jog", file],
+        ["jog", file, "--to", "1"],
+        ["run", str(sequence), "--bench", file, "--out", str(out)],
+    ]
+
+
+def settled(bench: PtyBench) -> int:
+    """Return how many bytes the bench has read, once that stands still: some may be on their way."""
+    before, now = -1, bench.bytes_sent()
+    while now != before:
+        time.sleep(0.1)
+        before, now = now, bench.bytes_sent()
+    return now
+
+
+@pytest.mark.parametrize("kind", ["serial", "slcan"])
+def test_the_second_program_on_a_bench_is_refused(
+    kind: str, tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The limits of a serial bench are cut.
+    text = short_sequence.read_text().replace("amplitude_deg: 5", "amplitude_deg: 1")
+    # With weights a run on a real bench would first be refused for want of a terminal.
+    short_sequence.write_text(text.replace("stage: loaded, weight_kg: 10", "stage: unloaded"))
+    with pty_bench(kind, tmp_path) as bench, rig("jog", str(bench.path)) as first:
+        first.wait_for(ANGLE)
+        before = settled(bench)
+        for words in seconds(bench, short_sequence, tmp_path / "out"):
+            assert status(words) == 4
+            said = capsys.readouterr()
+            assert said.err.startswith(
+                f"in use: bench practical{'_serial' * (kind == 'serial')} (port {bench.port}) is "
+            )
+            assert f"is in use by `rig jog` (process {first.process.pid}, user " in said.err
+            assert "wait for it to end, or stop it" in said.err
+            assert len(said.out.splitlines()) <= 1
+        assert bench.bytes_sent() == before
+        assert not (tmp_path / "out").exists()
+        first.answer("")
+        assert first.end() == 0
+        with hold_bench("free", resources(load_bench(bench.path).value), "test") as lock:
+            assert lock.taken_over is None
+
+
+def test_a_bench_that_a_killed_program_held_is_taken_over_and_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    with pty_bench("serial", tmp_path) as bench:
+        with rig("jog", str(bench.path)) as first:
+            first.wait_for(ANGLE)
+            first.kill()
+        assert status(["jog", str(bench.path)]) == 0
+        said = capsys.readouterr().err
+        for port in resources(load_bench(bench.path).value):
+            assert f"({port.label}) was left locked by `rig jog` (process {first.process.pid}, user" in said
+        assert status(["jog", str(bench.path)]) == 0
+        assert "left locked" not in capsys.readouterr().err
+
+
+def test_a_bench_is_held_from_before_it_is_opened_until_after_it_is_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = Resource("simulated", "port simulated")
+    monkeypatch.setattr(connect_module, "resources", lambda bench: (part,))
+    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path)
+
+    def in_use() -> str:
+        try:
+            hold_bench("other", [part], "rig check").release()
+        except InUseError as error:
+            return "rig jog" if "by `rig jog` on bench practical" in str(error) else "another"
+        return "free"
+
+    seen: list[tuple[str, str]] = []
+    link_open, link_close = CanopenLink.open, CanopenLink.close
+
+    def watched_open(link: CanopenLink) -> None:
+        seen.append(("open", in_use()))
+        link_open(link)
+
+    def watched_close(link: CanopenLink) -> None:
+        link_close(link)
+        seen.append(("close", in_use()))
+
+    monkeypatch.setattr(CanopenLink, "open", watched_open)
+    monkeypatch.setattr(CanopenLink, "close", watched_close)
+    with connect(load_bench("practical"), 0, False, purpose="rig jog") as devices:
+        assert in_use() == "rig jog"
+        assert devices.lock is not None
+        assert len(devices.lock.descriptors) == 1
+    assert seen == [("open", "rig jog"), ("close", "rig jog")]
+    assert in_use() == "free"
+
+    def fail(link: CanopenLink) -> None:
+        raise LinkError("no cable")
+
+    monkeypatch.setattr(CanopenLink, "open", fail)
+    with pytest.raises(LinkError), connect(load_bench("practical"), 0, False):
+        pass
+    assert in_use() == "free"
+
+
+def test_a_bench_that_cannot_be_locked_is_a_storage_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "locks").touch()
+    monkeypatch.setattr(connect_module, "resources", lambda bench: (Resource("x", "port x"),))
+    monkeypatch.setattr(locks, "LOCK_FOLDER", tmp_path / "locks")
+    assert status(["check", "practical"]) == 4
+    assert capsys.readouterr().err.startswith("storage error: bench practical (port x): ")
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    """Return every file of a folder."""
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def test_a_run_that_is_still_going_is_neither_recovered_nor_resumed(
+    tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = tmp_path / "run"
+    with rig("run", str(short_sequence), "--out", str(run)) as first:
+        first.wait_for(MASS)
+        before = content(run)
+        assert {"run.json", "recording.mcap", OWNER_FILE} <= set(before)
+        for words in (["recover"], ["resume", "--yes"], ["run", str(short_sequence), "--yes", "--out"]):
+            assert status([*words, str(run)]) == 4
+            said = capsys.readouterr()
+            assert said.err.startswith(
+                f"in use: run folder {run} is in use by `rig run` (process {first.process.pid}, "
+            )
+            assert len(said.out.splitlines()) <= 1
+        # What only reads is not kept out: there is nothing to read yet.
+        assert status(["export", str(run), "--format", "csv"]) == 2
+        assert "no stage was finished" in capsys.readouterr().err
+        assert content(run) == before
+        first.answer("0")
+        first.wait_for(MASS)
+        first.answer("10")
+        assert first.end() == 0
+    assert not (run / OWNER_FILE).exists()
+    assert status(["recover", str(run)]) == 0
+    said = capsys.readouterr()
+    assert "recording whole" in said.out
+    assert not said.err
+    assert read_record(run).state == "done"
+
+
+@pytest.mark.parametrize("command", ["recover", "resume"])
+def test_a_run_whose_program_was_killed_is_taken_over_and_said(
+    tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    run, moved = tmp_path / "run", tmp_path / "moved"
+    with rig("run", str(short_sequence), "--out", str(run)) as first:
+        first.wait_for(MASS)
+        first.kill()
+    run.rename(moved)
+    assert status([command, str(moved), *["--yes"] * (command == "resume")]) == 0
+    said = capsys.readouterr()
+    assert (
+        f"run folder {moved} was left locked by `rig run` on run folder {run} (process {first.process.pid}" in said.err
+    )
+    assert "which no longer holds it; taken over" in said.err
+    assert not (moved / OWNER_FILE).exists()
+
+
+def test_a_recovery_holds_the_folder(tmp_path: Path) -> None:
+    with hold_folder(tmp_path, "rig resume"), pytest.raises(InUseError):
+        recover(tmp_path)
+    with pytest.raises(InputError, match=r"recording\.mcap"):
+        recover(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_left_over_file_does_not_fill_a_folder(tmp_path: Path) -> None:
+    (tmp_path / OWNER_FILE).write_text("left")
+    with create_folder(tmp_path, "rig run") as lock:
+        assert lock.taken_over is not None
+    assert not list(tmp_path.iterdir())
+    (tmp_path / OWNER_FILE).touch()
+    with create_folder(tmp_path, "rig run") as lock:
+        assert lock.taken_over is None
+
+
+def test_two_runs_do_not_get_one_folder(tmp_path: Path) -> None:
+    path = tmp_path / "runs" / "new"
+    with create_folder(path, "rig run"):
+        with pytest.raises(InUseError, match=f"run folder {path} is in use by `rig run`"):
+            create_folder(path, "rig run")
+        (path / "run.json").touch()
+    with pytest.raises(InputError, match=r"not empty \(holds run.json\)"):
+        create_folder(path, "rig run")
+    assert [item.name for item in path.iterdir()] == ["run.json"]

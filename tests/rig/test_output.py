@@ -1,0 +1,192 @@
+"""Standard streams that are full, gone or closed: the work is done, its files are written, nothing is hidden."""
+
+from __future__ import annotations
+
+import errno
+import io
+import os
+import pty
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from rig.output import Inlet, Outlet, complain, reader_gone
+
+from .command import assert_in_words, rig
+
+ROWS = """\
+import click
+from pathlib import Path
+from rig import cli
+
+@click.command("rows")
+@click.argument("code", type=int)
+def command(code):
+    made = open("made.txt", "w")
+    print("\\n".join(f"row {number} \\xb5 \\xb0 \\u2603" for number in range(20000)))
+    made.write("made")
+    made.close()
+    return code
+
+cli.COMMANDS["rows"] = ("__main__:command", "")
+cli.main()
+"""
+"""A command that prints more than a pipe holds, makes a file, and ends with the status it is given."""
+
+SHORT = "short.yaml"
+SEQUENCE = """\
+sequence: 1
+name: short
+limits: {speed_deg_s: 20}
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 1, frequency_Hz: 1}], duration_s: 2,
+     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0}
+"""
+
+
+@pytest.mark.parametrize("code", [0, 1, 3])
+@pytest.mark.parametrize("reader", ["head -1", "true", "head -c 100000 | tail -1"])
+def test_a_reader_that_goes_away_changes_nothing(tmp_path: Path, code: int, reader: str) -> None:
+    ended = rig("rows", str(code), folder=tmp_path, shell=f"| {reader}", entry=ROWS)
+    assert_in_words(ended)
+    assert ended.returncode == code
+    assert ended.stderr == ""
+    assert (tmp_path / "made.txt").exists()
+
+
+@pytest.mark.parametrize(("code", "status"), [(0, 4), (1, 1), (3, 3)])
+def test_a_full_disk_behind_the_output_is_said(tmp_path: Path, code: int, status: int) -> None:
+    ended = rig("rows", str(code), folder=tmp_path, shell="> /dev/full", entry=ROWS)
+    assert_in_words(ended)
+    assert ended.returncode == status
+    assert ended.stderr == (
+        "storage error: the output cannot be written: No space left on device; "
+        f"the command itself ended with status {code}\n"
+    )
+    assert (tmp_path / "made.txt").exists()
+
+
+@pytest.mark.parametrize("shell", [">&-", "2>&-", "<&-", "<&- >&-", ">&- 2>&-", "<&- >&- 2>&-", "2> /dev/full"])
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_stream_that_is_closed_changes_nothing(tmp_path: Path, code: int, shell: str) -> None:
+    ended = rig("rows", str(code), folder=tmp_path, shell=shell, entry=ROWS)
+    assert_in_words(ended)
+    assert ended.returncode == code
+    assert ended.stderr == ""
+    assert (tmp_path / "made.txt").read_text(encoding="utf-8") == "made", "nothing of the output is in the file"
+
+
+@pytest.mark.parametrize("shell", ["> /dev/full", "| true", "<&- >&- 2>&-"])
+def test_a_run_is_recorded_whatever_becomes_of_its_output(tmp_path: Path, shell: str) -> None:
+    ended = rig("run", SHORT, "--yes", "--out", "made", folder=sequence_in(tmp_path), shell=shell)
+    assert_in_words(ended)
+    assert ended.returncode == (4 if "full" in shell else 0), ended.stderr
+    assert {file.name for file in (tmp_path / "made").iterdir()} >= {"run.json", "recording.mcap", "run.html"}
+
+
+def test_a_prompt_without_input_ends_the_run_in_words(tmp_path: Path) -> None:
+    ended = rig("run", SHORT, "--out", "made", folder=sequence_in(tmp_path), shell="<&-")
+    assert_in_words(ended)
+    assert ended.returncode == 3
+    assert "stopped at the weight prompt: the input has ended; the drive is de-energised" in ended.stderr
+
+
+def test_bad_input_is_said_where_the_output_is_full(tmp_path: Path) -> None:
+    ended = rig("run", "nothing", folder=tmp_path, shell="> /dev/full")
+    assert_in_words(ended)
+    assert ended.returncode == 2
+    assert "nothing: no such file" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("encoding", "shown"),
+    [("ascii", "µ ° ☃"), ("utf-8", "µ ° ☃"), ("latin-1", "\udcb5 \udcb0 \\u2603"), ("cp437", "\udce6 \udcf8 \\u2603")],
+)
+def test_what_an_encoding_lacks_is_escaped(tmp_path: Path, encoding: str, shown: str) -> None:
+    environment = {"PYTHONIOENCODING": encoding, "LC_ALL": "C", "PYTHONUTF8": "0"}
+    ended = rig("rows", "0", folder=tmp_path, entry=ROWS, environment=environment)
+    assert_in_words(ended)
+    assert ended.returncode == 0
+    assert ended.stdout.startswith(f"row 0 {shown}\n")
+
+
+def test_an_outlet_waits_for_a_reader_that_is_slow() -> None:
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    with ThreadPoolExecutor(1) as pool:
+        taken = pool.submit(Path(f"/dev/fd/{reader}").read_bytes)
+        with io.BufferedWriter(Outlet(writer)) as stream:
+            stream.write(bytes(1_000_000))
+        os.close(writer)
+        assert len(taken.result()) == 1_000_000
+    os.close(reader)
+
+
+def test_an_outlet_whose_reader_went_away_takes_everything_and_does_not_fail() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    outlet = Outlet(writer)
+    assert outlet.write(b"words") == 5
+    assert outlet.write(memoryview(b"more")) == 4
+    assert outlet.failure is None
+    os.close(writer)
+
+
+def test_a_terminal_that_went_away_is_a_reader_that_did() -> None:
+    ours, theirs = pty.openpty()
+    outlet, inlet = Outlet(theirs), Inlet(theirs)
+    os.close(ours)
+    assert outlet.write(b"words") == 5
+    assert outlet.failure is None
+    assert inlet.readinto(bytearray(8)) == 0
+    os.close(theirs)
+
+
+@pytest.mark.parametrize(
+    ("number", "terminal", "gone"),
+    [
+        (errno.EPIPE, False, True),
+        (errno.ECONNRESET, False, True),
+        (errno.EIO, True, True),
+        (errno.EIO, False, False),
+        (errno.ENOSPC, True, False),
+        (errno.EFBIG, False, False),
+    ],
+)
+def test_a_broken_disk_is_no_reader_that_went_away(number: int, terminal: bool, gone: bool) -> None:
+    assert reader_gone(OSError(number, os.strerror(number)), terminal=terminal) is gone
+
+
+def test_complaining_without_stderr_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stderr", None)
+    complain("words")
+
+
+def test_complaining_to_a_closed_stderr_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    stream.close()
+    monkeypatch.setattr(sys, "stderr", stream)
+    complain("words")
+
+
+def test_complaining_to_a_full_disk_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Unbuffered, as what a buffer cannot write it keeps, and tries again when it is closed.
+    stream = io.TextIOWrapper(open("/dev/full", "wb", buffering=0), encoding="utf-8", write_through=True)  # noqa: SIM115
+    monkeypatch.setattr(sys, "stderr", stream)
+    complain("words")
+    stream.detach().close()
+
+
+def test_complaining_in_characters_that_stderr_lacks_escapes_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = io.BytesIO()
+    monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(kept, encoding="ascii", write_through=True))
+    complain("25 °C")
+    assert kept.getvalue() == b"25 \\xb0C\n"
+
+
+def sequence_in(folder: Path) -> Path:
+    """Write a short sequence; returns the folder."""
+    (folder / SHORT).write_text(SEQUENCE, encoding="utf-8")
+    return folder

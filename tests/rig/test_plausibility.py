@@ -1,0 +1,128 @@
+"""Machine constants that no bench has are refused, and those that few have are warned of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from rig.bench import load_bench
+from rig.cli import status
+from rig.findings import Cause
+from rig.packaged import names
+from rig.plausibility import CONSTANTS, implausible
+
+from .benches import variant
+
+PRINTED = {
+    "torque_constant_N_m_A": "0.03",
+    "back_emf_constant_V_s_rad": "0.02588",
+    "resistance_ohm": "1.56",
+    "inductance_H": "0.00132",
+    "gear_ratio": "100",
+    "moment_arm_m": "0.095",
+    "lever_ratio": "10",
+    "gravity_m_s2": "9.80665",
+}
+
+
+def judged(path: Path, key: str, value: float) -> list[bool]:
+    """Return what is found at one key: whether each refuses."""
+    text = path.read_text()
+    old = f"  {key}: {PRINTED[key]}\n"
+    assert old in text
+    head, tail = text.split(old, 1)
+    path.write_text(f"{head}  {key}: {value!r}\n{tail}")
+    found = implausible(load_bench(path))
+    assert all(finding.cause is Cause.CONSTANTS and finding.connectable for finding in found)
+    return [finding.refused for finding in found if f"machine.{key}: {value:g}" in finding.text]
+
+
+@pytest.mark.parametrize("name", names("benches"))
+def test_the_packaged_benches_are_plausible(name: str) -> None:
+    assert implausible(load_bench(name)) == []
+
+
+@pytest.mark.parametrize("key", sorted(PRINTED))
+@pytest.mark.parametrize("end", ["low", "high"])
+def test_both_sides_of_each_range(tmp_path: Path, key: str, end: str) -> None:
+    bounds, side = CONSTANTS[key], end == "high"
+    outward, inward = (1.001, 0.999) if side else (0.999, 1.001)
+    usual, possible = bounds.usual[side], bounds.possible[side]
+    assert judged(variant(tmp_path), key, usual * inward) == []
+    assert judged(variant(tmp_path), key, usual * outward) == [False]
+    if possible == 0.0:
+        return
+    assert judged(variant(tmp_path), key, possible * inward) == [False]
+    assert judged(variant(tmp_path), key, possible * outward) == [True]
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected"), [(0.41, []), (0.39, [False]), (0.19, [True]), (2.4, []), (2.6, [False]), (5.1, [True])]
+)
+def test_torque_constant_and_back_emf_belong_together(tmp_path: Path, ratio: float, expected: list[bool]) -> None:
+    path = variant(
+        tmp_path,
+        (
+            "back_emf_constant_V_s_rad: 0.02588\n  resistance_ohm: 1.56\n  inductance_H: 0.00132\n  "
+            "gear_ratio: 100\n  moment_arm_m",
+            f"back_emf_constant_V_s_rad: {0.03 * ratio!r}\n  resistance_ohm: 1.56\n  "
+            "inductance_H: 0.00132\n  gear_ratio: 100\n  moment_arm_m",
+        ),
+    )
+    found = implausible(load_bench(path))
+    assert [finding.refused for finding in found] == expected
+    assert all("its ratio to torque_constant_N_m_A" in finding.text for finding in found)
+
+
+@pytest.mark.parametrize(("speed", "expected"), [(1199.0, []), (1201.0, [False]), (12001.0, [True])])
+def test_a_speed_limit_is_judged_at_the_motor(tmp_path: Path, speed: float, expected: list[bool]) -> None:
+    found = implausible(load_bench(variant(tmp_path, ("speed_deg_s: 120", f"speed_deg_s: {speed}"))))
+    assert [finding.refused for finding in found] == expected
+
+
+@pytest.mark.parametrize(("torque", "expected"), [(1.12, []), (1.13, [False]), (9.01, [True]), (0.17, [False])])
+def test_rated_torque_goes_with_rated_current(tmp_path: Path, torque: float, expected: list[bool]) -> None:
+    found = implausible(load_bench(variant(tmp_path, ("rated_torque_N_m: 0.45", f"rated_torque_N_m: {torque}"))))
+    assert [finding.refused for finding in found] == expected
+
+
+@pytest.mark.parametrize(
+    "command",
+    [["run", "figure10", "--yes", "--bench"], ["run", "figure10", "--dry-run", "--bench"]],
+    ids=["run", "dry"],
+)
+def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = variant(
+        tmp_path,
+        (
+            "moment_arm_m: 0.095\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
+            "moment_arm_m: 95\n  lever_ratio: 10\n  gravity_m_s2: 9.80665\nbus",
+        ),
+    )
+    assert status([*command, str(path)]) == 2
+    words = (
+        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, and no bench of this kind has it there; it "
+        "is in metres, not in millimetres (got 95)"
+    )
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "runs").exists()
+    assert status(["check", str(path)]) == 1
+    shown = capsys.readouterr().out
+    assert f"problem: {words}" in shown
+    assert shown.splitlines()[-1] == "verdict: NOT good: a run would refuse, because of machine constants"
+    assert "state of the drive: switch on disabled" in shown
+
+
+def test_an_unusual_bench_runs_with_a_warning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    path = variant(tmp_path, ("speed_deg_s: 120", "speed_deg_s: 1300"))
+    assert status(["run", "figure10", "--dry-run", "--bench", str(path)]) == 0
+    assert "warning: " in capsys.readouterr().err
+    assert status(["check", str(path)]) == 0
+    assert "where benches of this kind have it" in capsys.readouterr().out

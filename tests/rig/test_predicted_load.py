@@ -1,0 +1,160 @@
+"""Predicted peaks of torque and current: against eq. 9 to 13 by hand, and against what the simulated bench takes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from identification.model.nominal import NOMINAL
+from rig.bench import load_bench
+from rig.cli import status
+from rig.configuration import load_located
+from rig.friction_model import FrictionModel, friction_model
+from rig.plan import Plan, make_plan
+from rig.predicted_load import LOOP_S, PredictedPeak, moves_to_start, peak_torque, predicted_peaks
+from rig.run import bench_constants, load_run
+from rig.sequence import Array, Sequence, load_sequence
+
+CYCLE_S = 1e-3
+PER_KG = 10 * 9.80665 * 0.095
+MODEL = FrictionModel(NOMINAL, 2.0, 0.095, PER_KG, "known", measured=True)
+P = NOMINAL
+
+
+def constant(travel: float, speed: float) -> Array:
+    """Return angles at a constant speed, rad, from rest and to rest."""
+    cycles = round(travel / speed / CYCLE_S)
+    return np.concatenate([np.zeros(50), np.arange(cycles) * speed * CYCLE_S, np.full(50, travel)])
+
+
+def under(moment: float, angle: Array, model: FrictionModel = MODEL) -> float:
+    return peak_torque(angle, CYCLE_S, np.full(len(angle), moment), model)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_joint_breaks_away_against_static_friction_and_load(sign: float) -> None:
+    speed, moment = 0.01, 100.0
+    step = P["J"] * speed / LOOP_S
+    expected = P["Ms"] + moment * P["mu_s"] + step
+    assert under(moment, sign * constant(0.02, speed)) == pytest.approx(expected, rel=0.3 * step / expected)
+    assert under(0.0, sign * constant(0.02, speed)) == pytest.approx(P["Ms"] + step, rel=0.3 * step / P["Ms"])
+
+
+def test_a_fast_motion_is_ruled_by_damping() -> None:
+    speed, moment = 2.0, 100.0
+    rise = np.cumsum(np.concatenate([np.linspace(0.0, speed, 4000), np.linspace(speed, 0.0, 4000)]) * CYCLE_S)
+    expected = P["Mc"] + P["sigma_2"] * speed + moment * (P["mu_c"] + P["mu_2"] * speed) + P["J"] * speed / 4.0
+    assert under(moment, rise) == pytest.approx(expected, rel=0.02)
+
+
+def test_inertia_counts_where_the_motion_turns() -> None:
+    """A sine's greatest acceleration is where its speed is none, and friction static."""
+    amplitude, frequency = 0.03, 8.0
+    t = np.arange(3000) * CYCLE_S
+    angle = amplitude * (1.0 - np.cos(2.0 * math.pi * frequency * t)) * 0.5
+    acceleration = 0.5 * amplitude * (2.0 * math.pi * frequency) ** 2
+    assert under(0.0, angle) == pytest.approx(P["Ms"] + P["J"] * acceleration, rel=0.02)
+    heavy = dataclasses.replace(MODEL, values={**P, "J": 2.0})
+    assert under(0.0, angle, heavy) == pytest.approx(P["Ms"] + 2.0 * acceleration, rel=0.02)
+
+
+def test_at_rest_nothing_is_asked_for() -> None:
+    assert under(100.0, np.full(100, 0.2)) == 0.0
+
+
+def test_what_two_cycles_make_is_finite() -> None:
+    assert math.isfinite(under(10.0, np.array([0.0, 1e-4])))
+
+
+def test_the_working_load_grows_with_the_weight() -> None:
+    angle = constant(0.02, 0.01)
+    light, heavy = (under(PER_KG * kg, angle) for kg in (10.0, 30.0))
+    assert heavy - light == pytest.approx(PER_KG * 20.0 * P["mu_s"], rel=0.01)
+
+
+def planned(text: str, tmp_path: Path, bench: str = "practical", first_pass: bool | None = None) -> tuple[Plan, Any]:
+    path = tmp_path / "s.yaml"
+    path.write_text(f"sequence: 1\nname: s\nstages:\n{text}")
+    document = load_bench(bench)
+    return make_plan(load_located(path, Sequence), document, first_pass), document.value
+
+
+LOADED = """\
+  - {name: heavy, stage: loaded, weight_kg: 20, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 4,
+     center_deg: 10, repeats: 2}
+"""
+
+
+def test_peaks_stand_beside_the_limits_in_force(tmp_path: Path) -> None:
+    plan, bench = planned(LOADED, tmp_path, first_pass=True)
+    low, whole = predicted_peaks(plan, bench, MODEL)
+    assert (low.stage, low.part, whole.part) == ("heavy", "first pass", "stage")
+    assert (low.torque_limit_N_m, low.current_limit_A) == (0.75 * 75.0, 0.75 * 25.0)
+    assert (whole.torque_limit_N_m, whole.current_limit_A) == (75.0, 25.0)
+    assert whole.current_A == pytest.approx(whole.torque_N_m / 3.0)
+    assert whole.torque_N_m >= P["Ms"] + 20 * PER_KG * P["mu_s"]
+
+
+@pytest.mark.parametrize(("torque", "current", "share"), [(60.0, 5.0, 0.8), (30.0, 25.0, 1.0), (90.0, 5.0, 1.2)])
+def test_the_greater_share_counts(torque: float, current: float, share: float) -> None:
+    assert PredictedPeak("a", "stage", torque, 75.0, current, 25.0).share == pytest.approx(share)
+
+
+def test_the_moves_to_each_part_are_known(tmp_path: Path) -> None:
+    plan, _ = planned(LOADED, tmp_path, first_pass=True)
+    (stage,) = plan.stages
+    moves = moves_to_start(stage, plan)
+    starts = [float(stage.first_passes[0].targets[0]), float(stage.targets[0]), float(stage.targets[0])]
+    assert moves[0][0] == 0.0
+    assert [float(move[-1]) for move in moves] == starts[: len(moves)]
+    speeds = [np.max(np.abs(np.diff(move))) / plan.cycle_s for move in moves]
+    assert max(speeds) <= plan.approach_speed * (1 + 1e-6)
+
+
+def test_a_bench_on_a_serial_line_is_judged_by_its_cut_limits(tmp_path: Path) -> None:
+    plan, bench = planned(LOADED, tmp_path, bench="practical_serial")
+    assert {peak.torque_limit_N_m for peak in predicted_peaks(plan, bench, MODEL)} == {45.0}
+
+
+SIMULATED = """\
+sequence: 1
+name: s
+stages:
+  - {name: tone, stage: unloaded, tones: [{amplitude_deg: 8, frequency_Hz: 0.8}], duration_s: 4}
+  - {name: heavy, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 8, frequency_Hz: 0.8}], duration_s: 4}
+  - {name: ramp, stage: loaded, weight_kg: 10, ramp: {travel_deg: 4, speed_deg_s: 4}, duration_s: 3}
+  - {name: quick, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 3}], duration_s: 3}
+"""
+
+
+@pytest.mark.parametrize("bench", ["practical", "practical_soft"])
+def test_the_simulated_bench_takes_what_was_predicted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: str
+) -> None:
+    """What its loops add where the joint breaks away is not in the prediction: a quarter at the most, here."""
+    monkeypatch.chdir(tmp_path)
+    Path("s.yaml").write_text(SIMULATED)
+    document = load_bench(bench)
+    if bench == "practical_soft":
+        Path("s.yaml").write_text("\n".join(line for line in SIMULATED.splitlines() if "quick" not in line))
+    plan = make_plan(load_sequence("s.yaml"), document)
+    model = friction_model(bench_constants(document.value))
+    predicted = {peak.stage: peak.torque_N_m for peak in predicted_peaks(plan, document.value, model)}
+    assert status(["run", "s.yaml", "--bench", bench, "--yes", "--out", "run"]) == 0
+    for recording in load_run(Path("run")).recordings:
+        taken = 3.0 * float(np.max(np.abs(recording.channels["current"])))
+        assert 0.8 < taken / predicted[recording.name.partition("[")[0]] < 1.25, recording.name
+
+
+def test_a_hot_firing_is_predicted_from_its_pressure() -> None:
+    document = load_bench("practical_hot")
+    plan = make_plan(load_sequence("hotfire"), document)
+    peaks = {p.stage: p.torque_N_m for p in predicted_peaks(plan, document.value, MODEL)}
+    force = next(stage for stage in plan.stages if stage.name == "sine").contact_force_N
+    assert peaks["sine"] == pytest.approx(P["Ms"] + force * 0.095 * P["mu_s"], rel=0.1)
+    assert peaks["flow"] > peaks["sine"]

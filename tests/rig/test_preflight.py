@@ -1,0 +1,366 @@
+"""What a run refuses, `rig check` and `rig run --dry-run` report: the same, once, in the same words."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rig.connect
+from drivers.interfaces import RawFrame, ServoLimits, ServoState
+from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.dictionary import key
+from rig.bench import load_bench
+from rig.cli import status
+from rig.connect import DRIVE_EDS, ENCODER_EDS, connect
+from rig.findings import Cause, Finding, refusals, verdict, warnings
+from rig.operator import AutomaticOperator, StopButton
+from rig.packaged import names
+from rig.preflight import bench_findings, device_findings
+from rig.provenance import utc_now
+from rig.sequencer import Ending
+from rig.session import execute
+
+from .benches import variant
+
+SEQUENCE = """\
+sequence: 1
+name: one
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+TODAY = utc_now().date()
+
+
+@pytest.fixture(autouse=True)
+def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("one.yaml").write_text(SEQUENCE)
+
+
+@pytest.fixture
+def outcomes(capsys: pytest.CaptureFixture[str]) -> Callable[[Path], dict[str, tuple[int, str]]]:
+    """Return exit status and words of run, check and --dry-run on a bench file."""
+
+    def each(bench: Path) -> dict[str, tuple[int, str]]:
+        found = {}
+        for name, arguments in (
+            ("dry", ["run", "one.yaml", "--dry-run", "--bench", str(bench)]),
+            ("check", ["check", str(bench)]),
+            ("run", ["run", "one.yaml", "--yes", "--out", "out", "--bench", str(bench)]),
+        ):
+            code = status(arguments)
+            captured = capsys.readouterr()
+            assert "Traceback" not in captured.err
+            found[name] = code, captured.out + captured.err
+        return found
+
+    return each
+
+
+def problems(text: str) -> list[str]:
+    return [line.removeprefix("problem: ") for line in text.splitlines() if line.startswith("problem: ")]
+
+
+@pytest.mark.parametrize("name", [name for name in names("benches") if name != "literal"])
+def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
+    assert bench_findings(load_bench(name), TODAY) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ([("encoder: {node: 2", "encoder: {node: 1")], "encoder.node: 1 is the node identifier of the servo as well"),
+        ([("servo: {node: 1", "servo: {node: 127")], "servo.node: 127 is the node identifier of this program's own"),
+        ([("encoder: {node: 2", "encoder: {node: 127")], "encoder.node: 127 is the node identifier of this program's"),
+        ([("servo: {", "servo: {eds: none.eds, ")], "servo.eds: EDS file "),
+        ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
+        ([("servo: {", "servo: {eds: poor.eds, ")], "servo.eds: object 6072h:00h is not in the device's EDS"),
+        ([("servo: {", "servo: {eds: encoder.eds, ")], "servo.eds: object 6075h:00h is not in the device's EDS"),
+    ],
+    ids=[
+        "same node",
+        "master is servo",
+        "master is encoder",
+        "no EDS",
+        "no EDS file",
+        "object missing",
+        "wrong device",
+    ],
+)
+def test_a_bench_that_cannot_be_connected_to_is_bad_input(
+    tmp_path: Path, outcomes: Any, changes: list[tuple[str, str]], words: str
+) -> None:
+    shutil.copy(ENCODER_EDS, "encoder.eds")
+    Path("poor.eds").write_text(DRIVE_EDS.read_text().replace("[6072]", "[5072]"))
+    bench = variant(tmp_path, *changes)
+    found = outcomes(bench)
+    for code, text in found.values():
+        assert code == 2
+        (line,) = [line for line in text.splitlines() if words in line]
+        assert line.startswith(f"{bench}:")
+    assert not Path("out").exists()
+
+
+def test_a_pressure_transmitter_has_a_node_of_its_own(tmp_path: Path) -> None:
+    bench = variant(tmp_path, ("kind: cia404, node: 4", "kind: cia404, node: 2"), source="practical_hot")
+    (finding,) = bench_findings(load_bench(bench), TODAY)
+    assert "pressure.node: 2 is the node identifier of the encoder as well" in finding.text
+    assert (finding.cause, finding.connectable) == (Cause.NODES, False)
+
+
+def test_a_serial_line_has_no_heartbeat_of_this_program(tmp_path: Path) -> None:
+    bench = variant(tmp_path, ("servo: {node: 1", "servo: {node: 127"), source="practical_serial")
+    assert bench_findings(load_bench(bench), TODAY) == []
+
+
+@pytest.mark.parametrize(("node", "count"), [(2, 0), (0x10, 2)])
+def test_frames_of_a_drive_must_not_be_those_of_the_encoder(tmp_path: Path, node: int, count: int) -> None:
+    bench = variant(tmp_path, ("encoder: {node: 2", f"encoder: {{node: {node}"), source="practical_dbc")
+    found = bench_findings(load_bench(bench), TODAY)
+    assert len(found) == count
+    for finding in found:
+        assert "is also that of CANopen node 16: change one of them" in finding.text
+        assert not finding.connectable
+
+
+def test_a_real_device_without_its_file_and_others_are_found_at_once(tmp_path: Path) -> None:
+    bench = variant(tmp_path, ("interface: mock", "interface: virtual, channel: nobody"))
+    found = bench_findings(load_bench(bench), TODAY)
+    assert [finding.text.split(": ")[1] for finding in found] == ["servo.eds", "encoder.eds"]
+
+
+@pytest.mark.parametrize(("due", "good"), [("2001-01-31", False), ("2999-01-31", True)])
+def test_an_overdue_calibration_is_named_and_not_the_drive(tmp_path: Path, outcomes: Any, due: str, good: bool) -> None:
+    bench = variant(tmp_path)
+    bench.write_text(
+        f'{bench.read_text()}calibrations: [{{device: lever, id: L-2, due: "{due}"}}]\noverdue_calibration: refuse\n'
+    )
+    found = outcomes(bench)
+    assert [found[name][0] for name in ("dry", "check", "run")] == ([0, 0, 0] if good else [2, 1, 2])
+    shown = found["check"][1]
+    assert "state of the drive: switch on disabled\n" in shown
+    if good:
+        return
+    (problem,) = problems(shown)
+    assert problem in found["run"][1]
+    assert problem in found["dry"][1]
+    assert shown.splitlines()[-1] == "verdict: NOT good: a run would refuse, because of calibration"
+
+
+UNSTABLE = ("current_gain_V_A: 5\n", "current_gain_V_A: 60\n")
+
+
+def test_an_unstable_simulated_drive_is_named_instead_of_a_jam(tmp_path: Path, outcomes: Any) -> None:
+    found = outcomes(variant(tmp_path, UNSTABLE))
+    assert [found[name][0] for name in ("dry", "check", "run")] == [2, 1, 2]
+    (problem,) = problems(found["check"][1])
+    assert "mock.loops.current_gain_V_A: with 0.00132 H and 1.56 ohm at 20000 Hz the current loop of the" in problem
+    assert problem in found["run"][1]
+    assert found["check"][1].splitlines()[-1].endswith("because of simulated drive")
+
+
+Tamper = Callable[[SimulatedBench], None]
+
+
+def tampered(monkeypatch: pytest.MonkeyPatch, tamper: Tamper) -> None:
+    """Have every simulated bench changed before it is connected to."""
+
+    def made(*arguments: Any) -> SimulatedBench:
+        bench = simulated_bench(*arguments)
+        tamper(bench)
+        return bench
+
+    monkeypatch.setattr(rig.connect, "simulated_bench", made)
+
+
+def looser_than_own(bench: SimulatedBench) -> None:
+    bench.drive.objects.values[key(0x6072)] = 1000
+    bench.drive.objects.values[key(0x6073)] = 1000
+
+
+def alarmed(bench: SimulatedBench) -> None:
+    bench.encoder.objects.values[key(0x6503)] = 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "tamper", "cause"),
+    [
+        ([("rated_current_A: 15", "rated_current_A: 10")], None, Cause.DRIVE),
+        ([("rated_torque_N_m: 0.45", "rated_torque_N_m: 0.5")], None, Cause.DRIVE),
+        ([("counts_per_motor_turn: 4096, sign", "counts_per_motor_turn: 4000, sign")], None, Cause.DRIVE),
+        ([("node: 2, counts_per_turn: 262144", "node: 2, counts_per_turn: 4096")], None, Cause.ENCODER),
+        ([("servo: {", "servo: {temperature_object: [0x2100, 1], ")], None, None),
+        ([("servo: {", "servo: {temperature_object: [0x2555, 0], ")], None, None),
+        ([], alarmed, Cause.ENCODER),
+        ([], looser_than_own, Cause.LIMITS),
+        ([], lambda bench: bench.drive.fail(0x3220), Cause.STATE),
+        ([("current_A: 25\n  following", "current_A: 1000\n  following")], None, Cause.LIMITS),
+        ([("servo: {", "servo: {velocity_unit_rad_s: 1.0e-12, ")], None, Cause.LIMITS),
+    ],
+    ids=[
+        *(
+            "rated current",
+            "rated torque",
+            "motor counts",
+            "encoder counts",
+            "no such member",
+            "no such object",
+            "encoder alarm",
+        ),
+        *("looser", "fault", "looser in the file", "does not fit"),
+    ],
+)
+def test_what_devices_refuse_is_reported_once_in_the_words_of_the_run(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    outcomes: Any,
+    changes: list[tuple[str, str]],
+    tamper: Tamper | None,
+    cause: Cause | None,
+) -> None:
+    if tamper is not None:
+        tampered(monkeypatch, tamper)
+    found = outcomes(variant(tmp_path, *changes))
+    if cause is None:  # said by the EDS, before anything is connected to
+        assert [found[name][0] for name in ("dry", "check", "run")] == [2, 2, 2]
+        return
+    assert [found[name][0] for name in ("dry", "check", "run")] == [0, 1, 4]
+    shown = found["check"][1]
+    assert shown.splitlines()[-1] == f"verdict: NOT good: a run would refuse, because of {cause.value}"
+    reported = problems(shown)
+    assert len(reported) == len(set(reported))
+    assert reported[0] in found["run"][1]
+
+
+def test_without_a_cause_everything_runs(tmp_path: Path, outcomes: Any) -> None:
+    found = outcomes(variant(tmp_path))
+    assert [found[name][0] for name in ("dry", "check", "run")] == [0, 0, 0]
+    assert problems(found["check"][1]) == []
+
+
+def test_a_drive_under_power_is_refused_in_the_words_of_the_run() -> None:
+    with connect(load_bench("practical"), 0, realtime=False) as devices:
+        bench = load_bench("practical").value
+        devices.prepare(bench.cycle_s)
+        devices.servo.enable()
+        wanted = devices.servo.read_limits()
+        (finding,) = device_findings(devices, wanted, bench.cycle_s)
+        devices.servo.disable()
+        assert list(device_findings(devices, wanted, bench.cycle_s)) == []
+    assert finding.text == "the drive is in 'operation enabled' before the weight prompt; it must be de-energised"
+    assert finding.cause is Cause.STATE
+
+
+@pytest.mark.parametrize(("asked", "count"), [(False, 1), (True, 0)])
+def test_a_fault_that_may_be_cleared_is_no_refusal(monkeypatch: pytest.MonkeyPatch, asked: bool, count: int) -> None:
+    tampered(monkeypatch, lambda bench: bench.drive.fail(0x3220))
+    with connect(load_bench("practical"), 0, realtime=False) as devices:
+        found = list(device_findings(devices, devices.servo.read_limits(), 0.001, reset_fault=asked))
+    assert len(found) == count
+    assert all("DC link under-voltage" in finding.text for finding in found)
+    assert all("--reset-fault clears it" in finding.text for finding in found)
+
+
+@pytest.mark.parametrize("name", ["practical", "practical_hot", "practical_serial", "practical_dbc"])
+def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    frames: list[RawFrame] = []
+    powered: list[bool] = []
+
+    def watched(document: Any, *arguments: Any, **options: Any) -> Any:
+        context = connect(document, *arguments, **options)
+        devices = context.__enter__()
+
+        class Context:
+            def __enter__(self) -> Any:
+                return devices
+
+            def __exit__(self, *exception: object) -> None:
+                frames.extend(frame for frame in devices.link.take_frames() if frame.sent)
+                powered.append(devices.servo.state().energised)
+                context.__exit__(None, None, None)
+                frames.extend(frame for frame in devices.link.take_frames() if frame.sent)
+
+        return Context()
+
+    monkeypatch.setattr("rig.commands.check.connect", watched)
+    assert status(["check", name]) == 0
+    assert powered == [False]
+    can = [frame for frame in frames if frame.identifier < 0x800]
+    assert {frame.identifier for frame in can} <= {0x601, 0x602, 0x604}
+    assert not [frame for frame in can if frame.data[0] >> 5 in (0, 1)]  # requests that write (CiA 301, 7.2.4.3)
+    if name == "practical_dbc":
+        assert {frame.identifier for frame in can} == {0x602}
+
+
+OWN = ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, None, 2, 10.0)
+
+
+@pytest.mark.parametrize(("torque", "asked"), [(80.0, 2), (50.0, 0)])
+@pytest.mark.parametrize("real", [True, False])
+def test_a_real_bench_is_refused_before_a_weight_is_asked_for(
+    runner: Any, fake_bench: Any, torque: float, asked: int, real: bool
+) -> None:
+    prompts = []
+
+    class Asked(AutomaticOperator):
+        def confirm_weight(self, stage: str, weight_kg: float) -> float:
+            prompts.append(stage)
+            return weight_kg
+
+    bench = fake_bench(limits=dataclasses.replace(OWN, torque_N_m=torque))
+    devices = bench.devices()
+    if real:
+        devices = dataclasses.replace(devices, hang=None)
+    runner.folder.mkdir()
+    folder, outcome = execute(
+        runner.inputs, runner.plan, devices, runner.folder, Asked(), StopButton(), lambda *_: None
+    )
+    assert (outcome.ending is Ending.DONE) is (asked == 2)
+    # On a simulated bench nobody hangs a weight; it is refused right after.
+    assert len(prompts) == (asked or (0 if real else 1))
+    if not asked:
+        assert outcome.ending is Ending.FAILED
+        assert "joint torque (6072h): bench file 75 N m, drive 50 N m" in outcome.message
+        assert folder.record.de_energised is True
+        assert bench.calls["enable"] == 0
+
+
+def test_a_drive_in_fault_is_no_reason_where_it_may_be_cleared(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.drive_state = ServoState.FAULT
+
+    def cleared() -> None:
+        bench.drive_state = ServoState.SWITCH_ON_DISABLED
+
+    bench.faults["reset_fault", 1] = cleared
+    inputs = dataclasses.replace(runner.inputs, reset_fault=True)
+    devices = dataclasses.replace(bench.devices(), hang=None)
+    runner.folder.mkdir()
+    arguments = AutomaticOperator(), StopButton(), lambda *_: None
+    assert execute(inputs, runner.plan, devices, runner.folder, *arguments)[1].ending is Ending.DONE
+
+
+def test_jog_refuses_what_a_run_refuses(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bench = variant(tmp_path, ("encoder: {node: 2", "encoder: {node: 1"))
+    assert status(["jog", str(bench), "--to", "1"]) == 2
+    assert "encoder.node: 1 is the node identifier of the servo as well" in capsys.readouterr().err
+
+
+def test_a_verdict_names_each_cause_once() -> None:
+    found = [
+        Finding(Cause.LIMITS, "a"),
+        Finding(Cause.CALIBRATION, "b"),
+        Finding(Cause.LIMITS, "c"),
+        Finding(Cause.STATE, "d"),
+        Finding(Cause.CONSTANTS, "e", refused=False),
+    ]
+    assert verdict(found) == "NOT good: a run would refuse, because of limits, calibration and state of the drive"
+    assert refusals(found) == ["a", "b", "c", "d"]
+    assert warnings(found) == ["e"]
+    assert verdict(found[-1:]) == "good: a run would start"

@@ -1,0 +1,245 @@
+"""Prompts: what was typed before the question does not answer it; the end of input, patience and Ctrl-C end it."""
+
+from __future__ import annotations
+
+import os
+import select
+import signal
+import tty
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from drivers.clock import SimulatedClock
+from rig.operator import ConsoleOperator, parse_mass_kg
+from rig.prompt import InputEndedError, Prompt
+from rig.screen import Screen
+from rig.stop_button import STOP_SIGNALS, OperatorStopError, StopButton
+
+
+class Pipe:
+    """Standard input from a pipe."""
+
+    def __init__(self) -> None:
+        self.reading, self.writing = os.pipe()
+        self.stream = os.fdopen(self.reading, "r", encoding="utf-8")
+
+    def type(self, text: str) -> None:
+        os.write(self.writing, text.encode())
+
+
+@pytest.fixture
+def pipe() -> Iterator[Pipe]:
+    made = Pipe()
+    yield made
+    made.stream.close()
+    os.close(made.writing)
+
+
+def silent() -> Screen:
+    with open(os.devnull, "w", encoding="utf-8") as nothing:
+        return Screen(SimulatedClock(), nothing, nothing)
+
+
+def test_lines_from_a_pipe_are_answers_in_order(pipe: Pipe) -> None:
+    prompt = Prompt(silent(), pipe.stream)
+    pipe.type("30.6\n repeat \nhalf")
+    assert prompt.ask("Mass: ") == "30.6"
+    assert prompt.ask("Mass: ") == "repeat"
+
+
+def test_the_end_of_the_input_is_said(pipe: Pipe) -> None:
+    prompt = Prompt(silent(), pipe.stream)
+    pipe.type("last")
+    os.close(pipe.writing)
+    pipe.writing = os.open(os.devnull, os.O_WRONLY)
+    assert prompt.ask("Mass: ") == "last"
+    with pytest.raises(InputEndedError, match="the input has ended"):
+        prompt.ask("Mass: ")
+
+
+def test_what_was_typed_before_the_question_does_not_answer_it() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    os.write(master, b"30.6\n")
+    select.select([slave], [], [])
+
+    class Answering(Screen):
+        def ask(self, words: str) -> None:
+            os.write(master, b"10\n")
+
+    with open(os.devnull, "w", encoding="utf-8") as nothing, os.fdopen(slave, "r", encoding="utf-8") as stream:
+        prompt = Prompt(Answering(SimulatedClock(), nothing, nothing), stream)
+        assert prompt.ask("Mass: ") == "10"
+    os.close(master)
+
+
+def test_a_terminal_that_hung_up_has_ended() -> None:
+    master, slave = os.openpty()
+    with os.fdopen(slave, "r", encoding="utf-8") as stream:
+        prompt = Prompt(silent(), stream)
+        os.close(master)
+        with pytest.raises(InputEndedError):
+            prompt.ask("Mass: ")
+
+
+def test_without_an_input_there_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sys.stdin", None)
+    with pytest.raises(InputEndedError):
+        Prompt(silent()).ask("Mass: ")
+
+
+class Impatient(SimulatedClock):
+    """A clock on which every look takes ten seconds."""
+
+    def now_ns(self) -> int:
+        self.sleep_until_ns(super().now_ns() + 10_000_000_000)
+        return super().now_ns()
+
+
+def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
+    waits: list[float] = []
+    monkeypatch.setattr("rig.prompt.select.select", lambda r, w, x, s: waits.append(s) or ([], [], []))
+    prompt = Prompt(silent(), pipe.stream, patience_s=60.0, clock=Impatient())
+    with pytest.raises(OperatorStopError, match="nobody answered the prompt within 60 s; `rig resume` goes on"):
+        prompt.ask("Mass: ")
+    waited = [wait for wait in waits if wait]
+    assert len(waited) == 5
+    assert max(waited) <= 1.0
+
+
+@pytest.mark.parametrize("name", sorted(STOP_SIGNALS))
+def test_every_stop_signal_is_heard_at_the_prompt(pipe: Pipe, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    number = getattr(signal, name)
+
+    def waiting(reading: Any, writing: Any, odd: Any, wait_s: float) -> Any:
+        if wait_s:
+            signal.raise_signal(number)
+            raise AssertionError("the signal was not heard")
+        return [], writing, []
+
+    monkeypatch.setattr("rig.prompt.select.select", waiting)
+    operator = ConsoleOperator(silent(), Prompt(silent(), pipe.stream))
+    before = signal.getsignal(number)
+    with StopButton() as stop, pytest.raises(OperatorStopError, match="at the weight prompt"), stop.interruptible():
+        operator.confirm_weight("heavy", 10.0)
+    assert stop.pressed
+    assert signal.getsignal(number) is before
+
+
+@pytest.mark.parametrize("name", sorted(STOP_SIGNALS))
+def test_every_stop_signal_only_sets_the_flag_under_power(name: str) -> None:
+    with StopButton() as stop:
+        signal.raise_signal(getattr(signal, name))
+        assert stop.pressed
+        assert stop.presses == (2 if name == "SIGQUIT" else 1)
+        with pytest.raises(OperatorStopError, match="stopped by the operator"):
+            stop.check()
+
+
+def test_a_hangup_that_was_ignored_at_the_start_stays_ignored() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with StopButton() as stop:
+            signal.raise_signal(signal.SIGHUP)
+            assert not stop.pressed
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_writing_from_the_background_does_not_suspend_the_program() -> None:
+    with StopButton():
+        assert signal.getsignal(signal.SIGTTOU) is signal.SIG_IGN
+    assert signal.getsignal(signal.SIGTTOU) is signal.SIG_DFL
+
+
+def test_a_stop_that_was_asked_for_before_is_heard_at_once() -> None:
+    stop = StopButton()
+    stop.press("SIGTERM")
+    stop.press("Ctrl-C")
+    with pytest.raises(OperatorStopError, match=r"stopped by the operator \(SIGTERM\)"), stop.interruptible():
+        raise AssertionError("it was not heard")
+
+
+def test_an_interrupt_is_raised_once() -> None:
+    def interrupted(stop: StopButton) -> None:
+        with stop.interruptible():
+            try:
+                signal.raise_signal(signal.SIGINT)
+            finally:
+                signal.raise_signal(signal.SIGINT)
+
+    with StopButton() as stop:
+        with pytest.raises(KeyboardInterrupt):
+            interrupted(stop)
+        assert stop.presses == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "mass"),
+    [
+        ("30.6", 30.6),
+        ("30,6", 30.6),
+        ("30.6 kg", 30.6),
+        ("30.6KG", 30.6),
+        ("30600 g", 30.6),
+        (" 0 ", 0.0),
+        (".5", 0.5),
+        ("30.", 30.0),
+        ("+1", 1.0),
+        ("-1", -1.0),
+        ("", None),
+        ("kg", None),
+        ("1e3", None),
+        ("nan", None),
+        ("inf", None),
+        ("30.6 lb", None),
+        ("3 0", None),
+        ("1.2.3", None),
+    ],
+)
+def test_masses_as_they_are_typed(text: str, mass: float | None) -> None:
+    assert parse_mass_kg(text) == pytest.approx(mass)
+
+
+class Script:
+    """Answers in order, and notes what was asked and said before each."""
+
+    def __init__(self, *answers: str) -> None:
+        self.answers = list(answers)
+        self.asked: list[str] = []
+
+    def ask(self, words: str) -> str:
+        self.asked.append(words)
+        return self.answers.pop(0)
+
+
+class Told(ConsoleOperator):
+    """Keeps what it says."""
+
+    def __init__(self, *answers: str, tolerance: float = 0.005) -> None:
+        super().__init__(silent(), Script(*answers), tolerance=tolerance)
+        self.told: list[str] = []
+
+    def tell(self, words: str) -> None:
+        self.told.append(words)
+
+
+def test_the_planned_mass_is_not_shown_before_an_answer() -> None:
+    operator = Told("29", "30.6")
+    assert operator.confirm_weight("heavy", 30.6) == 30.6
+    before, after = operator.told[:2], operator.told[2:]
+    assert not any("30.6" in words for words in before)
+    assert "29 kg is not the planned 30.6 kg (tolerance 0.153 kg)" in after[0]
+
+
+def test_the_tolerance_is_that_of_the_bench() -> None:
+    assert Told("30.9", "30.6").confirm_weight("heavy", 30.6) == 30.6
+    assert Told("30.9", tolerance=0.01).confirm_weight("heavy", 30.6) == 30.9
+
+
+def test_an_empty_lever_is_confirmed_with_zero() -> None:
+    operator = Told("0.5", "0")
+    assert operator.confirm_weight("empty", 0.0) == 0.0
+    assert "Take every weight off the lever" in operator.told[0]

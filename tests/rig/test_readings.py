@@ -1,0 +1,229 @@
+"""Live readings of `rig check`: what is shown, what goes into JSON, and which end a run as soon as it begins."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import rig.connect
+from drivers.mock.bench import SimulatedBench, simulated_bench
+from rig.bench import load_bench
+from rig.bench_text import Watcher, bench_line, watcher, watcher_of
+from rig.cli import status
+from rig.findings import Cause
+from rig.plan import bench_limits
+from rig.readings import NOT_AVAILABLE, Readings, reading_findings
+from rig.safety import Limits
+from rig.serial_bus import UNWATCHED_SHARE
+
+from .benches import variant
+
+LIMITS = bench_limits(load_bench("practical").value)
+CALM = Readings("switch on disabled", 0.1, 0.1, 0.0, 0.0, 60.0, 25.0, None)
+HOT = bench_limits(load_bench("practical_hot").value)
+
+
+def found(limits: Limits = LIMITS, **changes: float) -> list[str]:
+    findings = list(reading_findings(dataclasses.replace(CALM, **changes), limits))
+    assert all(finding.cause is Cause.READINGS and finding.refused for finding in findings)
+    return [finding.text for finding in findings]
+
+
+@pytest.mark.parametrize(
+    ("name", "inside", "words"),
+    [
+        ("supply_V", LIMITS.supply_min, "DC link voltage"),
+        ("supply_V", LIMITS.supply_max, "DC link voltage"),
+        ("temperature_C", LIMITS.temperature, "motor temperature"),
+        ("speed_rad_s", LIMITS.speed, "joint speed"),
+        ("current_A", LIMITS.current, "motor current"),
+    ],
+)
+def test_both_sides_of_each_reading(name: str, inside: float, words: str) -> None:
+    outward = -math.inf if inside == LIMITS.supply_min else math.inf
+    assert found(**{name: inside}) == []
+    (text,) = found(**{name: math.nextafter(inside, outward)})
+    assert text.startswith(f"{words} ")
+    assert " at 0.000 s" not in text
+    assert "; " in text
+
+
+@pytest.mark.parametrize("end", ["angle_min", "angle_max"])
+def test_both_ends_of_the_angle(end: str) -> None:
+    limit = getattr(LIMITS, end)
+    inside, outside = (math.nextafter(limit, sign * math.copysign(math.inf, limit)) for sign in (-1, 1))
+    assert found(joint_encoder_rad=inside, motor_encoder_at_joint_rad=inside) == []
+    (text,) = found(joint_encoder_rad=outside, motor_encoder_at_joint_rad=outside)
+    assert text.startswith("joint angle ")
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_both_sides_of_the_encoders_difference(sign: float) -> None:
+    limit = LIMITS.encoder_disagreement
+    assert found(motor_encoder_at_joint_rad=0.1 + sign * limit * 0.999) == []
+    (text,) = found(motor_encoder_at_joint_rad=0.1 + sign * limit * 1.001)
+    assert text.startswith("encoder against drive ")
+
+
+def test_both_sides_of_the_pressure() -> None:
+    gas = HOT.gas
+    assert gas is not None
+    anywhere = dataclasses.replace(HOT, gas=dataclasses.replace(gas, contact_force=math.inf))
+    at_limit = dataclasses.replace(CALM, pressure_Pa=gas.pressure)
+    assert list(reading_findings(at_limit, anywhere)) == []
+    above = dataclasses.replace(at_limit, pressure_Pa=math.nextafter(gas.pressure, math.inf))
+    (finding,) = reading_findings(above, anywhere)
+    assert finding.text.startswith("chamber pressure ")
+
+
+@pytest.mark.parametrize("angle", [-0.1, 0.1, math.nan])
+def test_both_sides_of_the_force_that_the_pressure_makes_where_the_valve_is(angle: float) -> None:
+    gas = HOT.gas
+    assert gas is not None
+    force = 2e6 * gas.area(0.0 if math.isnan(angle) else angle)
+    readings = dataclasses.replace(
+        CALM,
+        pressure_Pa=gas.back_pressure + 2e6,
+        joint_encoder_rad=angle,
+        motor_encoder_at_joint_rad=angle,
+    )
+    for limit, count in ((force * 1.0001, 0), (force * 0.9999, 1)):
+        limits = dataclasses.replace(HOT, gas=dataclasses.replace(gas, contact_force=limit))
+        assert [f.text.startswith("contact force ") for f in reading_findings(readings, limits)] == [True] * count
+
+
+@pytest.mark.parametrize(
+    "name", ["motor_encoder_at_joint_rad", "joint_encoder_rad", "speed_rad_s", "current_A", "supply_V", "temperature_C"]
+)
+def test_what_is_not_available_is_shown_so_and_not_judged(name: str) -> None:
+    readings = dataclasses.replace(CALM, **{name: math.nan})
+    assert list(reading_findings(readings, LIMITS)) == []
+    record = readings.record()
+    assert record[name] is None
+    assert json.loads(json.dumps(record, allow_nan=False)) == record
+    assert [NOT_AVAILABLE, ""] in [row[1:] for row in readings.rows()]
+    assert NOT_AVAILABLE not in [cell for row in CALM.rows() for cell in row]
+
+
+def test_angles_are_shown_in_degrees_and_kept_in_radians() -> None:
+    readings = dataclasses.replace(
+        CALM, motor_encoder_at_joint_rad=math.radians(10.5), joint_encoder_rad=math.radians(10)
+    )
+    rows = {row[0]: row[1:] for row in readings.rows()}
+    assert rows["motor encoder, at the joint"] == ["10.500", "deg"]
+    assert rows["joint encoder"] == ["10.000", "deg"]
+    assert rows["difference of the two"] == ["0.500", "deg"]
+    assert readings.record()["difference_rad"] == pytest.approx(math.radians(0.5))
+
+
+def test_zero_has_no_sign() -> None:
+    assert dataclasses.replace(CALM, current_A=-0.0).rows()[4] == ["motor current", "0.000", "A"]
+
+
+def moved(*arguments: Any) -> SimulatedBench:
+    """Return a simulated bench whose joint stands elsewhere, with a coupling that has slipped a little."""
+    bench = simulated_bench(*arguments)
+    bench.encoder.distort = lambda counts: counts + 728  # one degree
+    return bench
+
+
+def test_check_shows_what_the_bench_shows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(rig.connect, "simulated_bench", moved)
+    path = variant(tmp_path, ("supply_V: 60", "supply_V: 40"))
+    assert status(["check", str(path), "--json", str(tmp_path / "c.json")]) == 1
+    shown = capsys.readouterr().out
+    lines = shown.splitlines()
+    assert lines[0] == f"simulated bench practical ({path})"
+    assert lines[-1] == "verdict: NOT good: a run would refuse, because of readings"
+    assert "state of the drive: switch on disabled" in lines
+    rows = {line.split("  ")[0]: line.split()[-2:] for line in lines}
+    assert rows["joint encoder"] == ["1.000", "deg"]
+    assert rows["difference of the two"] == ["-1.000", "deg"]
+    assert rows["supply voltage"] == ["40.0", "V"]
+    assert "problem: DC link voltage 40 V is beyond its limit 48 V; check the supply and" in shown
+    record = json.loads((tmp_path / "c.json").read_text())
+    readings = record["readings"]
+    assert readings["supply_V"] == 40.0
+    assert readings["joint_encoder_rad"] == pytest.approx(math.radians(1), abs=1e-4)
+    assert readings["motor_encoder_at_joint_rad"] == readings["speed_rad_s"] == readings["current_A"] == 0.0
+    assert (record["real"], record["good"], record["causes"]) == (False, False, ["readings"])
+    assert (record["watched_by"], record["watch_s"], record["bench_file"]) == ("drive", 0.1, str(path))
+
+
+@pytest.mark.parametrize(
+    ("name", "reading", "unit"),
+    [("practical_hot", "chamber pressure", "MPa"), ("practical_serial", "joint encoder", "deg")],
+)
+def test_every_kind_of_bench_is_read(name: str, reading: str, unit: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["check", name]) == 0
+    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith(f"{reading}  ")]
+    assert line.endswith(unit)
+
+
+def test_a_drive_that_says_its_speed_only_when_commanded(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status(["check", "practical_dbc"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split("  ")[-1].strip() for line in lines if line.startswith("joint speed ")] == [NOT_AVAILABLE]
+
+
+REAL = ("interface: mock", "interface: virtual, channel: nobody")
+SERIAL = (
+    ("port: mock, baud: 1000000", "port: /dev/none, baud: 1000000"),
+    ("port: mock, baud: 2", "port: /dev/no, baud: 2"),
+)
+UNWATCHED = ("watchdog_ms: 100", "watchdog_ms: null")
+
+
+@pytest.mark.parametrize(
+    ("source", "changes", "real", "watch"),
+    [
+        ("practical", (), False, Watcher("drive", 0.1)),
+        ("practical", (REAL,), True, Watcher("drive", 0.1)),
+        ("practical_serial", (), False, Watcher("nobody")),
+        ("practical_serial", SERIAL, True, Watcher("guardian", 0.2)),
+        ("practical_dbc", (), False, Watcher("drive", 0.1)),
+        ("practical_dbc", (UNWATCHED,), False, Watcher("nobody")),
+    ],
+)
+def test_the_first_line_says_real_in_capitals_and_the_file_says_who_watches(
+    tmp_path: Path, source: str, changes: tuple[tuple[str, str], ...], real: bool, watch: Watcher
+) -> None:
+    path = variant(tmp_path, *changes, source=source)
+    document = load_bench(path)
+    assert bench_line(document) == f"{'REAL' if real else 'simulated'} bench {source} ({path})"
+    assert watcher_of(document.value) == watch
+    assert ("NOBODY" in watch.words) is (watch.kind == "nobody")
+    assert ("100 ms" in watch.words) is (watch.kind == "drive")
+    assert ("200 ms" in watch.words) is (watch.kind == "guardian")
+    share = 1.0 if watch.kind == "drive" else UNWATCHED_SHARE
+    assert document.value.limits.torque_N_m == pytest.approx(share * 75.0)
+
+
+@pytest.mark.parametrize(
+    ("watchdog", "guard", "expected"),
+    [
+        (True, None, Watcher("drive", 0.1)),
+        (False, object(), Watcher("guardian", 0.2)),
+        (False, None, Watcher("nobody")),
+    ],
+)
+def test_who_watches_a_connected_bench(fake_bench: Any, watchdog: bool, guard: Any, expected: Watcher) -> None:
+    bench = fake_bench()
+    bench.has_watchdog, bench.watch_s = watchdog, 0.1
+    assert watcher(dataclasses.replace(bench.devices(), guard=guard)) == expected
+
+
+def test_a_real_bench_is_named_before_it_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = variant(tmp_path, REAL)
+    for command in (["check", str(path)], ["run", "figure10", "--dry-run", "--bench", str(path)]):
+        assert status(command) == 2
+        captured = capsys.readouterr()
+        assert captured.out.splitlines()[:1] == [f"REAL bench practical ({path})"]
+        assert "servo.eds: missing" in captured.err

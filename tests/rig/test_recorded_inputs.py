@@ -1,0 +1,101 @@
+"""A run goes on from whatever folder `rig resume` is called in."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from rig.cli import status
+from rig.progress import RunProgress
+from rig.provenance import sha256
+from rig.recorded_inputs import input_entry, recorded_input
+from rig.run import read_record
+from rig.truth import truth_of
+
+STAGES = """\
+sequence: 1
+name: two
+stages:
+  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
+"""
+CONTENT = b"that of the run"
+DIGEST = sha256(CONTENT)
+
+
+@pytest.fixture
+def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Start a run with relative paths and stop it in its second stage; the run folder is returned."""
+    bench = Path(__file__).parents[2] / "rig" / "benches" / "practical.yaml"
+    place = tmp_path / "bench"
+    (place / "files").mkdir(parents=True)
+    shutil.copy(bench, place / "files" / "own.yaml")
+    (place / "files" / "two.yaml").write_text(STAGES, encoding="utf-8")
+    monkeypatch.chdir(place)
+
+    def press(self: RunProgress, name: str, *rest: Any) -> None:
+        if name == "b":
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(RunProgress, "__call__", press)
+        arguments = ["files/two.yaml", "--bench", "files/own.yaml", "--yes", "--out", "runs/first"]
+        assert status(["run", *arguments]) == 3
+    return place / "runs" / "first"
+
+
+def test_a_run_goes_on_from_another_folder(stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert status(["resume", str(stopped), "--yes"]) == 0
+    assert {Path(entry["file"]).is_absolute() for entry in read_record(stopped).inputs.values()} == {True}
+
+
+def test_a_run_of_an_older_program_does_too(stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = stopped / "run.json"
+    record = json.loads(file.read_text(encoding="utf-8"))
+    record["inputs"]["bench.yaml"]["file"] = "files/own.yaml"
+    record["inputs"]["sequence.yaml"]["file"] = "files/two.yaml"
+    file.write_text(json.dumps(record), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert truth_of(stopped) is not None
+    assert status(["resume", str(stopped), "--yes"]) == 0
+
+
+@pytest.mark.parametrize("folder", [Path("run"), Path("..") / "place" / "run"])
+def test_a_relative_path_is_followed_from_here_and_from_above_the_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    place = tmp_path / "place"
+    place.mkdir()
+    entry = {"file": "files/bench.yaml", "sha256": DIGEST}
+    monkeypatch.chdir(place)
+    assert recorded_input(folder, entry) == Path("files/bench.yaml"), "missing everywhere"
+    (tmp_path / "files").mkdir()
+    (tmp_path / "files" / "bench.yaml").write_bytes(CONTENT)
+    assert recorded_input(folder, entry).samefile(tmp_path / "files" / "bench.yaml")
+    (place / "files").mkdir()
+    (place / "files" / "bench.yaml").write_bytes(b"another")
+    assert recorded_input(folder, entry).samefile(tmp_path / "files" / "bench.yaml"), "another file of that name"
+    (place / "files" / "bench.yaml").write_bytes(CONTENT)
+    assert recorded_input(folder, entry) == Path("files/bench.yaml")
+
+
+def test_what_is_no_file_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bench.yaml").mkdir()
+    for name in ("bench.yaml", "x" * 5000):
+        assert recorded_input(tmp_path / "run", {"file": name, "sha256": DIGEST}) == Path(name)
+
+
+def test_an_absolute_path_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    entry = input_entry("bench.yaml", DIGEST)
+    assert entry == {"file": str(tmp_path / "bench.yaml"), "sha256": DIGEST}
+    monkeypatch.chdir("/")
+    assert recorded_input(Path("elsewhere"), entry) == tmp_path / "bench.yaml"

@@ -1,0 +1,428 @@
+"""The page of a run that stopped: what it shows, and that it is there whatever the recording is like."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from drivers.interfaces import ServoState
+from rig.bench import load_bench
+from rig.cli import status
+from rig.configuration import load_located
+from rig.cycle import Cycle
+from rig.operator import AutomaticOperator, OperatorStopError
+from rig.plan import make_plan
+from rig.run import RunFolder
+from rig.run_file import read_record
+from rig.run_page import panels, sections
+from rig.run_page.channels import NAMES
+from rig.run_page.limits import limit_steps, read_attachments
+from rig.run_page.sections import NEVER_MOVED, Recorded
+from rig.run_record import RunRecord
+from rig.run_report import write_run_report
+from rig.safety import Check, Limits
+from rig.sequence import Sequence
+
+INSIDE = 600
+"""A cycle well inside the first excitation of the short sequence."""
+
+
+def page_of(folder: RunFolder) -> str:
+    return write_run_report(folder.path, folder.record).read_text()
+
+
+def titles(html: str) -> list[str]:
+    return re.findall(r"<figcaption><b>(.*?)</b>", html)
+
+
+def last_part(html: str) -> str:
+    """Return the section of the last seconds."""
+    return html.partition("<h2>The last seconds</h2>")[2].partition("<h2>")[0]
+
+
+def late(bench: Any) -> None:
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 40_000_000)
+
+
+TRIPS: dict[str, tuple[Callable[[Any], object], Check, str]] = {
+    "angle": (lambda b: setattr(b, "angle_error", 0.6), Check.ANGLE, "joint angle"),
+    "angle, the other way": (lambda b: setattr(b, "angle_error", -0.8), Check.ANGLE, "joint angle"),
+    "speed": (lambda b: b.overrides.update(velocity_rad_s=-5.0), Check.SPEED, "joint speed"),
+    "current": (lambda b: b.overrides.update(current_A=-26.0), Check.CURRENT, "motor current"),
+    "torque": (lambda b: b.overrides.update(current_A=20.0), Check.TORQUE, "joint torque Km i I"),
+    "following error": (
+        lambda b: b.overrides.update(following_error_rad=0.1),
+        Check.FOLLOWING_ERROR,
+        "following error, as the drive computes it",
+    ),
+    "disagreement": (
+        lambda b: setattr(b, "angle_error", 0.02),
+        Check.DISAGREEMENT,
+        "drive&#x27;s encoder less joint encoder",
+    ),
+    "temperature": (lambda b: b.overrides.update(temperature_C=99.0), Check.TEMPERATURE, "motor temperature"),
+    "supply low": (lambda b: b.overrides.update(supply_voltage_V=20.0), Check.SUPPLY, "supply voltage (DC link)"),
+    "supply high": (lambda b: b.overrides.update(supply_voltage_V=90.0), Check.SUPPLY, "supply voltage (DC link)"),
+    "state": (lambda b: setattr(b, "drive_state", ServoState.FAULT), Check.DRIVE_STATE, "state of the drive"),
+    "age": (lambda b: setattr(b, "fresh", False), Check.SAMPLE_AGE, "age of the last whole answer"),
+    "lateness": (late, Check.LATENESS, "lateness of the control cycle, beyond a period"),
+}
+TIGHT = "limits: {torque_N_m: 50}\n"
+
+
+@pytest.fixture
+def tight(runner: Any, short_sequence: Path) -> Any:
+    """The runner with a limit on torque that is reached before that on current."""
+    short_sequence.write_text(short_sequence.read_text() + TIGHT)
+    sequence = load_located(short_sequence, Sequence)
+    inputs = dataclasses.replace(runner.inputs, sequence=sequence)
+    return dataclasses.replace(runner, inputs=inputs, plan=make_plan(sequence, inputs.bench))
+
+
+@pytest.mark.parametrize("what", TRIPS)
+def test_a_trip_is_shown_first_with_its_limit_and_its_moment(what: str, tight: Any, fake_bench: Any) -> None:
+    act, check, title = TRIPS[what]
+    bench = fake_bench()
+    bench.faults["exchange", INSIDE] = lambda: act(bench)
+    folder, _ = tight(bench)
+    trip = folder.record.trip
+    assert trip is not None
+    assert trip["check"] == check.value
+    last = last_part(page_of(folder))
+    assert titles(last)[:2] == [title, f"{title}, sample by sample"]
+    first = last.partition("</figure>")[0]
+    assert f">{folder.record.state} {trip['time']:.3f} s</span>" in first
+    if check is not Check.DRIVE_STATE:
+        assert "tripped at " in first
+        assert "BEYOND THE LIMIT" in first
+        assert 'stroke="#a30000"' in first
+        assert "limit" in first
+    # The value drawn at the moment of the trip is the one that was judged.
+    recorded = Recorded(folder.path, folder.record, 1)
+    (panel,) = [p for p in panels.PANELS if check in p.checks]
+    tail = recorded.traces.tail
+    assert tail is not None
+    at = int(np.argmin(np.abs(tail.time - trip["time"])))
+    value = abs(float(tail.values[at, NAMES.index(next(iter(panel.channels)))]))
+    if check is not Check.DRIVE_STATE:
+        assert value == pytest.approx(abs(trip["value"]), rel=1e-9)
+    # And the limit is the one it was judged by, without being told of the trip.
+    bounds = [bound.steps[-1][1] / panel.scale for bound in panels._bounds(panel, recorded.steps)]
+    if check is not Check.DRIVE_STATE:
+        assert min(abs(bound - trip["limit"]) for bound in bounds) < 1e-9
+
+
+def test_the_page_says_on_what_by_whom_and_how_to_go_on(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    runner.inputs = dataclasses.replace(runner.inputs, operator="Ann <b>")
+    bench.faults["exchange", INSIDE] = lambda: bench.overrides.update(current_A=26.0)
+    folder, _ = runner(bench)
+    html = page_of(folder)
+    head = html.partition("<h2>The last seconds</h2>")[0]
+    for words in (
+        "TRIPPED",
+        "motor current 26 A is beyond its limit 25 A",
+        "<b>First:</b> look for jamming or a weight above the plan",
+        f"<code>rig resume {folder.path}</code>",
+        "practical <span",
+        "SIMULATED",
+        "Ann &lt;b&gt;",
+        folder.record.created[:10],
+    ):
+        assert words in head
+    assert re.search(r"<td>heavy</td><td>planned</td><td class=\"n\">10</td><td>-</td><td>loaded</td>", head)
+    assert "empty[1]: excite" in last_part(html)
+    assert "braking" in last_part(html)
+    assert "drive off" in last_part(html)
+    # Every channel twice, in the last seconds and as a whole, and the tripped one once more; there is no pressure.
+    assert len(titles(html)) == 2 * (len(panels.PANELS) - 2) + 1
+    assert "chamber pressure" not in html
+
+
+def test_a_real_bench_is_called_real(runner: Any, fake_bench: Any) -> None:
+    folder, _ = runner(fake_bench())
+    folder.record.simulated = False
+    html = page_of(folder)
+    assert "REAL BENCH" in html
+    assert "SIMULATED" not in html
+
+
+def test_the_page_holds_all_it_needs(runner: Any, fake_bench: Any) -> None:
+    folder, _ = runner(fake_bench())
+    html = page_of(folder)
+    assert "<h2>The last seconds</h2>" not in html
+    assert not re.search(r"src=|href=|url\(|<script|@import", html)
+    assert 'name="viewport"' in html
+
+
+def test_the_end_of_a_run_waits_for_no_plotting_library() -> None:
+    code = "import sys, rig.aftermath; print(sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "'rig.run_page.chart'" in done.stdout
+    for heavy in ("matplotlib", "jinja2"):
+        assert f"'{heavy}'" not in done.stdout
+
+
+def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    bench.faults["exchange", INSIDE] = stop
+    folder, _ = runner(bench)
+    recorded = Recorded(folder.path, folder.record, 1)
+    tail, moment = recorded.traces.tail, recorded.moment
+    assert moment is not None
+    assert tail is not None
+    assert moment.words == "stopped"
+    assert moment.time == tail.time[tail.segment == 1][-1]
+    assert titles(last_part(page_of(folder)))[0] == "joint angle"
+
+
+def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(runner: Any, fake_bench: Any) -> None:
+    class GivesUp(AutomaticOperator):
+        def confirm_weight(self, stage: str, weight_kg: float) -> float:
+            if weight_kg:
+                raise OperatorStopError("stopped at the weight prompt")
+            return weight_kg
+
+    folder, _ = runner(fake_bench(), operator=GivesUp())
+    assert "last under power" in last_part(page_of(folder))
+
+
+def test_a_run_that_never_moved_says_so(runner: Any, fake_bench: Any) -> None:
+    class GivesUp(AutomaticOperator):
+        def confirm_weight(self, stage: str, weight_kg: float) -> float:
+            raise OperatorStopError("stopped at the weight prompt")
+
+    folder, _ = runner(fake_bench(), operator=GivesUp())
+    assert folder.record.cycles == 0
+    html = page_of(folder)
+    assert NEVER_MOVED in last_part(html)
+    assert titles(html) == []
+    assert f"rig resume {folder.path}" in html
+
+
+def test_a_trip_at_the_first_sample_is_drawn(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", 1] = lambda: bench.overrides.update(current_A=26.0)
+    folder, _ = runner(bench)
+    html = page_of(folder)
+    assert titles(last_part(html))[0] == "motor current"
+    assert "Here " not in html
+
+
+def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(
+    runner: Any, fake_bench: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder, _ = runner(fake_bench())
+    content = folder.recording.read_bytes()
+    folder.recording.write_bytes(content[: len(content) // 2])
+    raw = json.loads((folder.path / "run.json").read_text())
+    raw.update(state="running", message="", de_energised=None, drive_state=None)
+    raw["parts"][0]["state"] = raw["stages"][0]["state"] = "running"
+    (folder.path / "run.json").write_text(json.dumps(raw))
+    assert status(["recover", str(folder.path)]) == 0
+    told = capsys.readouterr().out.splitlines()
+    assert told[-2:] == [f"go on with: rig resume {folder.path}", f"page: {folder.path / 'run.html'}"]
+    assert told[-3].startswith("first: switch the main supply off")
+    last = last_part((folder.path / "run.html").read_text())
+    assert "recording ends" in last
+    assert "not recorded" in last
+    assert "drive off" not in last
+    assert titles(last)[0] == "joint angle"
+
+
+def test_a_whole_run_whose_page_is_missing_gets_it_back(runner: Any, fake_bench: Any) -> None:
+    folder, _ = runner(fake_bench())
+    assert status(["recover", str(folder.path)]) == 0
+    before = (folder.path / "run.html").read_bytes()
+    (folder.path / "run.html").write_text("mine")
+    assert status(["recover", str(folder.path)]) == 0
+    assert (folder.path / "run.html").read_text() == "mine"
+    assert before.startswith(b"<!doctype html>")
+
+
+def test_each_recording_of_a_run_that_went_on_is_shown(runner: Any, fake_bench: Any) -> None:
+    bench = fake_bench()
+    bench.faults["exchange", INSIDE] = lambda: bench.overrides.update(current_A=26.0)
+    folder, _ = runner(bench)
+    first = dataclasses.replace(folder.record.parts[0], file="first.mcap")
+    shutil.copy(folder.recording, folder.path / "first.mcap")
+    folder.record.parts.insert(0, first)
+    for segment in folder.record.segments:
+        segment.part = 2
+    html = page_of(folder)
+    assert "<h2>Recording 1: first.mcap</h2>" in html
+    assert "<h2>Recording 2: recording.mcap</h2>" in html
+    # The trip was in the second.
+    one, two = html.partition("<h2>Recording 1")[2].split("<h2>Recording 2")
+    assert "tripped 0." not in one
+    assert "tripped 0." in two
+
+
+BRIEF = """\
+sequence: 1
+name: short
+stages:
+  - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.3,
+     ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.01}
+"""
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunRecord]:
+    """A run that tripped, not to be changed."""
+    folder = tmp_path_factory.mktemp("whole")
+    path = folder / "short.yaml"
+    path.write_text(BRIEF)
+    faults = folder / "faults.yaml"
+    faults.write_text("faults: 1\nrows:\n  - {phase: excite, after_s: 0.1, target: encoder, fault: jump, value: 5}\n")
+    assert status(["run", str(path), "--yes", "--out", str(folder / "run"), "--faults", str(faults)]) == 1
+    return folder / "run", read_record(folder / "run")
+
+
+def broken(whole: tuple[Path, RunRecord], folder: Path, content: bytes | None) -> str:
+    """Return the page of a run whose recording holds this instead; None for no recording."""
+    folder.mkdir()
+    if content is not None:
+        (folder / "recording.mcap").write_bytes(content)
+    return write_run_report(folder, whole[1]).read_text()
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (None, "cannot be read"),
+        (b"", "not an MCAP recording"),
+        (b"hello", "not an MCAP recording"),
+    ],
+)
+def test_without_a_recording_the_page_says_so_and_the_rest_is_there(
+    whole: tuple[Path, RunRecord], tmp_path: Path, content: bytes | None, words: str
+) -> None:
+    html = broken(whole, tmp_path / "run", content)
+    assert words in last_part(html)
+    assert "encoder against drive" in html
+    assert "rig resume" in html
+    assert "<h2>Provenance</h2>" in html
+    assert html.rstrip().endswith("</body></html>")
+
+
+def test_a_damaged_recording_is_drawn_as_far_as_it_is_sound(whole: tuple[Path, RunRecord], tmp_path: Path) -> None:
+    content = (whole[0] / "recording.mcap").read_bytes()
+    html = broken(whole, tmp_path / "run", content[: int(0.6 * len(content))])
+    assert "The recording is damaged: whole up to byte" in html
+    assert titles(html)
+    assert "Here " not in html
+
+
+@settings(max_examples=25, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_whatever_the_recording_is_like_there_is_a_page(
+    whole: tuple[Path, RunRecord], tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    content = bytearray((whole[0] / "recording.mcap").read_bytes())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(content) - 1))
+        content[at] ^= data.draw(st.integers(1, 255))
+    cut = data.draw(st.integers(0, len(content)))
+    html = broken(whole, tmp_path_factory.mktemp("torn") / "run", bytes(content[:cut]))
+    assert "rig resume" in html
+    assert html.rstrip().endswith("</body></html>")
+
+
+def test_without_attached_files_the_limit_of_the_trip_alone_is_drawn(
+    whole: tuple[Path, RunRecord], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sections, "read_attachments", lambda attachments: read_attachments({}))
+    html = broken(whole, tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
+    assert "The limits are not known (bench.yaml is not attached to the recording)" in html
+    first, _, rest = last_part(html).partition("</figure>")
+    assert "limit -1 and 1 deg: BEYOND THE LIMIT" in first
+    assert "sample by sample" in rest
+    others = rest.partition("</figure>")[2]
+    assert 'stroke="#a30000"' not in others
+    assert "limit not known" in others
+
+
+@pytest.mark.parametrize("name", ["last_seconds", "whole", "read_attachments", "read_traces"])
+def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
+    whole: tuple[Path, RunRecord], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    def fails(*arguments: Any) -> None:
+        raise ZeroDivisionError("a defect of this page")
+
+    for module in ("rig.run_report", "rig.run_page.sections"):
+        monkeypatch.setattr(f"{module}.{name}", fails, raising=False)
+    html = broken(whole, tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
+    assert "ZeroDivisionError: a defect of this page" in html
+    assert "rig resume" in html
+    assert "<h2>Provenance</h2>" in html
+
+
+@pytest.mark.parametrize("field", ["timing", "devices"])
+def test_an_edited_record_leaves_the_rest_of_the_page(
+    whole: tuple[Path, RunRecord], tmp_path: Path, field: str
+) -> None:
+    changed: Any = {field: {"servo": 7, "answer": 1}}
+    record = dataclasses.replace(whole[1], parts=[dataclasses.replace(whole[1].parts[0], **changed)])
+    html = broken((whole[0], record), tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
+    assert "Here the " in html
+    assert titles(html)
+
+
+def test_the_limits_over_time_are_those_that_were_judged_by(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Every change of limits, first passes and the ways to them included, worked out from what is attached."""
+    plan = make_plan(runner.inputs.sequence, runner.inputs.bench, first_pass=True)
+    runner = dataclasses.replace(runner, plan=plan)
+    used: list[tuple[float, Limits]] = []
+    real = Cycle.use
+
+    def use(self: Cycle, limits: Limits) -> None:
+        used.append((self.next_s, limits))
+        real(self, limits)
+
+    monkeypatch.setattr(Cycle, "use", use)
+    folder, _ = runner(fake_bench())
+    traces = Recorded(folder.path, folder.record, 1).traces
+    attached = read_attachments(traces.attachments)
+    assert attached.plan is not None
+    steps = limit_steps(attached.plan, traces.events, traces.starts)
+    assert len(used) >= 6
+    cycle_s = folder.record.cycle_s
+    for time, limits in used:
+        found = [step for step in steps if step[0] <= time + 0.5 * cycle_s][-1][1]
+        assert dataclasses.replace(found, gas=None) == dataclasses.replace(limits, gas=None), time
+        before = [step for step in steps if step[0] <= time - 2.5 * cycle_s][-1][1]
+        assert before != limits, time
+
+
+def test_the_limits_of_a_bench_without_a_watchdog_are_those_in_force() -> None:
+    content = load_bench("practical_serial").path.read_bytes()
+    attached = read_attachments({"bench.yaml": content})
+    assert attached.bench is not None
+    assert attached.bench.limits == load_bench("practical_serial").value.limits
+    assert attached.problem == "sequence.yaml is not attached to the recording"
+
+
+@pytest.mark.parametrize("content", [b"\xff", b"a: [", b"bench: 2"])
+def test_an_attached_bench_that_cannot_be_read_is_a_problem_in_words(content: bytes) -> None:
+    attached = read_attachments({"bench.yaml": content})
+    assert attached.bench is None
+    assert "bench.yaml" in attached.problem

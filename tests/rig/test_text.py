@@ -1,0 +1,141 @@
+"""Text of every language in every locale: stored as UTF-8, shown as far as the terminal can."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import sys
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import rig as rig_package
+from rig.mcap_reader import read_run
+from rig.places import write_json, write_text
+from rig.run import read_record
+from rig.text import stored_path, valid, valid_record
+
+from .command import assert_in_words, rig
+
+SEQUENCE = """\
+# µ °
+sequence: 1
+name: short
+stages:
+  - {name: empty, stage: unloaded, tones: [{amplitude_deg: 2, frequency_Hz: 1}], duration_s: 3,
+     ramp_in_s: 0.5, ramp_out_s: 0.5, settle_s: 0}
+"""
+LOCALES = {
+    "C": {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "POSIX, ascii": {"LC_ALL": "POSIX", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+}
+WHO = "Jürgen ☃"
+
+
+@pytest.mark.parametrize("locale", LOCALES)
+def test_names_of_every_language_go_through_a_run(tmp_path: Path, locale: str) -> None:
+    place = tmp_path / WHO
+    place.mkdir()
+    (place / "kurz µ.yaml").write_text(SEQUENCE, encoding="utf-8")
+    run = ["run", f"{WHO}/kurz µ.yaml", "--yes", "--operator", WHO, "--out", f"{WHO}/Lauf", "--json", f"{WHO}/µ.json"]
+    identify = ["identify", f"{WHO}/Lauf", "--out", f"{WHO}/erkannt", "--json", f"{WHO}/é.json"]
+    commands = [run, ["export", f"{WHO}/Lauf", "--out", f"{WHO}/ü.csv"], *([identify] if locale == "C" else [])]
+    for arguments in commands:
+        ended = rig(*arguments, folder=tmp_path, environment=LOCALES[locale])
+        assert_in_words(ended)
+        assert ended.returncode == 0, ended.stderr
+        assert "?" not in ended.stdout
+    record = read_record(place / "Lauf")
+    assert record.operator == WHO
+    assert record.inputs["sequence.yaml"]["file"] == str(place / "kurz µ.yaml")
+    assert read_run(place / "Lauf" / "recording.mcap").metadata["run"]["operator"] == WHO
+    for file in place.rglob("*.json"):
+        # As strict readers take it, which refuse half characters.
+        json.loads(file.read_text(encoding="utf-8")).__repr__().encode("utf-8")
+    assert WHO in (place / "Lauf" / "run.html").read_text(encoding="utf-8")
+
+
+def test_a_stopped_run_of_such_names_goes_on(tmp_path: Path) -> None:
+    place = tmp_path / WHO
+    place.mkdir()
+    (place / "kurz µ.yaml").write_text(SEQUENCE, encoding="utf-8")
+    arguments = ["run", f"{WHO}/kurz µ.yaml", "--out", f"{WHO}/Lauf"]
+    assert rig(*arguments, folder=tmp_path, environment=LOCALES["C"]).returncode == 3, "no answer at the prompt"
+    ended = rig("resume", f"{WHO}/Lauf", "--yes", folder=tmp_path, environment=LOCALES["C"])
+    assert_in_words(ended)
+    assert ended.returncode == 0, ended.stderr
+
+
+def test_an_argument_that_is_no_utf_8_is_kept_readable(tmp_path: Path) -> None:
+    (tmp_path / "short.yaml").write_text(SEQUENCE, encoding="utf-8")
+    arguments = ["run", "short.yaml", "--yes", "--operator", "J\udcfcrgen", "--out", "run"]
+    ended = rig(*arguments, folder=tmp_path)
+    assert_in_words(ended)
+    assert ended.returncode == 0, ended.stderr
+    assert read_record(tmp_path / "run").operator == "J\\xfcrgen"
+
+
+def test_bytes_that_were_not_decoded_are_read_as_utf_8() -> None:
+    assert valid(WHO.encode("utf-8").decode("ascii", "surrogateescape")) == WHO
+    assert valid("J\udcfcrgen") == "J\\xfcrgen"
+    assert valid("half \ud83d") == "half ?"
+    assert valid(WHO) == WHO
+
+
+@given(st.text(st.characters(exclude_categories=())))
+def test_valid_text_is_utf_8_and_stays_as_it_is(text: str) -> None:
+    found = valid(text)
+    found.encode("utf-8")
+    assert valid(found) == found
+    if not any("\ud800" <= character <= "\udfff" for character in text):
+        assert found == text
+
+
+def test_records_are_repaired_throughout() -> None:
+    record = {"J\udcfc": ["\udcc3\udcbc", ("\udcc2\udcb5", 1, None)], "plain": {"deep": "\udcc3\udcbc"}}
+    assert valid_record(record) == {"J\\xfc": ["ü", ["µ", 1, None]], "plain": {"deep": "ü"}}
+
+
+def test_files_are_written_as_utf_8(tmp_path: Path) -> None:
+    write_text(tmp_path / "page.html", "\udcc3\udcbc µ")
+    assert (tmp_path / "page.html").read_bytes() == "ü µ".encode()
+    write_json(tmp_path / "record.json", {"file": "\udcc3\udcbc", "emoji": "😀", "escape": "\\udcc3"})
+    content = (tmp_path / "record.json").read_bytes()
+    assert b"\\udc" not in content.replace(b"\\\\udcc3", b"").replace(b"\\ud83d\\ude00", b"")
+    assert json.loads(content) == {"file": "ü", "emoji": "😀", "escape": "\\udcc3"}
+
+
+def test_a_stored_path_leads_back_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / WHO
+    file.write_bytes(b"")
+    assert stored_path(str(file)) == file
+    if sys.platform == "linux":
+        # As in a C locale.
+        monkeypatch.setattr(os, "fsencode", lambda name: name.encode("ascii", "surrogateescape"))
+        monkeypatch.setattr(os, "fsdecode", lambda name: name.decode("ascii", "surrogateescape"))
+        assert str(stored_path(str(file))) == str(file).encode().decode("ascii", "surrogateescape")
+
+
+def test_every_text_file_is_opened_with_its_encoding() -> None:
+    """The default is that of the locale."""
+    root = Path(rig_package.__file__).parents[1]
+    found = []
+    for file in (file for package in ("rig", "drivers", "identification") for file in (root / package).rglob("*.py")):
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and _opens_text(node):
+                found.append(f"{file.relative_to(root)}:{node.lineno}")
+    assert found == []
+
+
+def _opens_text(call: ast.Call) -> bool:
+    """Return whether a call opens a text file, and leaves the encoding to the locale."""
+    if any(keyword.arg == "encoding" for keyword in call.keywords):
+        return False
+    constants = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
+    if isinstance(call.func, ast.Name):
+        return call.func.id == "open" and not any("b" in value for value in constants if isinstance(value, str))
+    # A device's objects have texts too, which are read by their number.
+    return isinstance(call.func, ast.Attribute) and call.func.attr in ("write_text", "read_text") and not constants
