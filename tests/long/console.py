@@ -79,6 +79,11 @@ control.recv(1)
 """What a shell does: a session and a process group of its own, the terminal in its hands, a look at how it ended."""
 
 
+def unwrapped(text: str) -> str:
+    """Return text with each end of a line as a blank, so that words are found however wide the terminal is."""
+    return re.sub(r"\s*[\r\n]+\s*", " ", text)
+
+
 @dataclass(frozen=True)
 class Streams:
     """What standard input and output are: ``tty``, ``pipe``, ``closed``, or a path; standard error is the terminal."""
@@ -279,7 +284,7 @@ class Console:
             if ns < since_ns:
                 continue
             data += chunk
-            if re.search(pattern, _ANSI.sub("", data.decode(errors="replace"))):
+            if re.search(pattern, unwrapped(_ANSI.sub("", data.decode(errors="replace")))):
                 return ns
         return None
 

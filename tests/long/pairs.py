@@ -27,7 +27,7 @@ from typing import Any
 from rig.mcap_reader import read_run
 
 from .benches import TRANSPORTS, Bench, bench_process
-from .console import Console, Streams
+from .console import Console, Streams, unwrapped
 from .process_checks import BUSY
 
 COMMANDS = ("run", "jog", "check", "resume", "recover")
@@ -193,7 +193,7 @@ def _of_the_second(first: str, second: str, a: Console, b: Console) -> Iterator[
         return
     if b.status != 4:
         yield f"{second} ended with {b.status}, must be refused with 4: {_last(b)}"
-    elif not re.search(rf"\b{a.pid}\b", b.text()) or first not in b.text():
+    elif not re.search(rf"\b{a.pid}\b", unwrapped(b.text())) or first not in b.text():
         yield f"{second} does not name the holder ({first}, process {a.pid}): {_last(b)}"
     if "Traceback (most recent call last)" in b.text():
         yield f"a traceback of {second}"

@@ -22,8 +22,8 @@ from pathlib import Path
 from drivers.clock import NS
 
 from .benches import TRANSPORTS, Bench, bench_process
-from .console import ROOT
-from .desk import MissedError, sit_down, unwrapped
+from .console import ROOT, unwrapped
+from .desk import MissedError, sit_down
 from .process_checks import BUSY
 from .process_page import between
 from .terminal_trials import processes, trials
