@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from .benches import Bench
+from .console import unwrapped
 from .process_cases import PHASES, SECOND_STAGE, SEQUENCE
 from .process_checks import VERDICT
 from .tmux import Tmux
@@ -137,11 +138,6 @@ def check_screen(desk: Desk, status: int | None, *wanted: int, verdict: bool = T
     desk.expect(not desk.bench.account().on, "the drive is still energised")
     desk.problems += tidy(text, desk.tmux.columns)
     desk.remarks += wide(text, desk.tmux.columns)
-
-
-def unwrapped(text: str) -> str:
-    """Return text with each end of a line as a blank: words of a message that the program has wrapped."""
-    return re.sub(r"\s*\n\s*", " ", text)
 
 
 def tidy(text: str, columns: int) -> Iterator[str]:

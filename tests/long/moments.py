@@ -262,8 +262,11 @@ def main() -> int:
     threads = [threading.Thread(target=worker, args=(n, todo, tally)) for n in range(options.jobs)]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
+    try:
+        for thread in threads:
+            thread.join()
+    finally:
+        todo.queue.clear()
     for moment in tally.done:
         if moment.problems:
             print(f"BAD {moment.kind} {moment.after_s:.3f} s, {moment.phase}: {'; '.join(moment.problems)}")

@@ -15,6 +15,7 @@ import shutil
 import signal
 import sys
 import tempfile
+import threading
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
@@ -26,7 +27,7 @@ from typing import Any
 from rig.mcap_reader import read_run
 
 from .benches import TRANSPORTS, Bench, bench_process
-from .console import Console, Streams
+from .console import Console, Streams, unwrapped
 from .process_checks import BUSY
 
 COMMANDS = ("run", "jog", "check", "resume", "recover")
@@ -46,6 +47,9 @@ _LONGEST_S: Mapping[str, float] = {"run": 1.5, "resume": 1.5, "jog": 0.6}
 _START_S = 60.0
 _END_S = 20.0
 _REPEATS = 6
+
+
+_stopping = threading.Event()
 
 
 class MissedError(Exception):
@@ -189,7 +193,7 @@ def _of_the_second(first: str, second: str, a: Console, b: Console) -> Iterator[
         return
     if b.status != 4:
         yield f"{second} ended with {b.status}, must be refused with 4: {_last(b)}"
-    elif not re.search(rf"\b{a.pid}\b", b.text()) or first not in b.text():
+    elif not re.search(rf"\b{a.pid}\b", unwrapped(b.text())) or first not in b.text():
         yield f"{second} does not name the holder ({first}, process {a.pid}): {_last(b)}"
     if "Traceback (most recent call last)" in b.text():
         yield f"a traceback of {second}"
@@ -241,7 +245,7 @@ def on_transport(transport: str, options: Any) -> Tally:
             for second in COMMANDS:
                 if pair and pair != [first, second][: len(pair)]:
                     continue
-                for number in range(options.times):
+                for number in range(0 if _stopping.is_set() else options.times):
                     _trial(stage, first, second, number, dice, tally)
                 good = tally.good[first, second]
                 print(f"{transport}: {first}, then {second}: {good} of {options.times}", flush=True)
@@ -279,7 +283,11 @@ def main() -> int:
     options = parser.parse_args()
     began = time.monotonic()
     with ThreadPoolExecutor(len(TRANSPORTS)) as pool:
-        tallies = list(pool.map(lambda transport: on_transport(transport, options), TRANSPORTS))
+        futures = [pool.submit(on_transport, transport, options) for transport in TRANSPORTS]
+        try:
+            tallies = [future.result() for future in futures]
+        finally:
+            _stopping.set()
     good = sum(sum(tally.good.values()) for tally in tallies)
     bad = [words for tally in tallies for words in tally.bad]
     missed = sum(tally.missed for tally in tallies)

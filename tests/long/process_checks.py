@@ -18,7 +18,7 @@ from rig.mcap_reader import read_run
 from rig.recover import recover
 
 from .benches import Account, Bench
-from .console import Console
+from .console import Console, unwrapped
 from .process_cases import CYCLING, LOG_GAP_S, STATES, SUSPENDED_S, TOLD_S, Must
 
 VERDICT = r"the drive is de-energised \(read back|could NOT be verified"
@@ -127,7 +127,7 @@ def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
     if not must.told:
         return
     console = scene.console
-    said = console.text(ns)
+    said = unwrapped(console.text(ns))
     if must.words and not re.search(must.words, said):
         yield f"the terminal does not say {must.words!r}: {last_words(said)}"
     last = [match.group() for match in re.finditer(VERDICT, said)]
@@ -202,7 +202,7 @@ def _record(scene: Scene, must: Must, account: Account) -> Iterator[str]:
 
 def _second(second: Console, holder: int) -> Iterator[str]:
     """Hold the other program against what a second one must do."""
-    said = second.text()
+    said = unwrapped(second.text())
     if second.status != 4:
         yield f"the second program ended with {second.status}, must be 4: {last_words(said)}"
     if not re.search(rf"\b{holder}\b", said) or "run" not in said:

@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -36,6 +37,7 @@ START_S = 40.0
 STALLED_S = 1.0
 REPEATS = 4
 _READ_ONLY = ("unshare", "-m", "sh", "-c", 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"')
+_stopping = threading.Event()
 _SIGNALS = {name: getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGTSTP", "SIGQUIT", "SIGKILL")}
 
 
@@ -314,6 +316,8 @@ def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
         return cells
     with small_disk(folder) as disk, bench_process(transport) as bench:
         for column, phase in todo:
+            if _stopping.is_set():
+                break
             began = time.monotonic()
             made = cells[column, transport, phase] = cell(column, phase, bench, folder, disk)
             again = f", {made.busy} repeats" if made.busy else ""
@@ -342,7 +346,10 @@ def main() -> int:
     began = time.monotonic()
     with tempfile.TemporaryDirectory() as name, ThreadPoolExecutor(len(TRANSPORTS)) as pool:
         futures = [pool.submit(on_transport, t, wanted, Path(name) / t) for t in TRANSPORTS]
-        cells = {place: made for future in futures for place, made in future.result().items()}
+        try:
+            cells = {place: made for future in futures for place, made in future.result().items()}
+        finally:
+            _stopping.set()
     lines = tables(cells)
     bad = {place: made for place, made in cells.items() if made.problems}
     again = sum(made.busy for made in cells.values())

@@ -22,8 +22,8 @@ from pathlib import Path
 from drivers.clock import NS
 
 from .benches import TRANSPORTS, Bench, bench_process
-from .console import ROOT
-from .desk import MissedError, sit_down, unwrapped
+from .console import ROOT, unwrapped
+from .desk import MissedError, sit_down
 from .process_checks import BUSY
 from .process_page import between
 from .terminal_trials import processes, trials
@@ -106,8 +106,11 @@ def main() -> int:
     threads = [threading.Thread(target=worker, args=(options.transport, todo, results)) for _ in range(jobs)]
     for thread in threads:
         thread.start()
-    for thread in threads:
-        thread.join()
+    try:
+        for thread in threads:
+            thread.join()
+    finally:
+        todo.queue.clear()
     bad = sum(bool(result.problems) for result in results.values())
     again = sum(result.repeats for result in results.values())
     words = (

@@ -11,8 +11,8 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from .console import Console, Streams
-from .desk import END_S, START_S, Desk, MissedError, answer, check_screen, tidy, unwrapped
+from .console import Console, Streams, unwrapped
+from .desk import END_S, START_S, Desk, MissedError, answer, check_screen, tidy
 from .process_cases import ASKING, PHASES, SECOND_STAGE, SEQUENCE
 
 JOG_PROMPT = re.compile(r"^Joint angle[^:\n]*: ?$", re.MULTILINE)

