@@ -27,15 +27,15 @@ from scipy import optimize
 
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.direct import simulate
-from identification.estimate import varpro
+from identification.estimate import variable_projection as varpro
 from identification.estimate.default import identify
-from identification.estimate.levenberg import huber
 from identification.estimate.paper import GENERATIONS, POPULATION
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP, torque_noise
 from identification.estimate.prediction.problem import Problem, pack, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.stage_problem import StageProblem
+from identification.numerics.levenberg_marquardt import huber
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
 from rig.tables import table

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from identification.model.valve import impacted_area
-from identification.recording import Array, Recording, RecordingError
+from identification.numerics.arrays import Array
+from identification.recording import Recording, RecordingError
 from identification.signals import resample
 
 

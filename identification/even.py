@@ -11,8 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.recording import Array, Recording
-from identification.signals import BoolArray, quantum
+from identification.numerics.arrays import Array, BoolArray
+from identification.recording import Recording
+from identification.signals import quantum
 
 OFF_GRID = 0.01
 """Distance from the grid, in periods, up to which a sample is on it."""

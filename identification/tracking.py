@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.recording import Array, Recording
+from identification.numerics.arrays import Array
+from identification.recording import Recording
 
 REST_RAD_S = 1e-4
 """Mean speed over :data:`REST_SPAN_S` below which a joint counts as at rest."""

@@ -19,7 +19,6 @@ import numpy as np
 from scipy import stats
 
 from identification.design.simulated import Nominal, PlannedStage, at_the_truth
-from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction.cramer_rao import means_alike, rehearsed_information
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
@@ -27,7 +26,8 @@ from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Probl
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.uncertainty import CONFIDENCE
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.levenberg_marquardt import huber_weight
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
@@ -121,7 +121,7 @@ def _scores(run: Rehearsal) -> tuple[Array, Array]:
     """Return the power that a stage's scores should have, and what they have, breakaway times eliminated, (p, p)."""
     jacobian, residual = run.believed()
     residual = residual * huber_weight(residual, CLIP)
-    stretches, owners = jacobian.stretches, jacobian.owners
+    stretches, owners = jacobian.blocks, jacobian.owners
     rows = np.column_stack([jacobian.parameters, jacobian.own])
     count = rows.shape[1] - 1
     power = np.zeros((stretches, count + 1, count + 1))

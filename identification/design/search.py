@@ -16,7 +16,7 @@ from identification.design.shares import shared
 from identification.design.simulated import Nominal, PlannedStage, followed, stage_response
 from identification.estimate.regression import HIGHEST_SHARE
 from identification.estimate.result import SYSTEM_PARAMETERS
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 DESIGNS = 8
 """Designs that are judged as wholes, at most."""

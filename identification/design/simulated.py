@@ -16,7 +16,8 @@ from identification.estimate.prediction.noise_level import CLIP, likeliest_noise
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.recording import Array, Bench, Model, Recording
+from identification.numerics.arrays import Array
+from identification.recording import Bench, Model, Recording
 from identification.simulate.servo_loop import Loop, Response, respond, usual_loop
 
 NOISE_SEED = 0

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from identification.compiled import compiled
 from identification.diagnosis.equations import Equation
 from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
+from identification.numerics.compiled import compiled
 from identification.recording import Array
 
 LEAST_BLOCK_S = 1.0

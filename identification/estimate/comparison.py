@@ -17,8 +17,9 @@ import numpy as np
 from identification.estimate.optimisers import OPTIMISERS, Optimiser
 from identification.estimate.result import Identification
 from identification.estimate.stage_problem import StageProblem
+from identification.numerics.arrays import Array
 from identification.prepare import prepare
-from identification.recording import Array, Dataset, RecordingError
+from identification.recording import Dataset, RecordingError
 
 COST_TOLERANCE = 1e-3
 """A search that ends higher than this above the least cost found has failed."""

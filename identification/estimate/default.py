@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.estimate import varpro
+from identification.estimate import variable_projection as varpro
 from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, units_of
 from identification.estimate.prediction.bootstrap import bootstrap
 from identification.estimate.prediction.profile import profiles

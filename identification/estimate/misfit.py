@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 _CHUNK = 2048  # samples per block, so that a population's block stays in the cache
 _LOG_NEGLIGIBLE = -80.0  # exp(-80) is nothing beside 1; below -708 it would be a slow denormal

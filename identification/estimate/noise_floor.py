@@ -14,9 +14,10 @@ import numpy as np
 from scipy import ndimage
 
 from identification.estimate.regression import model_torque
+from identification.numerics.arrays import Array, BoolArray
 from identification.prepare import Prepared, uniform_grid, volts_per_torque
-from identification.recording import Array, Recording
-from identification.signals import BoolArray, resample
+from identification.recording import Recording
+from identification.signals import resample
 
 INPUTS = ("command", "feedforward", "load_force")
 SAME = 2e-3

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.estimate.assemble import fit_of, trace_of, units_of
-from identification.estimate.genetic import GeneticAlgorithm
 from identification.estimate.misfit import TorqueMisfit
 from identification.estimate.regression import require_motion
 from identification.estimate.result import (
@@ -29,8 +28,10 @@ from identification.estimate.result import (
 )
 from identification.model.friction import system_friction
 from identification.model.ladder import NOMINAL
+from identification.numerics.arrays import Array
+from identification.numerics.genetic_algorithm import GeneticAlgorithm
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
-from identification.recording import Array, Dataset, Model, RecordingError
+from identification.recording import Dataset, Model, RecordingError
 
 TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
 """Fitness at which the search stops early, N m (Sec. 4.2.1, 4.2.2)."""

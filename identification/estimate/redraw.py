@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from identification.estimate.assemble import fit_of
 from identification.estimate.regression import Stage, unloaded_stage
-from identification.estimate.varpro import Design, bounded_least_squares
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 from identification.prepare import Prepared
-from identification.recording import Array, Model
+from identification.recording import Model
 from identification.simulate.closed_loop import replay
 from identification.simulate.score import Sums, compare, pooled
 

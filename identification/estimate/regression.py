@@ -7,11 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.varpro import Design
 from identification.model.friction import stribeck_shape
 from identification.model.ladder import LADDER, bears_load, rises
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design
 from identification.prepare import Prepared
-from identification.recording import Array, Model, RecordingError
+from identification.recording import Model, RecordingError
 
 HIGHEST_SHARE = 1.0 / 3.0
 """Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be told from a line."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 UNITS_ROTARY: Mapping[str, str] = {
     "J": "kg m^2",

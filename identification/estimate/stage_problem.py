@@ -13,10 +13,10 @@ import numpy as np
 
 from identification.estimate.misfit import TorqueMisfit
 from identification.estimate.paper import STAGES, StageSamples, collect, search_box
-from identification.estimate.varpro import Design
 from identification.model.friction import stribeck_shape
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design
 from identification.prepare import Prepared
-from identification.recording import Array
 
 
 class StageProblem:

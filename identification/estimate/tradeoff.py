@@ -9,7 +9,7 @@ import numpy as np
 
 from identification.estimate.result import Tradeoff
 from identification.estimate.uncertainty import Spread
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 TRADE_OFF = 0.9
 """Correlation from which two parameters count as hardly told apart."""

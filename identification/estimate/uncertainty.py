@@ -10,8 +10,8 @@ import numpy as np
 from scipy import stats
 
 from identification.estimate.regression import model_torque
+from identification.numerics.arrays import Array
 from identification.prepare import Prepared
-from identification.recording import Array
 
 CONFIDENCE = 0.90
 BLOCK_CORRELATION_TIMES = 10.0

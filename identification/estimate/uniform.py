@@ -12,9 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.varpro import Design, solve
+from identification.estimate.variable_projection import solve
 from identification.model.friction import stribeck_shape, system_friction
-from identification.recording import Array, Recording
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design
+from identification.recording import Recording
 
 LEAST_S = 0.4
 """Shortest stretch of constant commanded speed that is used."""

@@ -15,7 +15,7 @@ import numpy as np
 
 from identification.model.feedback import gains
 from identification.model.friction import load_coefficient, system_friction
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 SMOOTHING_RAD_S = 1e-3
 """Commanded speed over which the sign of friction changes: below what any encoder of this kind resolves in a cycle."""

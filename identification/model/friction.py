@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 def stribeck_shape(velocity: Array, omega_s: float, alpha: float) -> Array:

@@ -9,9 +9,9 @@ import numpy as np
 
 from identification.estimate.prediction.profile import LEVEL
 from identification.estimate.result import Parameter, Profile, Starts
+from identification.numerics.arrays import Array
 from identification.plots.fit import LABELS
 from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure
-from identification.recording import Array
 
 _COLUMNS = 3
 _TOP = 3.0

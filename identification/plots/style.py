@@ -12,7 +12,7 @@ from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
 from identification.estimate.result import Trace
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 __all__ = ["Figure"]  # for callers that must not import matplotlib themselves
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
+from identification.numerics.arrays import Array
 from identification.prepare import joint_angle
-from identification.recording import Array, Controller, Recording, RecordingError
+from identification.recording import Controller, Recording, RecordingError
 from identification.simulate import kernel
 
 STEP_S = 2.5e-4

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
-from identification.compiled import compiled
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 
 # Body: eq. 9 and 13, the pendulum and the friction of its load.
 INERTIA, MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, MU_GC, DMU_G, OFFSET, WEIGHT, ZERO, ALPHA = range(15)

@@ -13,7 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.recording import Array, Recording
+from identification.numerics.arrays import Array
+from identification.recording import Recording
 from identification.simulate.servo_loop import Loop, usual_loop
 
 _MEAN = 4

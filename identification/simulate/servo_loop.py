@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.compiled import compiled
 from identification.estimate.prediction.problem import pack
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 
 STEPS = 20
 """Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""

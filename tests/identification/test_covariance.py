@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from identification.estimate.prediction import covariance
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model
 
 from .test_cramer_rao import NOISE_N_M, SYSTEM, VALUES, from_the_model
@@ -20,14 +20,14 @@ STRETCHES, ROWS = 12, 60
 NOISE = Noise(NOISE_N_M)
 
 
-def strokes(seed: int = 0) -> Arrow:
+def strokes(seed: int = 0) -> BlockArrow:
     """Return slopes of two parameters over strokes that all make the same motion."""
     table = np.tile(np.random.default_rng(seed).normal(size=(ROWS, 2)), (STRETCHES, 1))
     owners = np.repeat(np.arange(STRETCHES), ROWS)
-    return Arrow(table, np.zeros(len(table)), owners, STRETCHES)
+    return BlockArrow(table, np.zeros(len(table)), owners, STRETCHES)
 
 
-def pulled(jacobian: Arrow, pulls: Array) -> Array:
+def pulled(jacobian: BlockArrow, pulls: Array) -> Array:
     """Return the residuals of strokes that each pull at the first parameter."""
     return 1e-3 * jacobian.parameters[:, 0] * pulls[jacobian.owners]
 
@@ -98,7 +98,7 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
     loose[SYSTEM.index("omega_sf")] = 1e6
     bound = covariance.bound
 
-    def untold(alike: Arrow) -> Array:
+    def untold(alike: BlockArrow) -> Array:
         found = bound(alike)
         found[: len(loose), : len(loose)] *= np.outer(loose, loose)
         return found

@@ -9,8 +9,6 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from identification.compiled import compiled
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound, rehearsed_information
 from identification.estimate.prediction.instruments import _smoothed, instruments
 from identification.estimate.prediction.noise import Noise
@@ -18,6 +16,8 @@ from identification.estimate.prediction.problem import INDEX, Problem, pack, sta
 from identification.estimate.prediction.stages import Refined, refine_stages
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.compiled import compiled
 from identification.recording import Array, Bench, Model, Recording
 
 from .synthetic import TRUTH
@@ -106,9 +106,9 @@ def test_the_noise_is_found(estimates: list[Refined]) -> None:
     assert np.median([r.noise.torque for r in estimates]) == pytest.approx(NOISE_N_M, rel=0.1)
 
 
-def of_parameters(table: Array) -> Arrow:
+def of_parameters(table: Array) -> BlockArrow:
     """Return slopes in parameters alone, of rows of one stretch whose breakaway time none of them knows."""
-    return Arrow(table, np.zeros(len(table)), np.zeros(len(table), dtype=np.int64), 1)
+    return BlockArrow(table, np.zeros(len(table)), np.zeros(len(table), dtype=np.int64), 1)
 
 
 def test_bound_of_a_regression() -> None:
@@ -138,7 +138,7 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
 
 
-def slopes_at_the_truth(seed: int) -> tuple[Problem, Arrow]:
+def slopes_at_the_truth(seed: int) -> tuple[Problem, BlockArrow]:
     """Return the problem of a recording of the fitted model at its true values, and its Jacobian there."""
     m = motion(from_the_model(seed, 5.0))
     assert m is not None
@@ -149,12 +149,12 @@ def slopes_at_the_truth(seed: int) -> tuple[Problem, Arrow]:
     return problem, problem.jacobian(x, problem.residuals(x))
 
 
-def rehearsal(problem: Problem, sensitivities: Arrow, noise: int) -> Rehearsal:
+def rehearsal(problem: Problem, sensitivities: BlockArrow, noise: int) -> Rehearsal:
     """Return a rehearsal that goes as foretold."""
     return Rehearsal(problem, sensitivities, np.zeros(len(problem.owners)), noise)
 
 
-def shaken(problem: Problem, jacobian: Arrow, noise: int, level: float) -> Rehearsal:
+def shaken(problem: Problem, jacobian: BlockArrow, noise: int, level: float) -> Rehearsal:
     """Return a rehearsal whose sensitivities have noise of a level over their own rms."""
     rng = np.random.default_rng(noise)
     rms = np.sqrt(np.mean(jacobian.parameters**2, axis=0))

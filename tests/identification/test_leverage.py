@@ -9,11 +9,11 @@ import pytest
 
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction import instrumental
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.leverage import doubts
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.problem import Problem, pack, static_limit
 from identification.estimate.prediction.stretches import motion
+from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model, Recording
 
 from .practical import beginning
@@ -53,8 +53,8 @@ def test_strokes_are_not_doubted_beside_more_slips_that_say_little() -> None:
 
 def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() -> None:
     rng = np.random.default_rng(0)
-    slopes = Arrow(rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3)
-    told = slopes.told()
+    slopes = BlockArrow(rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3)
+    told = slopes.information_by_block()
     weight = np.ones(12)
     assert np.sum(told, axis=0) == pytest.approx(slopes.eliminated(weight, weight).matrix)
     own, along = slopes.parameters[4:8], slopes.own[4:8]

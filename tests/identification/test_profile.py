@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate import levenberg
 from identification.estimate.default import identify
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import INDEX
@@ -13,6 +12,7 @@ from identification.estimate.prediction.profile import LEVEL, crossings, profile
 from identification.estimate.prediction.stages import Refined, refine_stages
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
+from identification.numerics import levenberg_marquardt as levenberg
 from identification.recording import Array, Dataset, Model, Recording
 
 from .synthetic import SYSTEM, TRUTH, sine

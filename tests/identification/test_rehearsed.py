@@ -16,10 +16,8 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.constants import Joint, Machine, Sensing
 from identification.estimate.default import identify
-from identification.estimate.levenberg import minimise_deviance
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction import refinement, rehearsed
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.covariance import Covariances, covariances
 from identification.estimate.prediction.cramer_rao import bound
 from identification.estimate.prediction.inertia import Equation, best
@@ -32,6 +30,8 @@ from identification.estimate.prediction.rehearsed import Bias, _Scored, likeliho
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.uncertainty import Spread
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import minimise_deviance
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
 
 from .practical import beginning, command, logged, simulated
@@ -84,11 +84,11 @@ def sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
 def silent(problem: Problem) -> Rehearsal:
     """Return a rehearsal that says nothing."""
     rows = len(problem.owners)
-    nothing = Arrow(np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways)
+    nothing = BlockArrow(np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways)
     return Rehearsal(problem, nothing, np.zeros(rows), 0)
 
 
-def slopes(problem: Problem) -> Arrow:
+def slopes(problem: Problem) -> BlockArrow:
     problem.weigh()
     return problem.jacobian(problem.origin(), problem.residuals(problem.origin()))
 

@@ -13,9 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
@@ -23,7 +21,9 @@ from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Probl
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import Resampled
 from identification.estimate.uncertainty import CONFIDENCE
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import huber_weight
 
 _ROUNDS = 6
 _SETTLED = 0.1
@@ -101,7 +101,7 @@ class _Equations:
         self.rest = self.sums(residual, jacobian, np.ones(problem.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 
-    def sums(self, residual: Array, jacobian: Arrow, counts: Array) -> tuple[Array, Array]:
+    def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
         """Return the equations and their derivatives, shape (x,) and (x, x), for stretches counted so often."""
         weight = huber_weight(residual, CLIP) * counts[jacobian.owners]
         side = jacobian

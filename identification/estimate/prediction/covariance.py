@@ -7,10 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import inertia
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow, equilibrated
 from identification.estimate.prediction.cramer_rao import (
     bound,
     means_alike,
@@ -21,7 +19,10 @@ from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.least_squares import equilibrated
+from identification.numerics.levenberg_marquardt import huber_weight
 
 _PRIOR, _REHEARSED_PRIOR = 1.0, 16.0
 """Stretches that the noise model is worth beside the scatter of the scores from stretch to stretch, and rehearsals."""
@@ -86,7 +87,9 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
 
 
-def _rehearsed_bounds(problem: Problem, jacobian: Arrow, rehearsals: Sequence[Rehearsal]) -> tuple[Array, Array] | None:
+def _rehearsed_bounds(
+    problem: Problem, jacobian: BlockArrow, rehearsals: Sequence[Rehearsal]
+) -> tuple[Array, Array] | None:
     """Return the bound with single stretches doubted, and without, (p, p) each; None where nothing tells them.
 
     The doubt (bounded influence) is the estimate's own affair: it is no part of the floor.
@@ -112,7 +115,7 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
     return out
 
 
-def _spread(jacobian: Arrow, residual: Array, rehearsals: Sequence[tuple[Arrow, Array]]) -> Array:
+def _spread(jacobian: BlockArrow, residual: Array, rehearsals: Sequence[tuple[BlockArrow, Array]]) -> Array:
     """Return by how much the scores scatter more from stretch to stretch than their noise model says, shape (p,).
 
     A recording has some ten strokes a stage, whose scatter is hardly known. So it is drawn toward that of the
@@ -126,7 +129,7 @@ def _spread(jacobian: Arrow, residual: Array, rehearsals: Sequence[tuple[Arrow, 
     return np.asarray(np.sqrt((worth * prior + stretches * ratio) / (worth + stretches)))
 
 
-def _scatter(jacobian: Arrow, residual: Array) -> tuple[Array, Array]:
+def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
     """Return the ratio of the clustered to the plain variance of each parameter of least squares, shape (p,).
 
     And the stretches that it rests on, as many alike as would scatter so, shape (p,). Scores are taken about their
@@ -137,7 +140,7 @@ def _scatter(jacobian: Arrow, residual: Array) -> tuple[Array, Array]:
     # A stretch may say nothing of its own breakaway time.
     inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
     influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
-    plain, sums = np.zeros((2, jacobian.stretches, influence.shape[1]))
+    plain, sums = np.zeros((2, jacobian.blocks, influence.shape[1]))
     np.add.at(plain, jacobian.owners, influence**2)
     np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
     total = np.maximum(np.sum(plain, axis=0), 1e-300)

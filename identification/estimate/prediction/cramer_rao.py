@@ -18,16 +18,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.prediction.arrow import Arrow, equilibrated
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import PlayedStretch, Rehearsal, played
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.least_squares import equilibrated
 
 _SILENT = 1e-12
 """Information on an unknown that touches no residual."""
 
 
-def means_alike(jacobian: Arrow, others: Arrow, stretches: Array) -> Arrow:
+def means_alike(jacobian: BlockArrow, others: BlockArrow, stretches: Array) -> BlockArrow:
     """Return the mean of sensitivities over the stretches that make the same motion.
 
     Args:
@@ -38,7 +39,7 @@ def means_alike(jacobian: Arrow, others: Arrow, stretches: Array) -> Arrow:
     return jacobian.mixed(1.0 / stretches, others)
 
 
-def bound(alike: Arrow) -> Array:
+def bound(alike: BlockArrow) -> Array:
     """Return the smallest covariance that an unbiased estimate can have, by strokes alike.
 
     Args:
@@ -57,7 +58,7 @@ def bound(alike: Arrow) -> Array:
     return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))
 
 
-def rehearsed_information(problem: Problem, alike: Arrow, rehearsals: Sequence[Rehearsal]) -> Array:
+def rehearsed_information(problem: Problem, alike: BlockArrow, rehearsals: Sequence[Rehearsal]) -> Array:
     """Return what each stretch tells of the free parameters by rehearsals of it, its breakaway time eliminated.
 
     Args:

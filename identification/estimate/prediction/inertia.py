@@ -11,14 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import huber_weight
 
 
 @dataclass(frozen=True)
@@ -34,12 +34,12 @@ class Equation:
     parts: Array
 
 
-def influence_on_inertia(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Array:
+def influence_on_inertia(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
     """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
     return z.along(_mixture(problem, z, jacobian, residual))
 
 
-def _mixture(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Array:
+def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
     """Return the mixture of instruments that only the inertia moves, by one with its logarithm, shape (p + m,)."""
     j = problem.free.index(kernel.INERTIA)
     power = z.product()
@@ -49,13 +49,13 @@ def _mixture(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Ar
     return alone / float(z.along(alone) @ (jacobian.parameters[:, j] * huber_weight(residual, CLIP)))
 
 
-def equation(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Equation:
+def equation(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
     """Return the inertia's equation by instruments that nothing of the residuals is in."""
     influence = influence_on_inertia(problem, z, jacobian, residual)
     return Equation(influence, influence * residual * huber_weight(residual, CLIP))
 
 
-def equation_of_strokes(problem: Problem, z: Arrow, jacobian: Arrow, residual: Array) -> Equation:
+def equation_of_strokes(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
     """Return the inertia's equation by instruments of strokes alike, whose sum is one over pairs of stretches.
 
     A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
@@ -82,7 +82,7 @@ def best(one: Equation, other: Equation) -> Equation:
 
 
 def with_rehearsals(
-    problem: Problem, z: Arrow, jacobian: Arrow, residual: Array, rehearsals: Sequence[Rehearsal]
+    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array, rehearsals: Sequence[Rehearsal]
 ) -> Equation:
     """Return the mean of the equations by strokes alike and by rehearsals that has the least variance.
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.levenberg import huber, huber_weight
 from identification.estimate.prediction.problem import Problem
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.levenberg_marquardt import huber, huber_weight
 
 SETTLING = 4
 """Steps that a breakaway time gets."""

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import math
 
-from identification.compiled import compiled, inlined
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled, inlined
 
 # Parameter vector of one evaluation.
 MC, DM, OMEGA_SF, SIGMA_2, INERTIA, MU_C, DMU, OMEGA_SL, MU_2, OFFSET, PARAMETERS = range(11)

@@ -12,15 +12,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from identification.estimate.levenberg import huber_weight
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.leverage import doubts
 from identification.estimate.prediction.noise_level import CLIP, likeliest_noise
 from identification.estimate.prediction.problem import LOGARITHMIC, Problem
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import huber_weight
 
 SOLVED = 3.0
 """Defect below which the estimating equations count as solved."""
@@ -166,9 +166,9 @@ def doubted(problem: Problem) -> Array:
     return doubts_by(problem, problem.jacobian(x, problem.residuals(x)))
 
 
-def doubts_by(problem: Problem, jacobian: Arrow) -> Array:
+def doubts_by(problem: Problem, jacobian: BlockArrow) -> Array:
     """Return the same from sensitivities of the prediction errors with nothing doubted."""
-    told = jacobian.told()
+    told = jacobian.information_by_block()
     numbers = np.arange(len(problem.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])
     return doubts(told, problem.lengths, recordings, _MOST)

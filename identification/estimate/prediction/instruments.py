@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy import fft
 
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal, mean_curve, onsets_of, played
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
 
 _WIDENING = 0.2
 _SHARP = 2.0
@@ -31,7 +31,7 @@ _TRUNCATED = 4.0
 """Standard deviations at which a Gaussian ends."""
 
 
-def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
+def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
     """Return the instruments of every residual; zero where no other stretch lasts as long.
 
     Args:
@@ -66,7 +66,7 @@ def instruments(problem: Problem, jacobian: Arrow) -> Arrow:
     return replace(jacobian, parameters=parameters, own=own)
 
 
-def rehearsed_instruments(problem: Problem, plain: Arrow, rehearsals: Sequence[Rehearsal]) -> Arrow:
+def rehearsed_instruments(problem: Problem, plain: BlockArrow, rehearsals: Sequence[Rehearsal]) -> BlockArrow:
     """Return the instruments of every residual as rehearsals of its own stretch have them; ``plain`` where none has.
 
     Strokes alike are few, and each is a little another motion; a rehearsal is the same motion with another noise. Its

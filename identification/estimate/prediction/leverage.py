@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 _ROUNDING = 1e-12
 """Share of what is known of a parameter below which a stretch is taken to say nothing of it."""

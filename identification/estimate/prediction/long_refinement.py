@@ -14,7 +14,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate.prediction.arrow import equilibrated
 from identification.estimate.prediction.covariance import rise_to_static
 from identification.estimate.prediction.information import SETTLING, Reduced, reduce, settle
 from identification.estimate.prediction.noise_level import CLIP
@@ -22,7 +21,9 @@ from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Probl
 from identification.estimate.prediction.refinement import refine_recordings
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.prediction.stretches import motion
-from identification.recording import Array, Model, Recording
+from identification.numerics.arrays import Array
+from identification.numerics.least_squares import equilibrated
+from identification.recording import Model, Recording
 
 PASSES = 3
 SETTLED = 0.2

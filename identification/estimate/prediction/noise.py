@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import signal
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stretches import Motion
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 CLIP = 4.0
 """Prediction errors beyond this many deviations count as outliers."""

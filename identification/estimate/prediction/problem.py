@@ -10,12 +10,13 @@ from threading import Thread
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.estimate.levenberg import huber
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.stretches import Motion
-from identification.recording import Array, Model
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import huber
+from identification.recording import Model
 
 INDEX = {
     "Mc": kernel.MC,
@@ -220,7 +221,7 @@ class Problem:
         ]
         return np.concatenate([errors, *ends]), self._believed(deviations)
 
-    def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[Arrow, Arrow]:
+    def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x over the deviations, and d log deviations / d x, by differences."""
 
         def change(there: Array) -> Array:
@@ -235,7 +236,7 @@ class Problem:
         errors, _ = self.predictions(x)
         return np.asarray(errors / self._deviation)
 
-    def jacobian(self, x: Array, here: Array) -> Arrow:
+    def jacobian(self, x: Array, here: Array) -> BlockArrow:
         """Return d residuals / d x at ``x``, where the residuals are ``here``, by differences."""
         parameters, times = self._differences(x, lambda there: (self.residuals(there) - here)[None])
         return self._arrow(parameters[0], times[0])
@@ -256,8 +257,8 @@ class Problem:
         along = change(there) / _TIME_STEP
         return np.stack(slopes, axis=-1) if slopes else np.empty((*along.shape, 0)), along
 
-    def _arrow(self, parameters: Array, times: Array) -> Arrow:
-        return Arrow(parameters, times, self.owners, self.breakaways)
+    def _arrow(self, parameters: Array, times: Array) -> BlockArrow:
+        return BlockArrow(parameters, times, self.owners, self.breakaways)
 
     def seek_breakaways(self, threshold: float) -> bool:
         """Move each breakaway to the likeliest of a grid of times around it; return whether any moved.

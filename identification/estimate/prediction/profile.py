@@ -17,9 +17,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import stats
 
-from identification.estimate.levenberg import huber_cost, huber_weight
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Eliminated
 from identification.estimate.prediction.covariance import rise_to_static
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
@@ -28,7 +26,9 @@ from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Probl
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import Profile
 from identification.estimate.uncertainty import CONFIDENCE
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import Eliminated
+from identification.numerics.levenberg_marquardt import huber_cost, huber_weight
 
 REACH = (0.8, 1.6, 2.4, 3.2)
 """Points to either side of the estimate, in standard deviations."""
@@ -87,7 +87,7 @@ class _Criterion:
             step = _held_step(matrix, gradient, along)
             if 0.5 * float(cost.pull @ (cost.pull / cost.held) - gradient @ step) < _GAIN:
                 break
-            whole = np.concatenate([step, cost.times(step)])
+            whole = np.concatenate([step, cost.own_step(step)])
             for k in range(_HALVINGS):
                 there = x + 0.5**k * whole
                 tried = self.problem.residuals(there)

@@ -22,8 +22,9 @@ from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Convergence, MeasuredNoise, Starts
 from identification.estimate.uncertainty import Spread, block_sandwich
 from identification.model.ladder import NOMINAL
+from identification.numerics.arrays import Array
 from identification.prepare import Prepared
-from identification.recording import Array, Model, Recording
+from identification.recording import Model, Recording
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,8 @@ from identification.estimate.prediction.problem import Problem, static_limit, un
 from identification.estimate.prediction.stretches import Motion, motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.recording import Array, Model
+from identification.numerics.arrays import Array
+from identification.recording import Model
 from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate import levenberg
-from identification.estimate.levenberg import huber
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.noise_level import CLIP, deviance
 from identification.estimate.prediction.problem import PARAMETER_STEP, Problem, static_limit
-from identification.recording import Array
+from identification.numerics import levenberg_marquardt as levenberg
+from identification.numerics.arrays import Array
+from identification.numerics.levenberg_marquardt import huber
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
 """Torque noise of the loaded stage's searches, over its own: with fewer levels they end beside the likeliest."""

@@ -38,7 +38,8 @@ from identification.estimate.prediction.searches import (
 )
 from identification.estimate.prediction.stretches import Motion
 from identification.estimate.result import Starts
-from identification.recording import Array, Model
+from identification.numerics.arrays import Array
+from identification.recording import Model
 
 _Start = tuple[Array, Sequence[Array], float]
 """Begin of a solution of the unloaded stage: kernel's vector, breakaway times, inertia over the vector's."""

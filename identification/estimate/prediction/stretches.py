@@ -10,9 +10,10 @@ import numpy as np
 from identification.contact_force import contact_moment
 from identification.estimate.prediction import innovations as kernel
 from identification.even import evened
+from identification.numerics.arrays import Array, BoolArray
 from identification.prepare import drive_torque, joint_angle, resting
-from identification.recording import Array, Recording
-from identification.signals import BoolArray, quantum
+from identification.recording import Recording
+from identification.signals import quantum
 
 LEAD = 12
 """Samples before the first visible motion at which a stretch that starts from rest begins."""

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.arrow import Arrow
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stretches import Motion
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
 
 
 @dataclass(frozen=True)
@@ -30,11 +30,11 @@ class Rehearsal:
     """
 
     problem: Problem
-    sensitivities: Arrow
+    sensitivities: BlockArrow
     residuals: Array
     noise: int
 
-    def believed(self) -> tuple[Arrow, Array]:
+    def believed(self) -> tuple[BlockArrow, Array]:
         """Return sensitivities and residuals with the doubt in single stretches, as in the estimate."""
         share = 1.0 / self.problem.doubt[self.problem.owners]
         return self.sensitivities.scaled(share), self.residuals * share

@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 class GeneticAlgorithm:

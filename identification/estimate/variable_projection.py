@@ -1,8 +1,8 @@
-"""Variable projection: given the Stribeck speed, each stage of the model is linear.
+"""Variable projection (M9): given the Stribeck speed, each stage of the equation error is linear.
 
-With Ms = Mc + dM and bounds on the coefficients (none but the offset below 0, no rise above the greatest torque seen),
-the linear part follows from least squares for any trial omega_s. That leaves a search in one unknown, log omega_s,
-without the wrong basins of a search in all of them. Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+With Ms = Mc + dM and bounds on the coefficients (none but the offset below 0, no rise above the greatest torque
+recorded), the coefficients follow by bounded least squares for any trial omega_s. One unknown is left, log omega_s; a
+search in all parameters would have several basins. Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
 """
 
 from __future__ import annotations
@@ -13,27 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 
 GRID = 40
 """Trial Stribeck speeds before the bracketed search."""
-
-
-@dataclass(frozen=True)
-class Design:
-    """The linear problem left at one omega_s: ``target`` is to be explained by ``columns`` x.
-
-    Attributes:
-        columns: Shape (n, p).
-        target: Shape (n,).
-        low: Least value of each coefficient, shape (p,).
-        high: Greatest value of each coefficient, shape (p,).
-    """
-
-    columns: Array
-    target: Array
-    low: Array
-    high: Array
 
 
 @dataclass(frozen=True)
@@ -57,25 +41,6 @@ class Solution:
     omega_history: Array
     coefficient_history: Array
     cost_history: Array
-
-
-def bounded_least_squares(design: Design) -> tuple[Array, float]:
-    """Solve least squares within the bounds; return (coefficients, sum of squared residuals).
-
-    The problem is first reduced by QR, so the cost keeps full precision on noise-free data.
-    """
-    p = design.columns.shape[1]
-    scale = np.linalg.norm(design.columns, axis=0)
-    scale[scale == 0.0] = 1.0
-    reduced: Array = np.asarray(np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r"))
-    matrix, right = reduced[:p, :p], reduced[:p, p]
-    rest = float(reduced[p, p] ** 2) if reduced.shape[0] > p else 0.0
-    low, high = design.low * scale, design.high * scale
-    solution = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    if np.any(solution < low) or np.any(solution > high):
-        solution = optimize.lsq_linear(matrix, right, bounds=(low, high), method="bvls").x
-    misfit = matrix @ solution - right
-    return solution / scale, float(misfit @ misfit) + rest
 
 
 def solve(design: Callable[[float], Design], low: float, high: float) -> Solution:

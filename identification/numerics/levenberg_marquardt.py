@@ -1,29 +1,39 @@
 """Levenberg-Marquardt on the normal equations, with a Huber cost or the likelihood that goes with it.
 
-A library's trust-region solver decomposes the whole Jacobian, 40 000 rows by a few dozen columns, at every step; its
-normal equations hold the same few numbers at a fraction of the cost. Marquardt, J. SIAM 11 (1963) 431; Huber, Ann.
-Math. Statist. 35 (1964) 73.
+The trust-region solvers of libraries decompose the whole Jacobian, 40 000 rows by a few dozen columns, at every step;
+the normal equations take a fraction of that time. Marquardt, J. SIAM 11 (1963) 431; Huber, Ann. Math. Statist. 35
+(1964) 73.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
-from identification.estimate.prediction.arrow import Arrow, equilibrated
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.numerics.least_squares import equilibrated
 
 _Known = TypeVar("_Known")
 _EASIER, _HARDER = 0.2, 4.0
 _FIRST_DAMPING, _LAST_DAMPING = 1e-3, 1e9
 
 
+class Slope(Protocol):
+    """A Jacobian of shape (n, p) that is not stored as a dense array."""
+
+    def product(self, weight: Array, /) -> Array:
+        """Return the normal matrix of rows with this weight, shape (p, p)."""
+
+    def back(self, vector: Array, /) -> Array:
+        """Return its transpose times a vector of shape (n,), shape (p,)."""
+
+
 @dataclass(frozen=True)
 class Minimum:
-    """Where the search ended: ``x`` of shape (p,), the Huber cost there, and how many steps were tried."""
+    """End of a search: ``x`` of shape (p,), its cost, and the number of steps tried."""
 
     x: Array
     cost: float
@@ -37,7 +47,7 @@ def huber(residual: Array, threshold: float) -> Array:
 
 
 def huber_weight(residual: Array, threshold: float) -> Array:
-    """Return by how much each residual counts beside one within the threshold, at most 1, shape of ``residual``."""
+    """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, shape of ``residual``."""
     return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
 
 
@@ -48,7 +58,7 @@ def huber_cost(residual: Array, threshold: float) -> float:
 
 def minimise(
     residuals: Callable[[Array], Array],
-    jacobian: Callable[[Array, Array], Array | Arrow],
+    jacobian: Callable[[Array, Array], Array | Slope],
     start: Array,
     *,
     threshold: float,
@@ -80,17 +90,16 @@ def minimise(
 
 def minimise_deviance(
     predictions: Callable[[Array], tuple[Array, Array]],
-    derivatives: Callable[[Array, Array, Array], tuple[Array, Array] | tuple[Arrow, Arrow]],
+    derivatives: Callable[[Array, Array, Array], tuple[Array, Array] | tuple[Slope, Slope]],
     start: Array,
     *,
     threshold: float,
     tolerance: float,
     most_steps: int = 25,
 ) -> Minimum:
-    """Minimise the negative log likelihood of errors whose deviations depend on x too.
+    """Minimise the negative log likelihood of errors whose deviations depend on x too, by damped scoring (M23).
 
-    By Fisher's scoring, damped: an error tells by its mean and by its spread. Errors beyond the threshold count as in
-    Huber's cost.
+    Errors beyond the threshold count as in Huber's cost.
 
     Args:
         predictions: x to errors and their standard deviations, shape (n,).
@@ -116,14 +125,16 @@ def minimise_deviance(
     return _descend(evaluate, linearise, start, lambda gain, _: gain <= tolerance, most_steps)
 
 
-def _normal(slope: Array | Arrow, weight: Array) -> Array:
+def _normal(slope: Array | Slope, weight: Array) -> Array:
     """Return the normal matrix of weighted rows, shape (p, p)."""
-    return slope.product(weight) if isinstance(slope, Arrow) else np.asarray(slope.T @ (slope * weight[:, None]))
+    if isinstance(slope, np.ndarray):
+        return np.asarray(slope.T @ (slope * weight[:, None]))
+    return slope.product(weight)
 
 
-def _back(slope: Array | Arrow, vector: Array) -> Array:
+def _back(slope: Array | Slope, vector: Array) -> Array:
     """Return the transpose of ``slope`` times a vector, shape (p,)."""
-    return slope.back(vector) if isinstance(slope, Arrow) else np.asarray(slope.T @ vector)
+    return np.asarray(slope.T @ vector) if isinstance(slope, np.ndarray) else slope.back(vector)
 
 
 def _descend(
@@ -136,10 +147,10 @@ def _descend(
     """Take damped steps until one settles.
 
     Args:
-        evaluate: x to its cost and what else is known there.
-        linearise: (x, what is known there) to the normal matrix, shape (p, p), and the gradient, shape (p,).
+        evaluate: x to its cost and to what ``linearise`` needs there.
+        linearise: (x, the latter) to the normal matrix, shape (p, p), and the gradient, shape (p,).
         start: Shape (p,).
-        settled: Whether a step's gain ends the search, beside the cost after it.
+        settled: (gain of a step, cost after it) to whether the search ends.
         most_steps: Steps tried at most.
     """
     x = start.copy()
@@ -159,7 +170,7 @@ def _descend(
                 damping *= _EASIER
                 break
             damping *= _HARDER
-        # A cost that is no number is below nothing, and no gain settles it.
+        # A cost that is not a number is below no other, so that its gain stays zero.
         if not gain > 0.0 or settled(gain, cost):
             break
     return Minimum(x, cost, steps)
