@@ -32,9 +32,10 @@ from identification.estimate.default import identify
 from identification.estimate.paper import GENERATIONS, POPULATION
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP, torque_noise
-from identification.estimate.prediction.problem import Problem, pack, static_limit
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.stage_problem import StageProblem
+from identification.model.parameters import pack
 from identification.numerics.levenberg_marquardt import huber
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
@@ -174,7 +175,7 @@ def likelihood_race(
     spent_s, spent = process_time() - began, default.evaluations
     target = _worst(default.values(), truth)
     motions = [m for m in map(motion, pair) if m is not None]
-    likelihood = Problem(motions, pack(truth), (), Model(), Noise(0.0))
+    likelihood = Problem(motions, pack(truth, 2.0), (), Model(), Noise(0.0))
     noise = Noise(torque_noise(motions))
 
     def named(x: Array) -> dict[str, float]:
@@ -184,7 +185,7 @@ def likelihood_race(
     def costs(points: Array) -> Array:
         out = np.empty(len(points))
         for k, x in enumerate(points):
-            p = pack(named(x))
+            p = pack(named(x), 2.0)
             begins = [m.static_crossing(static_limit(p, m)) for m in motions]
             errors, deviations = likelihood.run(p, begins, noise)
             value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, CLIP)))

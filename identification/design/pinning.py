@@ -22,10 +22,10 @@ from identification.design.simulated import Nominal, PlannedStage, at_the_truth
 from identification.estimate.prediction.cramer_rao import means_alike, rehearsed_information
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
+from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.estimate.uncertainty import CONFIDENCE
+from identification.model.parameters import INDEX, LOAD_PARAMETERS, LOGARITHMIC, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber_weight
 

@@ -18,8 +18,8 @@ from identification.design.pinning import NAMES, Pinned, likelihood_slope
 from identification.design.simulated import Nominal, PlannedStage, at_the_truth, recorded
 from identification.estimate.default import identify
 from identification.estimate.prediction.covariance import covariances, rise_to_static
-from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.estimate.uncertainty import Spread
+from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Dataset, RecordingError
 
 

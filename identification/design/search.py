@@ -15,7 +15,7 @@ from identification.design.pinning import NAMES, NOTHING, Information, Pinned, h
 from identification.design.shares import shared
 from identification.design.simulated import Nominal, PlannedStage, followed, stage_response
 from identification.estimate.regression import HIGHEST_SHARE
-from identification.estimate.result import SYSTEM_PARAMETERS
+from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 
 DESIGNS = 8

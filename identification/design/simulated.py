@@ -13,9 +13,10 @@ from identification.estimate.prediction.information import settle
 from identification.estimate.prediction.instrumental import doubts_by
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.model.parameters import INDEX, pack
 from identification.numerics.arrays import Array
 from identification.recording import Bench, Model, Recording
 from identification.simulate.servo_loop import Loop, Response, respond, usual_loop
@@ -143,7 +144,7 @@ def at_the_truth(
         return None
     free = [INDEX[n] for n in names]
     noise_level = Noise(torque_noise(known) if whole else nominal.sensors.torque_noise)
-    problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), noise_level)
+    problem = Problem(known, pack(nominal.values, nominal.alpha), free, Model(), noise_level)
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
     settle(problem, CLIP)
     if whole:

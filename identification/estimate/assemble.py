@@ -13,24 +13,21 @@ from identification.estimate.regression import (
     LOWEST_SHARE,
     model_torque,
 )
-from identification.estimate.result import (
+from identification.estimate.result import Fit, Parameter, Trace
+from identification.estimate.uncertainty import Spread
+from identification.model.parameters import (
     GEAR_PARAMETERS,
     LOAD_PARAMETERS,
+    STRIBECK_TERMS,
     SYSTEM_PARAMETERS,
     UNITS_LINEAR,
     UNITS_ROTARY,
-    Fit,
-    Parameter,
-    Trace,
 )
-from identification.estimate.uncertainty import Spread
 from identification.prepare import Prepared, torque_unit, volts_per_torque
 from identification.recording import Model
 
 WIDEST = 0.5
 """Half width of the 90 % interval over the value, above which a parameter counts as not identified."""
-RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
-"""Coulomb level, static level and Stribeck speed of each part of friction that may rise toward rest."""
 LEAST_RISE = 1e-3
 """Rise toward rest over the Coulomb level, below which nothing of it counts as seen."""
 
@@ -128,8 +125,8 @@ def parameter_table(
         else:
             judged = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
             table[name] = replace(judged, floor=floors.get(name))
-    seen = {names for names in RISES if names[1] in spread.names and _rise_is_seen(names, values, spread)}
-    for names in RISES:
+    seen = {names for names in STRIBECK_TERMS if names[1] in spread.names and _rise_is_seen(names, values, spread)}
+    for names in STRIBECK_TERMS:
         if names[1] in spread.names:
             shared = any(other[2] == names[2] for other in seen - {names})
             _judge_rise(table, names, values, spread, keep_speed=shared)
@@ -165,7 +162,7 @@ def _judge_rise(
 
 
 def _absent(name: str) -> str:
-    coulomb, static, _ = next(names for names in RISES if name in names[1:])
+    coulomb, static, _ = next(names for names in STRIBECK_TERMS if name in names[1:])
     return f"friction does not rise toward rest in these recordings: {static} would fall to {coulomb}, its bound"
 
 

@@ -10,13 +10,14 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import variable_projection as varpro
-from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, units_of
+from identification.estimate.assemble import fit_of, parameter_table, trace_of, units_of
 from identification.estimate.prediction.bootstrap import bootstrap
 from identification.estimate.prediction.profile import profiles
 from identification.estimate.prediction.refinement import Found, noise_of, refine
 from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
-from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification, Profile, Resampled
+from identification.estimate.result import Convergence, Identification, Profile, Resampled
 from identification.estimate.tradeoff import least_pinned, tradeoffs
+from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, RecordingError
 
@@ -176,7 +177,7 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
     """Return the names that the data are asked for: not fixed, and not a Stribeck term that is absent."""
-    falling = [names for names in RISES if names[1] in values]
+    falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}
     absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}
     absent -= {speed for names in falling if names not in flat for speed in names[2:]}

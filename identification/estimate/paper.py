@@ -19,15 +19,10 @@ import numpy as np
 from identification.estimate.assemble import fit_of, trace_of, units_of
 from identification.estimate.misfit import TorqueMisfit
 from identification.estimate.regression import require_motion
-from identification.estimate.result import (
-    LOAD_PARAMETERS,
-    SYSTEM_PARAMETERS,
-    Convergence,
-    Identification,
-    Parameter,
-)
+from identification.estimate.result import Convergence, Identification, Parameter
 from identification.model.friction import system_friction
 from identification.model.ladder import NOMINAL
+from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 from identification.numerics.genetic_algorithm import GeneticAlgorithm
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit

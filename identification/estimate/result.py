@@ -10,38 +10,6 @@ from numpy.typing import NDArray
 
 from identification.numerics.arrays import Array
 
-UNITS_ROTARY: Mapping[str, str] = {
-    "J": "kg m^2",
-    "Mc": "N m",
-    "Ms": "N m",
-    "omega_sf": "rad/s",
-    "sigma_2": "N m s/rad",
-    "mu_c": "1",
-    "mu_s": "1",
-    "omega_sL": "rad/s",
-    "mu_2": "s/rad",
-    "mu_gc": "1",
-    "mu_gs": "1",
-    "offset": "N m",
-}
-UNITS_LINEAR: Mapping[str, str] = {
-    **UNITS_ROTARY,
-    "J": "kg",
-    "Mc": "N",
-    "Ms": "N",
-    "omega_sf": "m/s",
-    "sigma_2": "N s/m",
-    "omega_sL": "m/s",
-    "mu_2": "s/m",
-    "offset": "N",
-}
-SYSTEM_PARAMETERS = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
-"""Found by the unloaded stage (eq. 16)."""
-LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
-"""Found by the loaded stage (eq. 15)."""
-GEAR_PARAMETERS = ("mu_gc", "mu_gs")
-"""Found by the unloaded stage where friction grows with a pendulum's torque."""
-
 
 @dataclass(frozen=True)
 class Parameter:

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from identification.estimate.assemble import fit_of
 from identification.estimate.default import identify
 from identification.estimate.noise_floor import Floor, noise_floor
-from identification.estimate.result import LOAD_PARAMETERS, Fit, Identification, Parameter
+from identification.estimate.result import Fit, Identification, Parameter
+from identification.model.parameters import LOAD_PARAMETERS
 from identification.prepare import prepare
 from identification.recording import Dataset, RecordingError
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import math
 
+from identification.model.friction import friction
+from identification.model.parameters import INERTIA, OFFSET, WEIGHT, ZERO
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
-# Body: eq. 9 and 13, the pendulum and the friction of its load.
-INERTIA, MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, MU_GC, DMU_G, OFFSET, WEIGHT, ZERO, ALPHA = range(15)
-BODY_SIZE = 15
 # Loop: output = clip(position_gain (command - angle) - velocity_gain speed, limit), times the signal `scale`, plus
 # `added`; torque = per_output output - damping speed.
 POSITION_GAIN, VELOCITY_GAIN, LIMIT, PER_OUTPUT, DAMPING = range(5)
@@ -24,45 +23,23 @@ _EXACT = 1e-12
 
 
 @compiled
-def dry_friction(speed: float, moment: float, gear: float, body: Array) -> tuple[float, float]:
-    """Return friction magnitude (N m) and its slope at ``speed`` >= 0.
-
-    Args:
-        speed: Magnitude, rad/s.
-        moment: F_P L1, N m.
-        gear: Magnitude of the pendulum's torque, N m.
-        body: Parameters, shape (15,).
-    """
-    value = body[MC] + body[SIGMA_2] * speed + moment * (body[MU_C] + body[MU_2] * speed) + gear * body[MU_GC]
-    slope = body[SIGMA_2] + moment * body[MU_2]
-    for rise, scale in ((body[DM] + gear * body[DMU_G], body[OMEGA_SF]), (moment * body[DMU], body[OMEGA_SL])):
-        if rise > 0.0:
-            x = (speed / scale) ** body[ALPHA]
-            part = rise * math.exp(-x)
-            value += part
-            if speed > 0.0:
-                slope -= part * body[ALPHA] * x / speed
-    return value, slope
-
-
-@compiled
 def next_speed(speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array) -> float:
     """Return the speed after ``h`` seconds under ``torque`` (N m, friction and damping not in it)."""
     inertia = body[INERTIA]
     side = 1.0 if speed > 0.0 else -1.0
     if speed == 0.0:
         side = 1.0 if torque > 0.0 else -1.0
-        if abs(torque) <= dry_friction(0.0, moment, gear, body)[0]:
+        if abs(torque) <= friction(0.0, moment, gear, body)[0]:
             return 0.0
     start = abs(speed)
-    before = dry_friction(start, moment, gear, body)[0] + damping * start
+    before = friction(start, moment, gear, body)[0] + damping * start
     # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2, which has its root above 0 unless the joint stops.
     rest = inertia / h * start + side * torque - 0.5 * before
-    if rest <= 0.5 * dry_friction(0.0, moment, gear, body)[0]:
+    if rest <= 0.5 * friction(0.0, moment, gear, body)[0]:
         return 0.0
     v = start
     for _ in range(_ITERATIONS):
-        force, slope = dry_friction(v, moment, gear, body)
+        force, slope = friction(v, moment, gear, body)
         grade = max(inertia / h + 0.5 * (slope + damping), 0.25 * inertia / h)
         change = (rest - inertia / h * v - 0.5 * (force + damping * v)) / grade
         v = max(v + change, 0.0)
@@ -93,7 +70,7 @@ def closed_loop(
         scale: What multiplies the controller's output, shape (n,): supply voltage, or 1; held from sample to sample.
         added: Added to that product, shape (n,); held.
         moment: F_P L1, N m, shape (n,); held.
-        body: Shape (15,).
+        body: Vector of :mod:`identification.model.parameters`; its inertia is that of joint and pendulum.
         loop: Shape (5,).
         step: Greatest integration step, s.
         angle: rad, shape (n,).

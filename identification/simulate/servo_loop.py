@@ -12,14 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.prediction.problem import pack
+from identification.model.friction import friction, static_friction
+from identification.model.parameters import INERTIA, pack
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
 STEPS = 20
 """Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
 _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
-_MC, _DM, _OMEGA_SF, _SIGMA_2, _INERTIA, _MU_C, _DMU, _OMEGA_SL, _MU_2 = range(9)  # as in innovations
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def respond(
     lost = np.zeros_like(command) if disturbance is None else disturbance
     if loop.count > 0.0:
         command = np.rint(command / loop.count) * loop.count
-    _follow(command, period, pack(parameters), moment, alpha, gains, steps, lost, angle, torque, peaks)
+    _follow(command, period, pack(parameters, alpha), moment, gains, steps, lost, angle, torque, peaks)
     return Response(angle, torque, float(peaks[0]), float(peaks[1]), float(peaks[2]))
 
 
@@ -112,7 +112,6 @@ def _follow(
     period: float,
     p: Array,
     moment: float,
-    alpha: float,
     gains: Array,
     steps: int,
     lost: Array,
@@ -122,7 +121,7 @@ def _follow(
 ) -> None:
     """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are linearly implicit."""
     h = period / steps
-    static = p[_MC] + p[_DM] + moment * (p[_MU_C] + p[_DMU])
+    static = static_friction(moment, p)
     theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
     given = 0.0
     angle[0] = theta
@@ -153,20 +152,8 @@ def _follow(
             if speed == 0.0 and abs(drive) <= static:
                 omega = 0.0
             else:
-                x = (speed / p[_OMEGA_SF]) ** alpha
-                part = p[_DM] * math.exp(-x)
-                force = p[_MC] + p[_SIGMA_2] * speed + part
-                grade = p[_SIGMA_2]
-                if speed > 0.0:
-                    grade -= part * alpha * x / speed
-                if moment > 0.0:
-                    x = (speed / p[_OMEGA_SL]) ** alpha
-                    part = moment * p[_DMU] * math.exp(-x)
-                    force += moment * (p[_MU_C] + p[_MU_2] * speed) + part
-                    grade += moment * p[_MU_2]
-                    if speed > 0.0:
-                        grade -= part * alpha * x / speed
-                speed += h * (side * drive - force) / p[_INERTIA] / max(1.0 + 0.5 * h * grade / p[_INERTIA], 0.5)
+                force, grade = friction(speed, moment, 0.0, p)
+                speed += h * (side * drive - force) / p[INERTIA] / max(1.0 + 0.5 * h * grade / p[INERTIA], 0.5)
                 omega = side * max(speed, 0.0)
             theta += 0.5 * h * (before + omega)
             peaks[0] = max(peaks[0], abs(omega))

@@ -8,8 +8,8 @@ from identification.estimate.prediction.bootstrap import bootstrap
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.refinement import refine_recordings
 from identification.estimate.prediction.stages import Refined
-from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.model.nominal import NOMINAL
+from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Dataset, Model, Recording
 
 from .synthetic import sine

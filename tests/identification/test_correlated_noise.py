@@ -12,8 +12,8 @@ from identification.estimate.default import identify
 from identification.estimate.prediction.acceptance import refusal
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.result import SYSTEM_PARAMETERS
 from identification.model.nominal import NOMINAL
+from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording
 from identification.simulate.servo_loop import respond, usual_loop
 

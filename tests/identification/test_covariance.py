@@ -8,9 +8,10 @@ import pytest
 from identification.estimate.prediction import covariance
 from identification.estimate.prediction.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
 from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.model.parameters import INDEX, pack
 from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model
 
@@ -70,7 +71,7 @@ def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
 def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
+    problem = Problem([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     x = problem.origin()
@@ -90,7 +91,9 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
     """A Stribeck speed that no sample resolved was taken 400 times up by a straight line in its logarithm."""
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack({**VALUES, "J": 1.05 * VALUES["J"]}), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
+    problem = Problem(
+        [m], pack({**VALUES, "J": 1.05 * VALUES["J"]}, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE
+    )
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     plain = covariances(problem).step

@@ -12,10 +12,11 @@ from scipy import ndimage
 from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound, rehearsed_information
 from identification.estimate.prediction.instruments import _smoothed, instruments
 from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stages import Refined, refine_stages
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.model.parameters import INDEX, pack
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.compiled import compiled
 from identification.recording import Array, Bench, Model, Recording
@@ -142,7 +143,7 @@ def slopes_at_the_truth(seed: int) -> tuple[Problem, BlockArrow]:
     """Return the problem of a recording of the fitted model at its true values, and its Jacobian there."""
     m = motion(from_the_model(seed, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
+    problem = Problem([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     x = problem.origin()

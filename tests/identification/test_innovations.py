@@ -11,8 +11,9 @@ from scipy import linalg
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import deviance, likeliest_noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import Motion, motion
+from identification.model.parameters import INDEX, LOAD_RISE, SYSTEM_RISE, pack, unpack
 from identification.recording import Model, Recording
 
 from .synthetic import TRUTH
@@ -60,11 +61,11 @@ def run_kernel(
     angle: np.ndarray, torque: np.ndarray, side: float, steps: float, noise: np.ndarray = WHITE, begin: float = 0.0
 ) -> np.ndarray:
     n = len(angle)
-    p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
+    p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA}, 2.0)
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
         np.array([[1.0, float(n), side, np.inf]]), np.array([begin]), STEP_S * np.arange(n), side * angle,
-        side * torque, np.zeros(n), np.zeros(n), 0.0, 2.0, noise, np.full(n, steps), np.zeros(n), p, out, spread,
+        side * torque, np.zeros(n), np.zeros(n), 0.0, noise, np.full(n, steps), np.zeros(n), p, out, spread,
         speeds, np.zeros(n),
     )  # fmt: skip
     return side * out[1:] / spread[1:]
@@ -172,7 +173,7 @@ def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion
 
 
 def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
-    problem = Problem([m], pack(TRUTH), free, Model(), Noise(0.06))
+    problem = Problem([m], pack(TRUTH, 2.0), free, Model(), Noise(0.06))
     problem.begins = [m.static_crossing(static_limit(problem.start, m))]
     problem.weigh()
     return problem
@@ -190,7 +191,7 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Moti
 
 
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    both = Problem(motions, pack(TRUTH), (), Model(), Noise(0.06))
+    both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
     both.begins = [m.static_crossing(static_limit(both.start, m)) for m in motions]
     found = both.run(both.start, both.begins, Noise(0.06, 1e-6))
     alone = [at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.begins, strict=True)]
@@ -245,15 +246,15 @@ def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case:
 
 
 def test_packing_keeps_static_limits_as_rises() -> None:
-    p = pack(TRUTH)
-    assert p[kernel.DM] == pytest.approx(12.025 - 6.825)
-    assert p[kernel.DMU] == pytest.approx(0.086 - 0.052)
+    p = pack(TRUTH, 2.0)
+    assert p[SYSTEM_RISE] == pytest.approx(12.025 - 6.825)
+    assert p[LOAD_RISE] == pytest.approx(0.086 - 0.052)
     assert unpack(p, tuple(TRUTH)) == pytest.approx(dict(TRUTH))
 
 
 def test_parameters_and_origin_are_inverse(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1], tuple(INDEX.values()))
-    assert problem.parameters(problem.origin()) == pytest.approx(pack(TRUTH))
+    assert problem.parameters(problem.origin()) == pytest.approx(pack(TRUTH, 2.0))
 
 
 def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction import instrumental
 from identification.estimate.prediction.leverage import doubts
 from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem, pack, static_limit
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import motion
+from identification.model.parameters import MC, pack
 from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model, Recording
 
@@ -67,8 +67,8 @@ def test_stretches_are_judged_again_where_the_fit_ends(
 ) -> None:
     found = motion(beginning(practical_pair[0], 3.0))
     assert found is not None
-    begun = pack(TRUTH)
-    problem = Problem([found], begun, [kernel.MC], Model(), Noise(0.1))
+    begun = pack(TRUTH, 2.0)
+    problem = Problem([found], begun, [MC], Model(), Noise(0.1))
     problem.begins = [found.static_crossing(static_limit(begun, found))]
 
     def fit(p: Problem, _noise: Sequence[float]) -> Array:

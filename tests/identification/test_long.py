@@ -10,9 +10,10 @@ import pytest
 from identification.estimate import default, long
 from identification.estimate.prediction.information import reduce, settle
 from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
+from identification.model.parameters import INDEX, pack
 from identification.prepare import resting
 from identification.recording import Dataset, Model, Recording
 
@@ -27,7 +28,7 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 def unloaded_problem(recording: Recording) -> Problem:
     moving = motion(recording)
     assert moving is not None
-    problem = Problem([moving], pack(TRUTH), [INDEX[n] for n in SYSTEM], Model(), Noise(0.05))
+    problem = Problem([moving], pack(TRUTH, 2.0), [INDEX[n] for n in SYSTEM], Model(), Noise(0.05))
     problem.begins = [moving.static_crossing(static_limit(problem.start, moving))]
     problem.weigh()
     return problem

@@ -7,7 +7,7 @@ import pytest
 
 from identification.estimate.misfit import TorqueMisfit
 from identification.estimate.paper import GENERATIONS, POPULATION, identify_paper
-from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
 
 TRUTH = {

@@ -7,11 +7,11 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX
 from identification.estimate.prediction.profile import LEVEL, crossings, profiles
 from identification.estimate.prediction.stages import Refined, refine_stages
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Identification
+from identification.model.parameters import INDEX
 from identification.numerics import levenberg_marquardt as levenberg
 from identification.recording import Array, Dataset, Model, Recording
 

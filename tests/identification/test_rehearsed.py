@@ -24,12 +24,13 @@ from identification.estimate.prediction.inertia import Equation, best
 from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.refinement import Found, _unbiased
 from identification.estimate.prediction.rehearsed import Bias, _Scored, likelihood_bias, logged_share
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
 from identification.estimate.uncertainty import Spread
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import minimise_deviance
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
@@ -56,7 +57,7 @@ def sticky(seed: int) -> list[Recording]:
 def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES) -> Problem:
     """Return the joint problem at these values, its breakaways and noise levels the likeliest."""
     motions = [m for r in recordings if (m := motion(r)) is not None]
-    problem = Problem(motions, pack(values), [], Model(), Noise(torque_noise(motions)))
+    problem = Problem(motions, pack(values, 2.0), [], Model(), Noise(torque_noise(motions)))
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in motions]
     problem.noise = likeliest_noise(problem)
     problem.weigh()
@@ -95,7 +96,7 @@ def slopes(problem: Problem) -> BlockArrow:
 
 def likeliest(problem: Problem) -> dict[str, float]:
     """Return the likeliest of all but the inertia, from the values at which a problem stands."""
-    problem.free = tuple(k for k in problem.free if k != kernel.INERTIA)
+    problem.free = tuple(k for k in problem.free if k != INERTIA)
     found = minimise_deviance(
         problem.predictions, problem.derivatives, problem.origin(), threshold=CLIP, tolerance=0.05
     )
@@ -337,7 +338,7 @@ def test_two_equations_that_err_apart_count_by_their_variances() -> None:
 def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> None:
     problem, bias = sticky_with_bias(0)
     assert len({r.noise for r in bias.rehearsals}) >= 3
-    j = problem.free.index(kernel.INERTIA)
+    j = problem.free.index(INERTIA)
     plain, found = covariances(problem), covariances(problem, bias.rehearsals)
     assert found.achieved[j, j] < plain.achieved[j, j]
     x = problem.origin()

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from identification.estimate.result import UNITS_ROTARY
 from identification.estimate.tradeoff import least_pinned, tradeoffs
 from identification.estimate.uncertainty import Spread
+from identification.model.parameters import UNITS_ROTARY
 
 from .synthetic import TRUTH
 

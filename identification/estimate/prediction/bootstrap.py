@@ -13,14 +13,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, unpack
+from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import Resampled
 from identification.estimate.uncertainty import CONFIDENCE
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import huber_weight
@@ -92,7 +92,7 @@ class _Equations:
         residual = problem.residuals(self.origin)
         jacobian = problem.jacobian(self.origin, residual)
         self.begun = (residual, jacobian)
-        self.inertia = problem.free.index(kernel.INERTIA) if kernel.INERTIA in problem.free else None
+        self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
         self.influence = np.zeros(0)
         if self.inertia is not None:
             z = instruments(problem, jacobian)

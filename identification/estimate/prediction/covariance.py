@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.estimate.prediction import inertia
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.cramer_rao import (
     bound,
     means_alike,
@@ -17,8 +16,9 @@ from identification.estimate.prediction.cramer_rao import (
 )
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
+from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.least_squares import equilibrated
@@ -70,10 +70,10 @@ def covariances(problem: Problem, rehearsals: Sequence[Rehearsal] = ()) -> Covar
     units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
     scale = np.outer(units, units)
     step = np.zeros(count)
-    if kernel.INERTIA not in problem.free:
+    if INERTIA not in problem.free:
         spread, achieved = _spread(jacobian, residual, [r.believed() for r in rehearsals]), reached
     else:
-        j = problem.free.index(kernel.INERTIA)
+        j = problem.free.index(INERTIA)
         equation = inertia.with_rehearsals(problem, z, jacobian, residual, rehearsals)
         influence, weighted = equation.influence, residual * huber_weight(residual, CLIP)
         step = -float(influence @ weighted) * least[:, j] / least[j, j]

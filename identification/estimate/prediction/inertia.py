@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
 from identification.estimate.prediction.noise_level import CLIP
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.model.parameters import INERTIA
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import huber_weight
@@ -41,7 +41,7 @@ def influence_on_inertia(problem: Problem, z: BlockArrow, jacobian: BlockArrow, 
 
 def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
     """Return the mixture of instruments that only the inertia moves, by one with its logarithm, shape (p + m,)."""
-    j = problem.free.index(kernel.INERTIA)
+    j = problem.free.index(INERTIA)
     power = z.product()
     others = np.delete(power, j, axis=0)
     taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
@@ -61,7 +61,7 @@ def equation_of_strokes(problem: Problem, z: BlockArrow, jacobian: BlockArrow, r
     A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
     Ann. Math. Statist. 19 (1948) 293).
     """
-    j = problem.free.index(kernel.INERTIA)
+    j = problem.free.index(INERTIA)
     first = equation(problem, z, jacobian, residual)
     weighted = residual * huber_weight(residual, CLIP)
     columns = np.zeros_like(jacobian.parameters)

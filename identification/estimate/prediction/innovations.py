@@ -16,11 +16,11 @@ from __future__ import annotations
 
 import math
 
+from identification.model.friction import expected_friction
+from identification.model.parameters import INERTIA, OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled, inlined
 
-# Parameter vector of one evaluation.
-MC, DM, OMEGA_SF, SIGMA_2, INERTIA, MU_C, DMU, OMEGA_SL, MU_2, OFFSET, PARAMETERS = range(11)
 # Columns of the stretch table. The last is how fast the torque rises before the breakaway, N m/s; zero where the
 # stretch does not begin at rest.
 FIRST, LAST, SIDE, RISE = range(4)
@@ -31,8 +31,6 @@ FIRST, LAST, SIDE, RISE = range(4)
 WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
 _LEAST_SPEED = 1e-7
-_FALLEN = 37.0
-"""Exponent beyond which the falling part of friction is nothing beside the rest: exp(-37) is less than rounding."""
 _SLIP = 0.7
 """Mean square by which a speed held at zero or above comes to exceed one that is not, under a drift that rises through
 zero; in the unit that both have (simulated in the tests)."""
@@ -41,43 +39,6 @@ zero; in the unit that both have (simulated in the tests)."""
 State = tuple[float, float, float, float, float, float, float, float, float]
 """Angle, speed, and the covariance of the two: of the angle, of both, of the speed. Then the torque that correlated
 noise hides, and its covariance: with the angle, with the speed, its own, which is zero without such noise."""
-
-
-@inlined
-def _falling(height: float, speed: float, omega_s: float, alpha: float, variance: float) -> tuple[float, float]:
-    """Return the expected falling part of friction, ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope.
-
-    Its mean over a speed of that ``variance``, to second order. Beyond a deviation of omega_s the expansion says
-    nothing, and is held.
-    """
-    within = omega_s * omega_s
-    rate = 1.0 / within
-    x = speed * speed * rate
-    if alpha != 2.0:
-        x = (speed / omega_s) ** alpha
-        rate = x / (speed * speed)
-    if x >= _FALLEN:
-        return 0.0, 0.0
-    part = height * math.exp(-x)
-    curved = part * alpha * rate
-    return part + 0.5 * min(variance, within) * curved * (alpha * x - alpha + 1.0), -curved * speed
-
-
-@inlined
-def _friction(speed: float, moment: float, alpha: float, variance: float, p: Array) -> tuple[float, float]:
-    """Return the expected friction magnitude (N m) and its slope at ``speed`` > 0: eq. 9 plus eq. 13.
-
-    To second order in a speed of that ``variance``: near rest friction is curved enough for the speed's own uncertainty
-    to shift its mean, and with it the static limits.
-    """
-    part, slope = _falling(p[DM], speed, p[OMEGA_SF], alpha, variance)
-    value = p[MC] + p[SIGMA_2] * speed + part
-    slope += p[SIGMA_2]
-    if moment > 0.0:
-        part, fall = _falling(moment * p[DMU], speed, p[OMEGA_SL], alpha, variance)
-        value += moment * (p[MU_C] + p[MU_2] * speed) + part
-        slope += moment * p[MU_2] + fall
-    return value, slope
 
 
 @inlined
@@ -91,7 +52,6 @@ def _predict(
     moment: float,
     inertia: float,
     side: float,
-    alpha: float,
     noise_rate: float,
     steps: float,
     p: Array,
@@ -105,7 +65,7 @@ def _predict(
     now, inverse = start, 1.0 / inertia
     for _ in range(int(steps)):
         speed = max(side * omega, _LEAST_SPEED)
-        force, grade = _friction(speed, moment, alpha, p22, p)
+        force, grade = expected_friction(speed, p22, moment, p)
         u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET] + hidden)
         half = -0.5 * h * inverse * grade
         share = 1.0 / max(1.0 - half, 0.5)
@@ -206,7 +166,6 @@ def innovations(
     slope: Array,
     moment: Array,
     extra_inertia: float,
-    alpha: float,
     noise: Array,
     steps: Array,
     unsure: Array,
@@ -227,13 +186,12 @@ def innovations(
         slope: Its slope within that period, N m/s, shape (n,).
         moment: F_P L1, N m, shape (n,).
         extra_inertia: Known inertia added to J, kg m^2.
-        alpha: Stribeck exponent.
         noise: As the places above have it, shape (5,). The torque noise stands over the inertia on trial: the true
             torque is then an unknown of the fit, not the measured one taken for true, which would bias J.
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
             innovations are smooth in the parameters.
         unsure: Variance that the speed gains at each sample, as the shaft all but stops there, (rad/s)^2, shape (n,).
-        p: Parameters, shape (10,).
+        p: Vector of :mod:`identification.model.parameters`.
         out: Innovations, rad, shape (n,); samples outside stretches are left alone.
         spread: Their standard deviations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
@@ -275,7 +233,6 @@ def innovations(
                     moment[k],
                     inertia,
                     side,
-                    alpha,
                     rate,
                     steps[k],
                     p,

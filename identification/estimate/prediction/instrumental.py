@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.leverage import doubts
 from identification.estimate.prediction.noise_level import CLIP, likeliest_noise
-from identification.estimate.prediction.problem import LOGARITHMIC, Problem
+from identification.estimate.prediction.problem import Problem
+from identification.model.parameters import INERTIA, LOGARITHMIC
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import huber_weight
@@ -115,7 +115,7 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
         numpy.linalg.LinAlgError: The instruments do not pin the parameters.
     """
     free = problem.free
-    others = tuple(k for k in free if k != kernel.INERTIA)
+    others = tuple(k for k in free if k != INERTIA)
     low, high = (-np.inf, 0.0), (np.inf, 0.0)
     for _ in range(_TURNS):
         if others:
@@ -127,13 +127,13 @@ def beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]]
             break
         problem.noise = likeliest_noise(problem)
         step, deviation = _inertia_step(problem)
-        here = float(np.log(problem.start[kernel.INERTIA]))
+        here = float(np.log(problem.start[INERTIA]))
         low, high = ((here, step), high) if step > 0.0 else (low, (here, step))
         there = here + float(np.clip(step, -_LONGEST_LOG, _LONGEST_LOG))
         if not low[0] < there < high[0]:
             there = (low[0] * high[1] - high[0] * low[1]) / (high[1] - low[1])
         problem.start = problem.start.copy()
-        problem.start[kernel.INERTIA] = np.exp(there)
+        problem.start[INERTIA] = np.exp(there)
         problem.iterations += 1
         if abs(there - here) < _SETTLED * deviation:
             break

@@ -20,6 +20,7 @@ from scipy import fft
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stroke_curves import Rehearsal, mean_curve, onsets_of, played
+from identification.model.parameters import OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 
@@ -39,7 +40,7 @@ def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
         jacobian: d residuals / d x there.
     """
     count = len(problem.free)
-    both_ways = np.array([k == kernel.OFFSET for k in problem.free] + [False])
+    both_ways = np.array([k == OFFSET for k in problem.free] + [False])
     parameters, own = np.zeros_like(jacobian.parameters), np.zeros_like(jacobian.own)
     row, stretch = 0, 0
     tie = len(own) - problem.breakaways

@@ -17,10 +17,11 @@ import numpy as np
 from identification.estimate.prediction.covariance import rise_to_static
 from identification.estimate.prediction.information import SETTLING, Reduced, reduce, settle
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.refinement import refine_recordings
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.prediction.stretches import motion
+from identification.model.parameters import INDEX, LOGARITHMIC, pack, unpack
 from identification.numerics.arrays import Array
 from identification.numerics.least_squares import equilibrated
 from identification.recording import Model, Recording
@@ -56,7 +57,7 @@ def refine_pieces(
     # By least squares the inertia would take the loop's own noise for motion; the heads' instruments know better.
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
-    vector = pack(start.values)
+    vector = pack(start.values, model.alpha)
     begins: dict[int, list[Array]] = {}
     evaluations = start.evaluations
     for number in range(PASSES):

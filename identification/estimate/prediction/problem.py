@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from threading import Thread
 
@@ -13,27 +13,22 @@ from numpy.typing import NDArray
 from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.noise import Noise
 from identification.estimate.prediction.stretches import Motion
+from identification.model.parameters import (
+    ALPHA,
+    COULOMB_OF,
+    INDEX,
+    LOAD_RISE,
+    LOGARITHMIC,
+    MC,
+    MU_C,
+    OFFSET,
+    SYSTEM_RISE,
+)
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import huber
 from identification.recording import Model
 
-INDEX = {
-    "Mc": kernel.MC,
-    "Ms": kernel.DM,
-    "omega_sf": kernel.OMEGA_SF,
-    "sigma_2": kernel.SIGMA_2,
-    "J": kernel.INERTIA,
-    "mu_c": kernel.MU_C,
-    "mu_s": kernel.DMU,
-    "omega_sL": kernel.OMEGA_SL,
-    "mu_2": kernel.MU_2,
-    "offset": kernel.OFFSET,
-}
-"""Parameter name to its place in the kernel's vector; Ms and mu_s stand there as the rise above the Coulomb level."""
-_COULOMB_OF = {"Ms": kernel.MC, "mu_s": kernel.MU_C}
-LOGARITHMIC = (kernel.OMEGA_SF, kernel.OMEGA_SL, kernel.INERTIA)
-"""Positive parameters, searched by their logarithm."""
 _FARTHEST_LOG = 6.0
 """Farthest, in logarithm, that one fit may take them from its start: beyond, the filter's arithmetic overflows."""
 _TIME_SCALE_S = 1e-3
@@ -51,28 +46,6 @@ _LEAST_SHARED = 30000.0
 """Steps of the filter from which a second thread is worth its start."""
 
 
-def pack(values: Mapping[str, float]) -> Array:
-    """Return the kernel's vector of named parameters; absent ones are inert."""
-    p = np.zeros(kernel.PARAMETERS)
-    p[kernel.OMEGA_SF] = p[kernel.OMEGA_SL] = 1.0
-    for name, k in INDEX.items():
-        if name in values:
-            p[k] = values[name]
-    p[kernel.DM] = max(values.get("Ms", 0.0) - values.get("Mc", 0.0), 0.0)
-    p[kernel.DMU] = max(values.get("mu_s", 0.0) - values.get("mu_c", 0.0), 0.0)
-    return p
-
-
-def unpack(p: Array, names: Sequence[str]) -> dict[str, float]:
-    """Return named parameters from the kernel's vector."""
-    values = {name: float(p[INDEX[name]]) for name in names}
-    if "Ms" in values:
-        values["Ms"] = float(p[kernel.MC] + p[kernel.DM])
-    if "mu_s" in values:
-        values["mu_s"] = float(p[kernel.MU_C] + p[kernel.DMU])
-    return values
-
-
 class Problem:
     """Residuals and Jacobian of one joint fit: parameters first, then the breakaway times of all stretches."""
 
@@ -82,8 +55,7 @@ class Problem:
         self.motions = tuple(motions)
         self.start = start
         self.free = tuple(free)
-        self.alpha = model.alpha
-        self.statics = [(_COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in _COULOMB_OF]
+        self.statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
         self.noise = noise
         self.begins = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
@@ -114,6 +86,11 @@ class Problem:
         for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
             owner[first:last] = offset + k
         return owner[m.inside]
+
+    @property
+    def alpha(self) -> float:
+        """Stribeck exponent."""
+        return float(self.start[ALPHA])
 
     @property
     def lengths(self) -> NDArray[np.int64]:
@@ -167,7 +144,7 @@ class Problem:
             level = np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
             kernel.innovations(
                 m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, self.alpha, level, m.steps, m.unsure, p, out, spread, speeds, self.hidden[j],
+                m.extra_inertia, level, m.steps, m.unsure, p, out, spread, speeds, self.hidden[j],
             )  # fmt: skip
 
     @cached_property
@@ -216,7 +193,7 @@ class Problem:
         times = self.times(x)
         errors, deviations = self.run(p, times, self.noise)
         ends = [
-            m.table[:, kernel.SIDE] * (m.torque_at(t) - p[kernel.OFFSET]) - static_limit(p, m)
+            m.table[:, kernel.SIDE] * (m.torque_at(t) - p[OFFSET]) - static_limit(p, m)
             for m, t in zip(self.motions, times, strict=True)
         ]
         return np.concatenate([errors, *ends]), self._believed(deviations)
@@ -290,4 +267,4 @@ class Problem:
 
 def static_limit(p: Array, m: Motion) -> Array:
     """Return Ms + F_P L1 mu_s at each breakaway, N m, shape (m,)."""
-    return np.asarray(p[kernel.MC] + p[kernel.DM] + m.breakaway_moment * (p[kernel.MU_C] + p[kernel.DMU]))
+    return np.asarray(p[MC] + p[SYSTEM_RISE] + m.breakaway_moment * (p[MU_C] + p[LOAD_RISE]))

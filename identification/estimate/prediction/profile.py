@@ -17,15 +17,15 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from scipy import stats
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.covariance import rise_to_static
 from identification.estimate.prediction.inertia import influence_on_inertia
 from identification.estimate.prediction.instruments import instruments
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, unpack
+from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.result import Profile
 from identification.estimate.uncertainty import CONFIDENCE
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import Eliminated
 from identification.numerics.levenberg_marquardt import huber_cost, huber_weight
@@ -52,7 +52,7 @@ class _Criterion:
         problem.weigh()
         self.x = problem.origin()
         self.count = len(problem.free)
-        self.inertia = problem.free.index(kernel.INERTIA) if kernel.INERTIA in problem.free else None
+        self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
         self.curve = np.polynomial.Polynomial([0.0])
         self._cost = 0.0
         held = np.zeros(self.count)

@@ -9,19 +9,20 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identification.estimate.assemble import RISES, typical_error
+from identification.estimate.assemble import typical_error
 from identification.estimate.prediction import stages as staged
 from identification.estimate.prediction.acceptance import try_refinements
 from identification.estimate.prediction.covariance import covariances, named_covariances
 from identification.estimate.prediction.information import settle_anywhere
 from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import Problem, pack, unpack
+from identification.estimate.prediction.problem import Problem
 from identification.estimate.prediction.rehearsed import Bias, likelihood_bias
 from identification.estimate.prediction.stages import Refined
 from identification.estimate.prediction.stretches import motion
 from identification.estimate.result import Convergence, MeasuredNoise, Starts
 from identification.estimate.uncertainty import Spread, block_sandwich
 from identification.model.ladder import NOMINAL
+from identification.model.parameters import STRIBECK_TERMS, pack, unpack
 from identification.numerics.arrays import Array
 from identification.prepare import Prepared
 from identification.recording import Model, Recording
@@ -88,7 +89,7 @@ def refine(
 def _unbiased(found: Found, bias: Bias) -> Found:
     """Take the likelihood's bias off; what so few rehearsals leave open of it is in the covariance."""
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
-    rises = all(values[static] >= values[coulomb] for coulomb, static, _ in RISES if static in values)
+    rises = all(values[static] >= values[coulomb] for coulomb, static, _ in STRIBECK_TERMS if static in values)
     positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
     if not (rises and positive):
         return found
@@ -107,7 +108,7 @@ def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
     others are off by moves it in second order, and several deviations of that count.
     """
     names, there = found.spread.names, copy(joint)
-    there.start = pack(found.values)
+    there.start = pack(found.values, joint.alpha)
     settle_anywhere(there, CLIP)
     solved = covariances(there, bias.rehearsals)
     x = there.origin()

@@ -22,14 +22,13 @@ from itertools import islice
 
 import numpy as np
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.information import settle_anywhere
 from identification.estimate.prediction.instrumental import doubted
 from identification.estimate.prediction.noise_level import CLIP, torque_noise
-from identification.estimate.prediction.problem import Problem, static_limit, unpack
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.stretches import Motion, motion
 from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.parameters import INERTIA, LOAD_PARAMETERS, OFFSET, SYSTEM_PARAMETERS, unpack
 from identification.numerics.arrays import Array
 from identification.recording import Model
 from identification.simulate.seen_loop import drive_loop
@@ -80,7 +79,7 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
         names: Of the fitted parameters.
     """
     loop = _loop(joint.motions)
-    if loop is None or kernel.OFFSET in joint.free:
+    if loop is None or OFFSET in joint.free:
         return None
     share = logged_share(joint, loop)
     start, found = joint.start, None
@@ -218,8 +217,8 @@ def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
-    problem = Problem(seen, joint.start, [], Model(alpha=joint.alpha), joint.noise)
-    problem.free = tuple(k for k in joint.free if k != kernel.INERTIA)
+    problem = Problem(seen, joint.start, [], Model(), joint.noise)
+    problem.free = tuple(k for k in joint.free if k != INERTIA)
     problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
     settle_anywhere(problem, CLIP)
     problem.doubt = doubted(problem)
@@ -237,7 +236,7 @@ def _scored(problem: Problem, noise: int) -> _Scored | None:
     every, widening = problem.derivatives(x, errors, deviations)
     doubt = problem.doubt[problem.owners]
     rehearsal = Rehearsal(problem, every.scaled(doubt), errors / deviations * doubt, noise)
-    held = [j for j, k in enumerate(problem.free) if k == kernel.INERTIA]
+    held = [j for j, k in enumerate(problem.free) if k == INERTIA]
     jacobian = every
     for j in held:
         jacobian, widening = jacobian.without(j), widening.without(j)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.noise_level import CLIP, deviance
 from identification.estimate.prediction.problem import PARAMETER_STEP, Problem, static_limit
+from identification.model.parameters import INERTIA, LOAD_RISE, MC, OMEGA_SL, SYSTEM_RISE
 from identification.numerics import levenberg_marquardt as levenberg
 from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber
@@ -32,8 +32,8 @@ _LEAST_GAIN = 0.05
 """Of the negative log likelihood, for a fit to go on."""
 _LEAST_RESOLVED = 0.05
 _BESIDE = (
-    ((kernel.OMEGA_SL, 2.0), (kernel.OMEGA_SL, 0.5), (kernel.DMU, 0.95), (kernel.DMU, 1.05)),
-    ((kernel.OMEGA_SL, 1.08), (kernel.OMEGA_SL, 0.92)),
+    ((OMEGA_SL, 2.0), (OMEGA_SL, 0.5), (LOAD_RISE, 0.95), (LOAD_RISE, 1.05)),
+    ((OMEGA_SL, 1.08), (OMEGA_SL, 0.92)),
 )
 """Where beside the best end of the loaded stage searches begin, far and then near: parameter and factor."""
 _ROUNDS = 2
@@ -57,7 +57,7 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
     Returns:
         Kernel's vector and breakaway times for every Stribeck speed with its likeliest static limit, likeliest first.
     """
-    loaded = rise == kernel.DMU
+    loaded = rise == LOAD_RISE
     fastest = max(float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in problem.motions)
     speeds = np.array([problem.start[speed]])
     if speed in problem.free:
@@ -68,7 +68,7 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
         p = problem.start.copy()
         if rise in problem.free:
             limits = [
-                (share * peak - (p[kernel.MC] + p[kernel.DM] if loaded else 0.0))
+                (share * peak - (p[MC] + p[SYSTEM_RISE] if loaded else 0.0))
                 / (float(np.median(m.breakaway_moment)) if loaded else 1.0)
                 for m, peak in zip(problem.motions, peaks, strict=True)
             ]
@@ -128,7 +128,7 @@ def basins(problem: Problem) -> list[tuple[Array, list[Array]]]:
 
 def _apart(one: Array, other: Array) -> bool:
     """Return whether two ends are not in one basin, by the Stribeck speed and the rise of load friction."""
-    places = [kernel.OMEGA_SL, kernel.DMU]
+    places = [OMEGA_SL, LOAD_RISE]
     return bool(np.any(np.abs(one[places] - other[places]) > _APART * np.abs(other[places])))
 
 
@@ -141,11 +141,11 @@ def likeliest_together(problem: Problem, starts: Sequence[tuple[Array, list[Arra
     with another inertia the search would slide there.
     """
     free, ends = problem.free, []
-    problem.free = tuple(k for k in free if k != kernel.INERTIA)
+    problem.free = tuple(k for k in free if k != INERTIA)
     for vector, times in starts:
         problem.start, problem.begins = vector, times
         refine(problem, (1.0,))
-        ends.append((not _resolved(problem), _deviance(problem), float(problem.start[kernel.OMEGA_SL])))
+        ends.append((not _resolved(problem), _deviance(problem), float(problem.start[OMEGA_SL])))
     problem.free = free
     unresolved, least, speed = best = min(ends)
     slower = [e for e in ends if e[0] == unresolved and e[1] < least + _AS_LIKELY and e[2] > _SEVERAL * speed]
@@ -218,7 +218,7 @@ def _resolved(problem: Problem) -> bool:
     p = problem.start
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in problem.motions])))
     period = max(m.recording.period for m in problem.motions)
-    return bool(p[kernel.OMEGA_SL] > _LEAST_RESOLVED * moment * p[kernel.DMU] * period / p[kernel.INERTIA])
+    return bool(p[OMEGA_SL] > _LEAST_RESOLVED * moment * p[LOAD_RISE] * period / p[INERTIA])
 
 
 def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP) -> Array:

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.prediction import innovations as kernel
 from identification.estimate.prediction.covariance import covariances, named_covariances
 from identification.estimate.prediction.instrumental import SOLVED, beside_inertia, defect, solve
 from identification.estimate.prediction.noise import Noise
@@ -26,7 +25,7 @@ from identification.estimate.prediction.noise_level import (
     torque_noise,
     with_correlated,
 )
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
+from identification.estimate.prediction.problem import Problem, static_limit
 from identification.estimate.prediction.searches import (
     SAME_END,
     STARTS,
@@ -38,6 +37,19 @@ from identification.estimate.prediction.searches import (
 )
 from identification.estimate.prediction.stretches import Motion
 from identification.estimate.result import Starts
+from identification.model.parameters import (
+    INDEX,
+    INERTIA,
+    LOAD_RISE,
+    MC,
+    MU_C,
+    OFFSET,
+    OMEGA_SF,
+    OMEGA_SL,
+    SYSTEM_RISE,
+    pack,
+    unpack,
+)
 from identification.numerics.arrays import Array
 from identification.recording import Model
 
@@ -110,7 +122,7 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
     free = system, inertia
     both = bool(system) and bool(inertia)
     problem.free = tuple(system)
-    searched = breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF) if system else []
+    searched = breakaway_starts(problem, MC, SYSTEM_RISE, OMEGA_SF) if system else []
     starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
     starts += [(p, times, share) for p, times in searched[:STARTS] for share in _INERTIAS[: len(inertia) * 3]]
     best = _best_of(problem, starts, noise, free, None)
@@ -132,8 +144,8 @@ def _far(problem: Problem, vector: Array, noise: Noise, system: Sequence[int]) -
     """Yield starts at inertias far from the equation error's, each with the breakaways that are likeliest with it."""
     for share in _FAR:
         problem.start, problem.noise, problem.free = vector.copy(), noise, tuple(system)
-        problem.start[kernel.INERTIA] *= share
-        for p, times in breakaway_starts(problem, kernel.MC, kernel.DM, kernel.OMEGA_SF)[:1]:
+        problem.start[INERTIA] *= share
+        for p, times in breakaway_starts(problem, MC, SYSTEM_RISE, OMEGA_SF)[:1]:
             yield p, times, 1.0
 
 
@@ -174,7 +186,7 @@ def _solved_from(
     """
     system, inertia = free
     problem.start, problem.begins, problem.noise = start.copy(), list(times), noise
-    problem.start[kernel.INERTIA] *= share
+    problem.start[INERTIA] *= share
     problem.free = tuple(system)
     try:
         if system:
@@ -196,17 +208,17 @@ def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
     """Return the places of what is not fixed: of the system's parameters, of the load's, and the inertia's."""
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed]
-    if "offset" in model.terms and kernel.OFFSET not in fixed:
-        system.append(kernel.OFFSET)
+    if "offset" in model.terms and OFFSET not in fixed:
+        system.append(OFFSET)
     load = [k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed]
-    return system, load, [] if kernel.INERTIA in fixed else [kernel.INERTIA]
+    return system, load, [] if INERTIA in fixed else [INERTIA]
 
 
 def _first_problem(
     unloaded: Sequence[Motion], start: Mapping[str, float], system: Sequence[int], model: Model, correlated: bool
 ) -> Problem:
     """Return the first stage's problem at the equation error's values, with the noise that is likeliest there."""
-    first = Problem(unloaded, pack(start), system, model, Noise(torque_noise(unloaded)))
+    first = Problem(unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded)))
     # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
     first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
     if correlated:
@@ -240,7 +252,7 @@ def refine_stages(
     vector, others = first.start, []
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
-        strayed = refine_from(second, breakaway_starts(second, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
+        strayed = refine_from(second, breakaway_starts(second, MU_C, LOAD_RISE, OMEGA_SL))
         evaluations += second.evaluations
         ends = tuple(end for _, end, *_ in second.reached if math.isfinite(end))
         starts.append(Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END))
