@@ -27,14 +27,14 @@ from scipy import optimize
 
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.direct import simulate
-from identification.estimate import variable_projection as varpro
 from identification.estimate.default import identify
-from identification.estimate.paper import GENERATIONS, POPULATION
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, torque_noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.stage_problem import StageProblem
+from identification.estimate.equation_error import variable_projection as varpro
+from identification.estimate.paper_method.paper import GENERATIONS, POPULATION
+from identification.estimate.paper_method.stage_problem import StageProblem
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import CLIP, torque_noise
+from identification.filter.segments import motion
 from identification.model.parameters import pack
 from identification.numerics.levenberg_marquardt import huber
 from identification.prepare import prepare

@@ -5,7 +5,7 @@ default method minimises. So the information knows of the encoder's quantisation
 breakaway times, and of what the estimator leaves out around them. A stretch's own sensitivities hold the current's
 noise, and one in which the shaft all but stopped by chance would promise what no other run need repeat. So a stage is
 simulated with several drives and noises, and what counts is what two of these runs have in common, as in the floor of
-an estimate (:mod:`identification.estimate.prediction.cramer_rao`). Whole designs are then judged by several runs of
+an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by several runs of
 each (:mod:`identification.design.rehearsal`).
 """
 
@@ -19,15 +19,15 @@ import numpy as np
 from scipy import stats
 
 from identification.design.simulated import Nominal, PlannedStage, at_the_truth
-from identification.estimate.prediction.cramer_rao import means_alike, rehearsed_information
-from identification.estimate.prediction.instruments import instruments
-from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import Problem
-from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.estimate.uncertainty import CONFIDENCE
+from identification.estimate.inertia.half_cycles import Rehearsal
+from identification.estimate.inertia.instruments import instruments
+from identification.estimate.uncertainty.cramer_rao import means_alike, rehearsed_information
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import CLIP
 from identification.model.parameters import INDEX, LOAD_PARAMETERS, LOGARITHMIC, SYSTEM_PARAMETERS
 from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber_weight
+from identification.numerics.spread import CONFIDENCE
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4

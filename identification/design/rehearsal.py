@@ -17,9 +17,9 @@ import numpy as np
 from identification.design.pinning import NAMES, Pinned, likelihood_slope
 from identification.design.simulated import Nominal, PlannedStage, at_the_truth, recorded
 from identification.estimate.default import identify
-from identification.estimate.prediction.covariance import covariances, rise_to_static
-from identification.estimate.uncertainty import Spread
+from identification.estimate.uncertainty.covariance import covariances, rise_to_static
 from identification.model.parameters import SYSTEM_PARAMETERS
+from identification.numerics.spread import Spread
 from identification.recording import Dataset, RecordingError
 
 

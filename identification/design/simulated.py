@@ -8,14 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate.prediction.acceptance import WHITE
-from identification.estimate.prediction.information import settle
-from identification.estimate.prediction.instrumental import doubts_by
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.estimate.inertia.estimating_equations import doubts_by
+from identification.estimate.inertia.half_cycles import Rehearsal
+from identification.estimate.likelihood.acceptance import WHITE
+from identification.filter.breakaway_times import settle
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import CLIP, likeliest_noise, torque_noise
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
 from identification.numerics.arrays import Array
 from identification.recording import Bench, Model, Recording

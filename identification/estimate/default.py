@@ -9,17 +9,17 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.estimate import variable_projection as varpro
-from identification.estimate.assemble import fit_of, parameter_table, trace_of, units_of
-from identification.estimate.prediction.bootstrap import bootstrap
-from identification.estimate.prediction.profile import profiles
-from identification.estimate.prediction.refinement import Found, noise_of, refine
-from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
-from identification.estimate.result import Convergence, Identification, Profile, Resampled
-from identification.estimate.tradeoff import least_pinned, tradeoffs
+from identification.estimate.equation_error import variable_projection as varpro
+from identification.estimate.equation_error.regression import Stage, loaded_stage, require_motion, unloaded_stage
+from identification.estimate.likelihood.bootstrap import bootstrap
+from identification.estimate.likelihood.profile import profiles
+from identification.estimate.likelihood.refinement import Found, noise_of, refine
+from identification.estimate.uncertainty.parameter_table import fit_of, parameter_table, trace_of, units_of
+from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, RecordingError
+from identification.result import Convergence, Identification, Profile, Resampled
 
 Progress = Callable[[str, float], None]
 

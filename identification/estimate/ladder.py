@@ -14,11 +14,11 @@ import numpy as np
 
 from identification.estimate.default import identify
 from identification.estimate.redraw import Indices, Redraw, Score
-from identification.estimate.result import Identification
-from identification.estimate.uncertainty import CONFIDENCE
 from identification.model.ladder import LADDER, bears_load
+from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, default_bandwidth, prepare
 from identification.recording import Dataset, RecordingError
+from identification.result import Identification
 from identification.simulate.closed_loop import replay
 from identification.simulate.score import compare, pooled
 

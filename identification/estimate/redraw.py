@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from identification.estimate.assemble import fit_of
-from identification.estimate.regression import Stage, unloaded_stage
+from identification.estimate.equation_error.regression import Stage, unloaded_stage
+from identification.estimate.uncertainty.parameter_table import fit_of
 from identification.numerics.arrays import Array
 from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 from identification.prepare import Prepared

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.prediction.bootstrap import bootstrap
-from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.prediction.stages import Refined
+from identification.estimate.likelihood.bootstrap import bootstrap
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.likelihood.stages import Refined
+from identification.filter.noise_level import CLIP
 from identification.model.nominal import NOMINAL
 from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Dataset, Model, Recording

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.prediction.acceptance import refusal
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.refinement import refine_recordings
+from identification.estimate.likelihood.acceptance import refusal
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.filter.noise import Noise
 from identification.model.nominal import NOMINAL
 from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate.prediction import covariance
-from identification.estimate.prediction.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.estimate.inertia.half_cycles import Rehearsal
+from identification.estimate.uncertainty import covariance
+from identification.estimate.uncertainty.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
 from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model

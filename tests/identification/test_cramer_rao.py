@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound, rehearsed_information
-from identification.estimate.prediction.instruments import _smoothed, instruments
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stages import Refined, refine_stages
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.estimate.inertia.half_cycles import Rehearsal
+from identification.estimate.inertia.instruments import _smoothed, instruments
+from identification.estimate.likelihood.stages import Refined, refine_stages
+from identification.estimate.uncertainty.cramer_rao import bound, means_alike, rehearsed_bound, rehearsed_information
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.compiled import compiled

@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.assemble import typical_error
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.paper import identify_paper
-from identification.estimate.prediction import stages
-from identification.estimate.prediction.acceptance import refusal
-from identification.estimate.prediction.problem import Problem
-from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.prediction.stages import refine_stages
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.result import Identification
+from identification.estimate.likelihood import stages
+from identification.estimate.likelihood.acceptance import refusal
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.likelihood.stages import refine_stages
+from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.filter.likelihood import Problem
+from identification.filter.segments import motion
 from identification.prepare import prepare
 from identification.recording import Array, Dataset, Model, Recording, RecordingError
+from identification.result import Identification
 
 from .practical import beginning, logged, simulated, with_ripple
 from .synthetic import TRUTH, sine

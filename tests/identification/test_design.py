@@ -22,9 +22,9 @@ from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Candidate, Design, Search, halved, planned, promised
 from identification.design.shares import best_shares, shared
 from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded, stage_response, with_drives
-from identification.estimate.result import Parameter
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
+from identification.result import Parameter
 from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import respond, usual_loop
 

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import deviance, likeliest_noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stretches import Motion, motion
+from identification.filter import kalman as kernel
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import deviance, likeliest_noise
+from identification.filter.segment_table import TORQUE_RATE
+from identification.filter.segments import Motion, motion
 from identification.model.parameters import INDEX, LOAD_RISE, SYSTEM_RISE, pack, unpack
 from identification.recording import Model, Recording
 
@@ -210,7 +211,7 @@ def _of(m: Motion, rows: slice) -> np.ndarray:
 
 def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) -> None:
     chained = motions[0].table.copy()
-    chained[1:-1, kernel.RISE] = 0.0
+    chained[1:-1, TORQUE_RATE] = 0.0
     one, other = at_truth(replace(motions[0], table=chained))._halves
     assert [rows for _, rows in one] == [slice(0, len(chained) - 1)]
     assert [rows for _, rows in other] == [slice(len(chained) - 1, len(chained))]

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from identification.estimate.prediction import instrumental
-from identification.estimate.prediction.leverage import doubts
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stretches import motion
+from identification.estimate.inertia import estimating_equations as instrumental
+from identification.estimate.inertia.variance_inflation import doubts
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
 from identification.model.parameters import MC, pack
 from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model, Recording

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded
-from identification.estimate.prediction import searches
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem
-from identification.estimate.prediction.stretches import motion
+from identification.estimate.likelihood import searches
+from identification.filter.likelihood import Problem
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX, LOAD_RISE, MU_C, OMEGA_SL, pack
 from identification.recording import Array, Model
 

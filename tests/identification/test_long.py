@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from identification.estimate import default, long
-from identification.estimate.prediction.information import reduce, settle
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.result import Identification
+from identification.filter.breakaway_times import reduce, settle
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX, pack
 from identification.prepare import resting
 from identification.recording import Dataset, Model, Recording
+from identification.result import Identification
 
 from .synthetic import SYSTEM, TRUTH, sine
 

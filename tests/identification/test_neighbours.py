@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from identification.estimate.prediction import searches, stages
+from identification.estimate.likelihood import searches, stages
 from identification.model.parameters import INERTIA, LOAD_RISE, MC, MU_2, OMEGA_SL, SIZE
 from identification.recording import Array
 

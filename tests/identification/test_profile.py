@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.profile import LEVEL, crossings, profiles
-from identification.estimate.prediction.stages import Refined, refine_stages
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.result import Identification
+from identification.estimate.likelihood.profile import LEVEL, crossings, profiles
+from identification.estimate.likelihood.stages import Refined, refine_stages
+from identification.filter.noise_level import CLIP
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX
 from identification.numerics import levenberg_marquardt as levenberg
 from identification.recording import Array, Dataset, Model, Recording
+from identification.result import Identification
 
 from .synthetic import SYSTEM, TRUTH, sine
 

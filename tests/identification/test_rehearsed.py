@@ -16,23 +16,24 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.constants import Joint, Machine, Sensing
 from identification.estimate.default import identify
-from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction import refinement, rehearsed
-from identification.estimate.prediction.covariance import Covariances, covariances
-from identification.estimate.prediction.cramer_rao import bound
-from identification.estimate.prediction.inertia import Equation, best
-from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import Problem, static_limit
-from identification.estimate.prediction.refinement import Found, _unbiased
-from identification.estimate.prediction.rehearsed import Bias, _Scored, likelihood_bias, logged_share
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.estimate.uncertainty import Spread
+from identification.estimate.inertia.half_cycles import Rehearsal
+from identification.estimate.inertia.inertia_equation import Equation, best
+from identification.estimate.inertia.instruments import instruments, rehearsed_instruments
+from identification.estimate.likelihood import refinement
+from identification.estimate.likelihood import replicates as rehearsed
+from identification.estimate.likelihood.refinement import Found, _unbiased
+from identification.estimate.likelihood.replicates import Bias, _Scored, likelihood_bias, logged_share
+from identification.estimate.uncertainty.covariance import Covariances, covariances
+from identification.estimate.uncertainty.cramer_rao import bound
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import CLIP, likeliest_noise, torque_noise
+from identification.filter.segment_table import DIRECTION
+from identification.filter.segments import motion
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
 from identification.numerics.block_arrow import BlockArrow
 from identification.numerics.levenberg_marquardt import minimise_deviance
+from identification.numerics.spread import Spread
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
 
 from .practical import beginning, command, logged, simulated
@@ -312,7 +313,7 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
         assert np.allclose(found.parameters[:ties][problem.owners[:ties] == j], 2.5 / doubt)
     # What goes the other way is no rehearsal of a stretch.
     other = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
-    other.motions[0].table[:2, kernel.SIDE] *= -1.0
+    other.motions[0].table[:2, DIRECTION] *= -1.0
     plain = replace(plain, parameters=np.full_like(plain.parameters, 7.0))
     found = rehearsed_instruments(problem, plain, [Rehearsal(other, marked[0], np.zeros(len(plain.own)), 0)])
     for j in range(problem.breakaways):

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.prediction.stretches import LEAD, RISING, motion
+from identification.filter.segments import LEAD, RISING, motion
 from identification.recording import Pendulum, Recording, RecordingError
 
 from .practical import logged, simulated
