@@ -33,7 +33,7 @@ from identification.estimate.paper_method.paper import GENERATIONS, POPULATION
 from identification.estimate.paper_method.stage_problem import StageProblem
 from identification.filter.likelihood import Problem, static_limit
 from identification.filter.noise import Noise
-from identification.filter.noise_level import CLIP, torque_noise
+from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import motion
 from identification.model.parameters import pack
 from identification.numerics.levenberg_marquardt import huber
@@ -188,7 +188,7 @@ def likelihood_race(
             p = pack(named(x), 2.0)
             begins = [m.static_crossing(static_limit(p, m)) for m in motions]
             errors, deviations = likelihood.run(p, begins, noise)
-            value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, CLIP)))
+            value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, HUBER_THRESHOLD)))
             out[k] = value if np.isfinite(value) else 1e300
         return out
 

@@ -136,7 +136,7 @@ def _likeliest_to_hold(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Pinned:
-    """Return the worst of a few rehearsals; the first that fails is the last."""
+    """Return the worst of a few replicates; the first that fails is the last."""
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):
         found.append(rehearse(stages, search.nominals[0], np.random.default_rng(seed)))

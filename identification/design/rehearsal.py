@@ -2,7 +2,7 @@
 
 Fisher information on the filter's residuals looks at one point and in a straight line; under a heavy weight the shaft
 breaks away within one sample, and there it has promised ten times what came out. So the best few designs, the present
-one among them, are simulated with a few noises, which are rehearsals of one another, and get the intervals that the
+one among them, are simulated with a few noises, which are replicates of one another, and get the intervals that the
 default method would state at the values simulated, with the scatter from stretch to stretch. What is proposed has gone
 through the whole method, whose searches take most of the time.
 """

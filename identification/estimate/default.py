@@ -38,7 +38,7 @@ def identify(
     Args:
         dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once at the end.
         bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what each bears.
-        rng: Draws the stretches of the bootstrap.
+        rng: Draws the segments of the bootstrap.
         progress: Called with a stage's name and the share done.
         profile: Whether to profile the likelihood of every parameter as well, which takes several times as long.
         draws: Bootstrap draws, 0 for none.
@@ -110,10 +110,10 @@ def _asked(
         return (), (), [f"no {what}: of the prediction errors alone, which were not taken"] if what else []
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
-    # Both are about the likeliest values: they move with what the estimate was moved by.
+    # Both are about the maximum of the likelihood; they are shifted as the estimate was.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        # As wide as the intervals are: rehearsals tell the inertia better, and leave something of each bias open.
+        # With the covariance that is stated, which includes replicates and the uncertainty of the bias.
         stated = replace(found.taken, covariance=found.spread.covariance)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)

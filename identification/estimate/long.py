@@ -67,7 +67,7 @@ def identify_any_length(
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into stretches of about ``PIECE_SAMPLES``, at rest where it rests; channels are views."""
+    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at rest where it rests; channels are views."""
     n, start = len(recording.time), 0
     found = []
     while start < n:

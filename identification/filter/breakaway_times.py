@@ -1,4 +1,4 @@
-"""One piece of a recording: its breakaway times settled, then eliminated from what it says about the parameters."""
+"""Breakaway times: optimised with the parameters held, or eliminated from a problem's normal equations."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from identification.filter.likelihood import Problem
 from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber, huber_weight
 
-SETTLING = 4
-"""Steps that a breakaway time gets."""
+ROUNDS = 4
+"""Steps of a breakaway time."""
 LONGEST_STEP_MS = 2.0
 
 
 @dataclass(frozen=True)
 class Reduced:
-    """One piece with its breakaway times eliminated; p parameters, m stretches.
+    """Normal equations of some recordings, breakaway times eliminated; p parameters, m segments.
 
     Attributes:
         normal: Fisher information of the residuals (unit variance), shape (p, p).
-        scores: Each stretch's gradient of half the squared residuals, shape (m, p).
+        scores: Each segment's gradient of half the sum of squares, shape (m, p).
         squares: Sum of squared residuals.
         neighbours: Sum of products of neighbouring residuals.
-        count: Residuals.
+        count: Number of residuals.
     """
 
     normal: Array
@@ -34,14 +34,14 @@ class Reduced:
     count: int
 
 
-def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) -> None:
-    """Move each breakaway time of a problem to where its own stretch fits best, the parameters held.
+def optimise_breakaway_times(problem: Problem, threshold: float = np.inf, rounds: int = ROUNDS) -> None:
+    """Minimise the Huber cost of each segment over its breakaway time, the parameters held.
 
-    Gauss-Newton with one step length per stretch: a step that makes its stretch worse is undone and shortened.
+    By Gauss-Newton with one step length per segment: a step that raises its segment's cost is undone and shortened.
     """
     count, m = len(problem.free), problem.breakaways
     owners = problem.owners
-    problem.weigh()
+    problem.hold_weights()
     x = problem.origin()
     residual = problem.residuals(x)
     cost = np.bincount(owners, huber(residual, threshold), m)
@@ -62,25 +62,25 @@ def settle(problem: Problem, threshold: float = np.inf, rounds: int = SETTLING) 
         length = np.where(better, 1.0, 0.25 * length)
         residual = np.where(better[owners], tried, residual)
         cost = np.where(better, tried_cost, cost)
-    problem.begins = problem.times(x)
+    problem.breakaway_times = problem.times(x)
 
 
-def settle_anywhere(problem: Problem, threshold: float) -> None:
-    """Settle each breakaway time of a problem in the likeliest of its minima, the parameters held."""
-    settle(problem, threshold)
-    problem.weigh()
-    if problem.seek_breakaways(threshold):
-        settle(problem, threshold)
+def search_breakaway_times(problem: Problem, threshold: float) -> None:
+    """Find the best of the minima of each breakaway time, the parameters held."""
+    optimise_breakaway_times(problem, threshold)
+    problem.hold_weights()
+    if problem.move_breakaways(threshold):
+        optimise_breakaway_times(problem, threshold)
 
 
 def reduce(problem: Problem, threshold: float = np.inf) -> Reduced:
-    """Return the reduced normal equations at a problem's start.
+    """Return the normal equations at a problem's start, breakaway times eliminated (M12).
 
     Args:
         problem: Recordings, free parameters, breakaway times and noise.
-        threshold: Residual size beyond which a residual counts by Huber's weight.
+        threshold: Residual size beyond which Huber's weight is below one.
     """
-    problem.weigh()
+    problem.hold_weights()
     x = problem.origin()
     residual = problem.residuals(x)
     found = problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, threshold))

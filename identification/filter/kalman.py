@@ -1,15 +1,14 @@
-"""One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured torque.
+"""One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured torque (M14 to M21).
 
 The measured torque is a noisy mean over each period and the encoder is quantised, so neither an output error (which
 drifts with the torque noise) nor an equation error (which differentiates the encoder) is the right residual. The filter
-carries both: x = (angle, speed), J domega/dt = torque - friction(omega) + noise, y = angle + noise. Where the torque's
-noise has a correlated part, that is a third state, a first-order process that is held over each period. Its normalised
-innovations are white when the model is right, and their sum of squares is the likelihood (Ljung, System
+has the state (angle, speed), with J domega/dt = torque - friction(omega) + noise and y = angle + noise; where the
+torque noise has a correlated part, that is a third state, a first-order process that is held over each period. The
+normalised innovations are white when the model is right, and their sum of squares is the likelihood (Ljung, System
 Identification, 2nd ed., 7.3 and 10.5).
 
-A stretch of motion that begins at rest starts from the state that is known then, angle of rest and speed zero, at the
-moment when the torque passes the static limit. The angle of rest is known to within a step of the encoder, however
-often that reads the same count.
+A motion segment that starts from rest starts at the angle of rest with speed zero, at its breakaway time. Repeated
+readings at rest do not reduce the error of the angle below the quantisation error.
 """
 
 from __future__ import annotations
@@ -29,13 +28,13 @@ WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
 _LEAST_SPEED = 1e-7
 _SLIP = 0.7
-"""Mean square by which a speed held at zero or above comes to exceed one that is not, under a drift that rises through
-zero; in the unit that both have (simulated in the tests)."""
+"""Mean square of the excess of a random walk held at zero or above over a free one, under a drift that rises through
+zero, in natural units (M21); simulated in the tests."""
 
 
 State = tuple[float, float, float, float, float, float, float, float, float]
-"""Angle, speed, and the covariance of the two: of the angle, of both, of the speed. Then the torque that correlated
-noise hides, and its covariance: with the angle, with the speed, its own, which is zero without such noise."""
+"""Angle, speed, and their covariance: variance of the angle, covariance, variance of the speed. Then the correlated
+torque noise, and its covariance with the angle, with the speed, and its variance, which is zero without such noise."""
 
 
 @inlined
@@ -53,9 +52,9 @@ def _predict(
     steps: float,
     p: Array,
 ) -> State:
-    """Return the state propagated from ``start`` to ``stop``.
+    """Return the state propagated from ``start`` to ``stop`` (M16, M17).
 
-    Speed by the linearly implicit trapezoidal rule in ``steps`` steps.
+    The speed by the linearly implicit trapezoidal rule in ``steps`` steps.
     """
     angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
     h = (stop - start) / steps
@@ -92,10 +91,10 @@ def _predict(
 
 @inlined
 def _reading_at_rest(here: float, p11: float, error: float, angle_noise: float, staying: float) -> tuple[float, float]:
-    """Return the angle of rest and its variance after one more reading, ``error`` off.
+    """Return the angle of rest and its variance after one more reading with this ``error`` (M20).
 
-    It tells of the angle only as far as noise makes it another one each time: ``staying`` of the variance
-    ``angle_noise`` of a reading is the same for all readings at rest.
+    The part ``staying`` of the reading's variance ``angle_noise`` is the same for all readings at rest, so that further
+    readings reduce only the rest of it.
     """
     unknown = p11 - staying
     if unknown > 0.0:
@@ -107,10 +106,10 @@ def _reading_at_rest(here: float, p11: float, error: float, angle_noise: float, 
 
 @inlined
 def _corrected(state: State, error: float, variance: float, new: float, unsure: float, side: float) -> State:
-    """Return the state after a reading that is ``error`` off, of that ``variance``; the speed keeps its ``side``.
+    """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps its sign ``side``.
 
-    ``new`` is the share of the period that has passed since the breakaway: so early the reading errs as that of the
-    rest does, and the filter is to be smooth in the breakaway time. ``unsure`` is what the speed's variance gains.
+    ``new`` is the share of the period since the breakaway; it makes the filter smooth in the breakaway time. ``unsure``
+    is added to the variance of the speed.
     """
     angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
     g1 = p11 / variance
@@ -142,11 +141,11 @@ def _corrected(state: State, error: float, variance: float, new: float, unsure: 
 
 @compiled
 def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
-    """Return the mean square speed that noise gives before the mean torque reaches the static limit, (rad/s)^2.
+    """Return the mean square speed that noise causes before the mean torque reaches the static limit, (rad/s)^2 (M21).
 
-    At rest friction holds whatever would turn the shaft back, so that noise pushes it forward only: a random walk held
-    at zero from below, whose drift ``rise`` t / ``inertia`` grows through zero as the torque (N m, at ``rise`` N m/s)
-    passes the limit. Walk and drift are alike over the time (noise^2 period / rise^2)^(1/3).
+    At rest friction balances any torque backwards, so that noise moves the joint forward only: a random walk held at
+    zero from below, under the drift ``rise`` t / ``inertia`` (``rise`` in N m/s) that passes zero at the limit. Walk
+    and drift are of one size over the time (noise^2 period / rise^2)^(1/3).
     """
     diffusion = noise * noise * period
     alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
@@ -155,8 +154,8 @@ def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> 
 
 @compiled
 def innovations(
-    stretches: Array,
-    begins: Array,
+    segments: Array,
+    breakaway_times: Array,
     time: Array,
     angle: Array,
     torque: Array,
@@ -172,38 +171,38 @@ def innovations(
     speeds: Array,
     hiddens: Array,
 ) -> None:
-    """Fill ``out`` with the innovations of every stretch, ``spread`` with their deviations; also speeds and torques.
+    """Fill ``out`` with the innovations of every segment and ``spread`` with their deviations (M18); also the states.
 
     Args:
-        stretches: Table of stretches of motion, shape (m, 4).
-        begins: When each stretch that starts from rest breaks away, s, shape (m,).
+        segments: Table of motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
+        breakaway_times: Breakaway time of each segment, s, shape (m,).
         time: s, shape (n,).
         angle: Joint angle, rad, shape (n,).
         torque: Mean torque over the period that ends at each sample, N m, shape (n,).
         slope: Its slope within that period, N m/s, shape (n,).
         moment: F_P L1, N m, shape (n,).
         extra_inertia: Known inertia added to J, kg m^2.
-        noise: As the places above have it, shape (5,). The torque noise stands over the inertia on trial: the true
-            torque is then an unknown of the fit, not the measured one taken for true, which would bias J.
+        noise: Places ``WHITE`` to ``STAYING`` above, shape (5,). The torque noise is divided by the inertia on trial:
+            the true torque is unknown, and taking the measured one for it would bias J.
         steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
             innovations are smooth in the parameters.
-        unsure: Variance that the speed gains at each sample, as the shaft all but stops there, (rad/s)^2, shape (n,).
+        unsure: Variance added to the speed's at each sample, (rad/s)^2, shape (n,).
         p: Vector of :mod:`identification.model.parameters`.
-        out: Innovations, rad, shape (n,); samples outside stretches are left alone.
+        out: Innovations, rad, shape (n,); samples outside segments are left alone.
         spread: Their standard deviations, rad, shape (n,).
         speeds: Filtered speed, rad/s, shape (n,).
-        hiddens: Filtered torque that correlated noise hides, N m, shape (n,); left alone without such noise.
+        hiddens: Filtered correlated torque noise, N m, shape (n,); left alone without such noise.
     """
     inertia = p[INERTIA] + extra_inertia
     correlated = noise[CORRELATED] > 0.0
-    for j in range(len(stretches)):
-        first = int(stretches[j, FIRST])
-        last = int(stretches[j, LAST])
-        side = float(stretches[j, DIRECTION])
-        if stretches[j, TORQUE_RATE] > 0:
-            begin = begins[j]
+    for j in range(len(segments)):
+        first = int(segments[j, FIRST])
+        last = int(segments[j, LAST])
+        side = float(segments[j, DIRECTION])
+        if segments[j, TORQUE_RATE] > 0:
+            begin = breakaway_times[j]
             omega = side * _LEAST_SPEED
-            p22 = _slip_variance(noise[WHITE], time[first] - time[first - 1], stretches[j, TORQUE_RATE], inertia)
+            p22 = _slip_variance(noise[WHITE], time[first] - time[first - 1], segments[j, TORQUE_RATE], inertia)
         else:
             begin = time[first - 1]
             omega = speeds[first - 1]

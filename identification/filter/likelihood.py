@@ -1,4 +1,4 @@
-"""The joint least-squares problem of a refinement: free parameters and breakaway times to residuals and Jacobian."""
+"""Prediction errors, ties and their derivatives over free parameters and breakaway times (M22, M23)."""
 
 from __future__ import annotations
 
@@ -31,24 +31,43 @@ from identification.numerics.levenberg_marquardt import huber
 from identification.recording import Model
 
 _FARTHEST_LOG = 6.0
-"""Farthest, in logarithm, that one fit may take them from its start: beyond, the filter's arithmetic overflows."""
+"""Greatest change of a logarithm in one fit, so that the arithmetic of the filter does not overflow."""
 _TIME_SCALE_S = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
-"""Where else a breakaway is looked for."""
+"""Grid of other breakaway times."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 _TIME_STEP = 1e-3
 _FORGOTTEN = math.pi**2 / 3.0
-"""How fast noise of the angle makes its quantisation another one at every sample: a shaft at rest reads q off by what
-its place within a step has it, and the first harmonic of that, averaged over noise of variance v, falls by
-exp(-(2 pi)^2 v / (12 q)), q being a twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3 (1956) 266)."""
+"""Exponent of the part of the quantisation error that noise of the angle leaves the same at every reading (M20): the
+first harmonic of that error, averaged over noise of variance v, falls by exp(-(2 pi)^2 v / (12 q)), where q is a
+twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3 (1956) 266)."""
 _LEAST_GAIN = 0.5
-"""Of a stretch's Huber cost, for its breakaway to move."""
+"""Least gain in a segment's Huber cost for its breakaway to move."""
 _LEAST_SHARED = 30000.0
-"""Steps of the filter from which a second thread is worth its start."""
+"""Integration steps above which a second thread saves time."""
 
 
 class Problem:
-    """Residuals and Jacobian of one joint fit: parameters first, then the breakaway times of all stretches."""
+    """Residuals and Jacobian of one fit: free parameters first, then the breakaway times of all segments.
+
+    Attributes:
+        motions: Recordings with their segments.
+        start: Parameters about which it is linearised, vector of :mod:`identification.model.parameters`.
+        free: Places of the free parameters in that vector.
+        statics: Fixed static levels: place of the Coulomb level, place of the rise, value.
+        noise: Noise of torque and angle.
+        breakaway_times: s, one array per recording.
+        evaluations: Runs of the filter so far.
+        iterations: Iterations of searches so far.
+        solution_chi2: Chi-square of every solution of the estimating equations (M29).
+        search_ends: End of every search: whether the Stribeck speed is unresolved, deviance, parameters, breakaway
+            times.
+        step: Difference of a coordinate for slopes, over its size.
+        correlated_torque: Filtered correlated noise of the last run, N m, per recording.
+        breakaways: Number of segments.
+        owners: Segment of every residual, ties last, shape (r,).
+        inflation: Factor on the standard deviations of each segment (M13), shape (m,).
+    """
 
     def __init__(
         self, motions: Sequence[Motion], start: Array, free: Sequence[int], model: Model, noise: Noise
@@ -58,30 +77,23 @@ class Problem:
         self.free = tuple(free)
         self.statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
         self.noise = noise
-        self.begins = [np.zeros(len(m.table)) for m in motions]
+        self.breakaway_times = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
         self.iterations = 0
-        self.ends: list[float] = []
-        """Defect of every solution of the estimating equations that led anywhere."""
-        self.reached: list[tuple[bool, float, Array, list[Array]]] = []
-        """Where searches by likelihood ended: whether the Stribeck speed is unresolved, deviance, kernel's vector,
-        breakaway times."""
+        self.solution_chi2: list[float] = []
+        self.search_ends: list[tuple[bool, float, Array, list[Array]]] = []
         self.step = PARAMETER_STEP
-        """Over which differences in the parameters are taken, over the size of the coordinate."""
         self._out = [np.zeros(len(m.time)) for m in motions]
         self._spread = [np.zeros(len(m.time)) for m in motions]
         self._speeds = [np.zeros(len(m.time)) for m in motions]
-        self.hidden = [np.zeros(len(m.time)) for m in motions]
-        """Torque that correlated noise hid at each sample of each recording in the last run, N m."""
+        self.correlated_torque = [np.zeros(len(m.time)) for m in motions]
         self.breakaways = sum(len(m.table) for m in motions)
         inside = [self._owners(m, j) for j, m in enumerate(motions)]
         self.owners = np.concatenate([*inside, np.arange(self.breakaways)])
-        """Stretch of every residual, the breakaway residuals last, shape (r,)."""
-        self.doubt = np.ones(self.breakaways)
-        """How many times larger than it seems each stretch's noise is taken to be, shape (m,)."""
+        self.inflation = np.ones(self.breakaways)
 
     def _owners(self, m: Motion, j: int) -> NDArray[np.int64]:
-        """Number, over all recordings, of the stretch that owns each inside sample."""
+        """Return the number, over all recordings, of the segment of each sample inside one."""
         offset = sum(len(other.table) for other in self.motions[:j])
         owner = np.zeros(len(m.time), dtype=np.int64)
         for k, (first, last, _, _) in enumerate(m.table.astype(np.int64)):
@@ -95,22 +107,22 @@ class Problem:
 
     @property
     def lengths(self) -> NDArray[np.int64]:
-        """Samples in each stretch, shape (m,)."""
+        """Samples of each segment, shape (m,)."""
         return np.bincount(self.owners[: len(self.owners) - self.breakaways], minlength=self.breakaways)
 
     @property
-    def siblings(self) -> Array:
-        """How many stretches of its recording move like every residual's, itself among them, shape (r,)."""
-        counts = np.concatenate([np.sum(m.alike, axis=1).astype(np.float64) for m in self.motions])
+    def matching_count(self) -> Array:
+        """Number of matching half cycles of every residual's segment, itself included, shape (r,)."""
+        counts = np.concatenate([np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions])
         return np.asarray(counts[self.owners])
 
     def origin(self) -> Array:
-        """Return the free vector of the start."""
+        """Return the free vector at the start."""
         p = [np.log(self.start[k]) if k in LOGARITHMIC else self.start[k] for k in self.free]
         return np.concatenate([p, np.zeros(self.breakaways)])
 
     def parameters(self, x: Array) -> Array:
-        """Return the kernel's vector of a free vector."""
+        """Return the parameter vector of a free vector."""
         p = self.start.copy()
         for value, k in zip(x, self.free, strict=False):
             if k in LOGARITHMIC:
@@ -122,7 +134,7 @@ class Problem:
         return p
 
     def run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
-        """Filter every recording; return the prediction errors inside stretches and their standard deviations, rad."""
+        """Filter every recording; return the innovations inside segments and their standard deviations, rad."""
         self.evaluations += 1
         one, other = self._halves
         if other:
@@ -137,7 +149,7 @@ class Problem:
         return np.concatenate(errors), np.concatenate(deviations)
 
     def _filter(self, pieces: Sequence[tuple[int, slice]], p: Array, times: Sequence[Array], noise: Noise) -> None:
-        """Filter these stretches, each piece some of one recording's; the kernel lets other threads run meanwhile."""
+        """Filter some segments: number of a recording and rows of its table. Another thread may run meanwhile."""
         for j, rows in pieces:
             m, out, spread, speeds = self.motions[j], self._out[j], self._spread[j], self._speeds[j]
             variance = m.angle_variance + noise.angle**2
@@ -145,16 +157,15 @@ class Problem:
             level = np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
             innovations(
                 m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, level, m.steps, m.unsure, p, out, spread, speeds, self.hidden[j],
+                m.extra_inertia, level, m.steps, m.unsure, p, out, spread, speeds, self.correlated_torque[j],
             )  # fmt: skip
 
     @cached_property
     def _halves(self) -> tuple[list[tuple[int, slice]], list[tuple[int, slice]]]:
-        """The stretches in two parts that take about as long: recording and rows of its table.
+        """Two sets of segments that take about equal time: number of the recording and rows of its table.
 
-        Two processor cores are what a laptop has to spare; the second part is empty where it would be done before a
-        thread has begun. A stretch that does not begin at rest goes on where the one before it ended, and stays with
-        it.
+        The second set is empty where a second thread would not save time. A segment that does not start from rest
+        continues the one before it and stays with it.
         """
         costs = [[float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]] for m in self.motions]
         whole = sum(map(sum, costs))
@@ -170,24 +181,24 @@ class Problem:
                     part.append((j, rows))
         return parts
 
-    def weigh(self) -> None:
-        """Hold the prediction errors' weights at what they are at the start."""
-        _, deviations = self.run(self.start, self.begins, self.noise)
-        self._deviation = self._believed(deviations)
+    def hold_weights(self) -> None:
+        """Take the deviations at the start for the residuals of :meth:`residuals`."""
+        _, deviations = self.run(self.start, self.breakaway_times, self.noise)
+        self._deviation = self._inflated(deviations)
 
-    def _believed(self, deviations: Array) -> Array:
-        """Return standard deviations of prediction errors, then of the ties, with the doubt in each stretch."""
+    def _inflated(self, deviations: Array) -> Array:
+        """Return the deviations of innovations and ties with variance inflation (M13)."""
         ties = np.full(self.breakaways, self.noise.whole_torque)
-        return np.asarray(np.concatenate([deviations, ties]) * self.doubt[self.owners])
+        return np.asarray(np.concatenate([deviations, ties]) * self.inflation[self.owners])
 
     def times(self, x: Array) -> list[Array]:
         """Return the breakaway times of a free vector, s, one array per recording."""
         shift = _TIME_SCALE_S * x[len(self.free) :]
-        cuts = np.cumsum([len(b) for b in self.begins])[:-1]
-        return [b + s for b, s in zip(self.begins, np.split(shift, cuts), strict=True)]
+        cuts = np.cumsum([len(b) for b in self.breakaway_times])[:-1]
+        return [b + s for b, s in zip(self.breakaway_times, np.split(shift, cuts), strict=True)]
 
     def predictions(self, x: Array) -> tuple[Array, Array]:
-        """Return prediction errors, rad, then torque at each breakaway less the static limit, N m; and deviations."""
+        """Return innovations, rad, then ties (M22), N m, and the standard deviations of both, shape (r,)."""
         p = self.parameters(x)
         times = self.times(x)
         errors, deviations = self.run(p, times, self.noise)
@@ -195,7 +206,7 @@ class Problem:
             m.table[:, DIRECTION] * (m.torque_at(t) - p[OFFSET]) - static_limit(p, m)
             for m, t in zip(self.motions, times, strict=True)
         ]
-        return np.concatenate([errors, *ends]), self._believed(deviations)
+        return np.concatenate([errors, *ends]), self._inflated(deviations)
 
     def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x over the deviations, and d log deviations / d x, by differences."""
@@ -208,7 +219,7 @@ class Problem:
         return self._arrow(parameters[0], times[0]), self._arrow(parameters[1], times[1])
 
     def residuals(self, x: Array) -> Array:
-        """Return the errors of :meth:`predictions` over the deviations that they had when last weighed."""
+        """Return the errors of :meth:`predictions` over the deviations of the last :meth:`hold_weights`."""
         errors, _ = self.predictions(x)
         return np.asarray(errors / self._deviation)
 
@@ -220,7 +231,7 @@ class Problem:
     def _differences(self, x: Array, change: Callable[[Array], Array]) -> tuple[Array, Array]:
         """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in the breakaway times.
 
-        One run serves all breakaway times, as no stretch sees another's.
+        One run serves all breakaway times, because no residual depends on two of them.
         """
         count = len(self.free)
         slopes = []
@@ -236,12 +247,12 @@ class Problem:
     def _arrow(self, parameters: Array, times: Array) -> BlockArrow:
         return BlockArrow(parameters, times, self.owners, self.breakaways)
 
-    def seek_breakaways(self, threshold: float) -> bool:
-        """Move each breakaway to the likeliest of a grid of times around it; return whether any moved.
+    def move_breakaways(self, threshold: float) -> bool:
+        """Move each breakaway time to the best of a grid of times around it; return whether any moved.
 
-        The measured torque crosses the static limit more than once where it is noisy, so a breakaway time has several
-        minima, and one stretch in the wrong one pulls the static limit by several standard errors. No stretch sees
-        another's time, so each is judged by its own Huber cost, at these parameters.
+        Noisy torque crosses the static limit more than once, so that a breakaway time has several minima, and one
+        segment in the wrong one shifts the static limit by several standard errors. Segments share no breakaway time,
+        so that each is judged by its own Huber cost.
         """
         origin, count = self.origin(), len(self.free)
         owners = self.owners
@@ -259,11 +270,11 @@ class Problem:
         return bool(np.any(shift != 0.0))
 
     def keep(self, x: Array) -> None:
-        """Make this free vector the new start."""
+        """Make this free vector the start."""
         self.start = self.parameters(x)
-        self.begins = self.times(x)
+        self.breakaway_times = self.times(x)
 
 
 def static_limit(p: Array, m: Motion) -> Array:
-    """Return Ms + F_P L1 mu_s at each breakaway, N m, shape (m,)."""
+    """Return the static limit Ms + F_P L1 mu_s (M3) at each breakaway, N m, shape (m,)."""
     return np.asarray(p[MC] + p[SYSTEM_RISE] + m.breakaway_moment * (p[MU_C] + p[LOAD_RISE]))

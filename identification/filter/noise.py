@@ -1,4 +1,4 @@
-"""What the noise of torque and encoder is taken to be."""
+"""The noise model of torque and angle (M25)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from identification.numerics.arrays import Array
 
 @dataclass(frozen=True)
 class Noise:
-    """Noise of the measured torque, in a white and a correlated part, and of the angle.
+    """White and correlated noise of the measured torque, and noise of the angle.
 
     Attributes:
-        torque: White part of the torque's, N m rms over a period.
-        angle: Of the angle beyond the encoder's quantisation, rad rms.
-        correlated: Correlated part of the torque's, a first-order process, N m rms; zero where there is none.
+        torque: White part of the torque noise, N m rms over a period.
+        angle: Noise of the angle beyond the quantisation of its encoder, rad rms.
+        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero without one.
         correlation_s: Time over which its autocorrelation falls to 1/e, s.
     """
 
@@ -29,15 +29,15 @@ class Noise:
 
     @property
     def whole_torque(self) -> float:
-        """Both parts of the torque's noise, N m rms."""
+        """Standard deviation of both parts of the torque noise, N m."""
         return math.hypot(self.torque, self.correlated)
 
     def louder(self, factor: float) -> Noise:
-        """Return the same with the white part of the torque's noise raised by a factor."""
+        """Return the same noise with the white part of the torque noise multiplied by a factor."""
         return replace(self, torque=factor * self.torque)
 
     def drawn(self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float) -> Array:
-        """Return independent rows of a share of the torque's noise, N m, a sample every ``period`` s."""
+        """Return independent rows of torque noise times ``share``, N m, one sample every ``period`` s."""
         white = np.asarray(share * self.torque * rng.standard_normal(shape), dtype=np.float64)
         if self.correlated == 0.0:
             return white

@@ -1,4 +1,4 @@
-"""Stretches of motion: where a recording moves, from one rest to the next."""
+"""Motion segments of a recording, from one rest to the next, and what the filter needs of them (M5, M11)."""
 
 from __future__ import annotations
 
@@ -16,50 +16,50 @@ from identification.recording import Recording
 from identification.signals import quantum
 
 LEAD = 12
-"""Samples before the first visible motion at which a stretch that starts from rest begins."""
+"""Samples before the first visible motion at which a segment starts."""
 TAIL = 20
-"""Samples before the next rest at which it ends: there the filter cannot know yet that the shaft will stop."""
+"""Samples before the next rest at which a segment ends, because the filter cannot know that the joint will stop."""
 LEAST_COUNTS = 20.0
-"""A stretch moves at least this many encoder steps."""
+"""Encoder steps that a segment moves at least."""
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Those elsewhere: under a slow sine friction falls over all of its speeds, and errors of one step a period add up."""
+"""Integration steps per sample elsewhere: under a slow sine friction falls over all of its speeds."""
 ONSET_STEPS = 32.0
-"""Those right after a breakaway: friction's fall multiplies the error of every step, and the inertia follows."""
+"""Integration steps per sample right after a breakaway, where friction's fall multiplies the error of every step."""
 FINE_SAMPLES = 30
 RISING = 20
-"""Samples before the first visible motion over which the torque's rise is taken."""
+"""Samples before the first visible motion over which the torque's rate of rise is taken."""
 LEAST_RISE = 0.1
-"""Rise that a stretch has at least, over the recording's median: what noise leaves of a slower one is not known."""
+"""Least rate of rise of a segment, over the median of the recording: noise hides a smaller one."""
 STALLED = 0.01
-"""Share of the greatest speed below which a stretch all but stops."""
+"""Share of the greatest speed below which a segment almost stops."""
 UNSURE = 0.1
-"""Deviation that its speed has afterwards, over the greatest speed."""
+"""Deviation added to the speed there, over the greatest speed."""
 ALIKE = 0.1
-"""Greatest difference of two strokes at any time, over the longer of them, up to which they are the same motion."""
+"""Greatest distance of two matching half cycles at any time, over the longer of them (M11)."""
 INSTANTS = 64
-"""Instants at which that is looked at."""
+"""Instants at which half cycles are compared."""
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A recording as the prediction-error filter sees it. Arrays have shape (n,), at the joint, SI.
+    """A recording as the filter takes it. Arrays have shape (n,), at the joint, SI.
 
     Attributes:
-        recording: Where it came from.
+        recording: The recording.
         time: s.
         angle: rad, as the encoder counted.
         torque: Mean torque over the period that ends at each sample, N m.
         slope: Its slope within that period, N m/s.
         moment: Mean F_P L1 over that period, N m.
-        table: Stretches for the kernel, shape (m, 4).
-        seen: First sample of each stretch that has visibly moved, shape (m,).
+        table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
+        seen: First sample of each segment that has visibly moved, shape (m,).
         steps: Integration steps per sample.
-        unsure: Variance that the speed gains at each sample, (rad/s)^2.
-        inside: Samples inside a stretch.
+        unsure: Variance added to the speed's at each sample, (rad/s)^2.
+        inside: Whether a sample is inside a segment.
         extra_inertia: Known inertia added to J, kg m^2.
-        angle_variance: Of the encoder's quantisation, rad^2.
+        angle_variance: Variance of the quantisation error of the angle, rad^2.
     """
 
     recording: Recording
@@ -82,28 +82,28 @@ class Motion:
 
     @property
     def breakaway_moment(self) -> Array:
-        """F_P L1 where each stretch begins to move, N m, shape (m,)."""
+        """F_P L1 at the start of each segment, N m, shape (m,)."""
         return self.moment[self.seen.astype(np.int64)]
 
     @property
-    def alike(self) -> BoolArray:
-        """Which stretches make the same motion, either way, as each does, itself among them, shape (m, m).
+    def matching(self) -> BoolArray:
+        """Whether two segments are matching half cycles (M11), in either direction, shape (m, m); true on the diagonal.
 
-        All of the recording's, where no other does.
+        A segment without a match matches all segments of its recording.
         """
         first, last = self.table[:, [FIRST, LAST]].astype(np.int64).T
         since = np.linspace(0.0, float(np.max(last - first)), INSTANTS).astype(np.int64)
-        strokes = self.angle[np.minimum(first[:, None] + since, last[:, None] - 1)] - self.angle[first, None]
-        strokes *= self.table[:, DIRECTION, None]
-        reach = np.max(np.abs(strokes), axis=1)
-        alike = np.empty((len(first), len(first)), dtype=bool)
-        for j, stroke in enumerate(strokes):
-            alike[j] = np.max(np.abs(strokes - stroke), axis=1) <= ALIKE * np.maximum(reach, reach[j])
-        alike[np.sum(alike, axis=1) < 2] = True
-        return alike
+        half_cycles = self.angle[np.minimum(first[:, None] + since, last[:, None] - 1)] - self.angle[first, None]
+        half_cycles *= self.table[:, DIRECTION, None]
+        reach = np.max(np.abs(half_cycles), axis=1)
+        matching = np.empty((len(first), len(first)), dtype=bool)
+        for j, half_cycle in enumerate(half_cycles):
+            matching[j] = np.max(np.abs(half_cycles - half_cycle), axis=1) <= ALIKE * np.maximum(reach, reach[j])
+        matching[np.sum(matching, axis=1) < 2] = True
+        return matching
 
     def static_crossing(self, static: Array | float) -> Array:
-        """Return when each stretch's torque first reaches ``static``, at the latest when it has visibly moved, s.
+        """Return when the torque of each segment first reaches ``static``, at visible motion at the latest, s, (m,).
 
         ``static`` is one level for all, N m, or one for each, shape (m,).
         """
@@ -125,7 +125,7 @@ class Motion:
         return np.minimum(out, self.time[self.seen.astype(np.int64)])
 
     def peak_torque(self) -> float:
-        """Return the median over stretches of the greatest torque before visible motion, N m."""
+        """Return the median over segments of the greatest torque before visible motion, N m."""
         peaks = [
             np.max(side * self.torque[int(first) : int(seen) + 1])
             for (first, _, side, _), seen in zip(self.table, self.seen, strict=True)
@@ -134,10 +134,10 @@ class Motion:
 
 
 def motion(recording: Recording) -> Motion | None:
-    """Return the stretches of a recording that start from rest, or None where the filter does not apply.
+    """Return the motion segments of a recording that start from rest, or None where the filter does not apply.
 
     It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque or current and at
-    least two breakaways. Single samples may be missing or late; stretches with longer holes are left out.
+    least two segments. Single samples may be missing or late; segments with longer gaps are left out.
     """
     if not ({"torque", "current"} & recording.channels.keys()):
         return None
@@ -191,11 +191,10 @@ def motion(recording: Recording) -> Motion | None:
 
 
 def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array) -> Array:
-    """Return the variance that the speed gains where a stretch all but stops, (rad/s)^2, shape (n,).
+    """Return the variance added to the speed's where a segment almost stops, (rad/s)^2, shape (n,).
 
-    Whether the shaft stops there or goes on hangs on the least noise, which the fall of friction multiplies: a filter
-    that is linear about its prediction would be sure of what nobody can know, and one such stretch would outweigh all
-    others.
+    Whether the joint stops there or moves on depends on the noise, which the fall of friction multiplies. A filter that
+    is linear about its prediction would be too certain, and one such segment would outweigh all others.
     """
     period = float(np.median(np.diff(time)))
     fastest = float(np.quantile(np.abs(velocity), 0.99))
@@ -209,7 +208,7 @@ def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Arra
 
 
 def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
-    """Return how fast the torque rises toward each breakaway, N m/s, shape (m,); infinite where it rises nowhere."""
+    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite where none rises."""
     out = np.empty(len(table))
     for j, (side, last) in enumerate(zip(table[:, DIRECTION], seen.astype(np.int64), strict=True)):
         window = slice(max(last + 1 - RISING, 0), last + 1)
@@ -219,9 +218,9 @@ def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
 
 
 def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
-    """Return the kernel's table of stretches that start from rest and have no holes, and where each visibly moved.
+    """Return the table of segments that start from rest and have no gaps, and the first sample that visibly moved.
 
-    The torque's rise is left at one.
+    The torque's rate of rise is left at one.
     """
     rest = resting(angle)
     edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
@@ -250,6 +249,6 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
 
 
 def _reverses(angle: Array, side: float, step: float) -> bool:
-    """Whether a stretch turns back by more than its encoder's noise without coming to rest."""
+    """Return whether a segment turns back by more than the noise of its encoder without coming to rest."""
     forward = side * angle
     return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)

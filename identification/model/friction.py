@@ -70,7 +70,8 @@ def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float,
 @inlined
 def static_friction(moment: float, p: Array) -> float:
     """Return the static limit without gear load (M3), N m."""
-    return p[MC] + p[SYSTEM_RISE] + moment * (p[MU_C] + p[LOAD_RISE])
+    limit: float = p[MC] + p[SYSTEM_RISE] + moment * (p[MU_C] + p[LOAD_RISE])
+    return limit
 
 
 @inlined

@@ -175,15 +175,15 @@ def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion
 
 def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
     problem = Problem([m], pack(TRUTH, 2.0), free, Model(), Noise(0.06))
-    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
-    problem.weigh()
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
+    problem.hold_weights()
     return problem
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
 def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Motion, Motion], case: int) -> None:
     problem = at_truth(motions[case])
-    errors, deviations = problem.run(problem.start, problem.begins, likeliest_noise(problem))
+    errors, deviations = problem.run(problem.start, problem.breakaway_times, likeliest_noise(problem))
     found = errors / deviations
     clipped = found[np.abs(found) < 6.0]  # the encoder's noise is uniform, friction at breakaway is steep
     assert len(clipped) > 0.995 * len(found)
@@ -193,9 +193,11 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Moti
 
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
     both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
-    both.begins = [m.static_crossing(static_limit(both.start, m)) for m in motions]
-    found = both.run(both.start, both.begins, Noise(0.06, 1e-6))
-    alone = [at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.begins, strict=True)]
+    both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
+    found = both.run(both.start, both.breakaway_times, Noise(0.06, 1e-6))
+    alone = [
+        at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.breakaway_times, strict=True)
+    ]
     for k in (0, 1):
         assert found[k] == pytest.approx(np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15)
     filtered = [(j, row) for part in both._halves for j, rows in part for row in range(rows.start, rows.stop)]
@@ -219,11 +221,11 @@ def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) 
 
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1])
-    right = deviance(*problem.run(problem.start, problem.begins, Noise(0.06)))
+    right = deviance(*problem.run(problem.start, problem.breakaway_times, Noise(0.06)))
     for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
         wrong = problem.start.copy()
         wrong[INDEX[name]] *= 1.1
-        assert deviance(*problem.run(wrong, problem.begins, Noise(0.06))) > right, name
+        assert deviance(*problem.run(wrong, problem.breakaway_times, Noise(0.06))) > right, name
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])

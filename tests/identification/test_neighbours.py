@@ -30,7 +30,7 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(searches, "_deviance", lambda p: RUGGED[p.start[OMEGA_SL]])
     monkeypatch.setattr(searches, "_resolved", lambda _p: True)
     monkeypatch.setattr(searches, "_missed", lambda *_: False)
-    return SimpleNamespace(free=(OMEGA_SL,), motions=(), start=np.empty(0), begins=[], reached=[])
+    return SimpleNamespace(free=(OMEGA_SL,), motions=(), start=np.empty(0), breakaway_times=[], search_ends=[])
 
 
 @pytest.mark.parametrize("speed", [1.04, 2.1, 0.5])
@@ -47,7 +47,7 @@ def test_searches_stop_where_nothing_better_is_found(problem: Any) -> None:
     vector[OMEGA_SL] = 0.97
     _, deviance, _, _ = searches._neighbours(problem, (False, -40.0, vector, []))
     assert deviance == -40.0
-    assert len(problem.reached) == 2 + 2  # far and near once; the rise is not free
+    assert len(problem.search_ends) == 2 + 2  # far and near once; the rise is not free
 
 
 def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_own(
@@ -103,8 +103,8 @@ def test_ends_in_other_basins_are_kept_the_likeliest_first(problem: Any) -> None
         vector[OMEGA_SL], vector[LOAD_RISE] = speed, rise
         return vector
 
-    problem.start, problem.begins = end(1.0), []
-    problem.reached = [
+    problem.start, problem.breakaway_times = end(1.0), []
+    problem.search_ends = [
         (False, -38.0, end(1.02), []),  # the same basin
         (False, -10.0, end(2.0), []),
         (False, -30.0, end(1.0, -0.3), []),
@@ -138,7 +138,7 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     problem.free = (MC, INERTIA, OMEGA_SL)
     searches.likeliest_together(problem, starts)
     assert problem.start is starts[1][0]
-    assert problem.begins is starts[1][1]
+    assert problem.breakaway_times is starts[1][1]
     assert held == [(MC, OMEGA_SL)] * 3
     assert problem.free == (MC, INERTIA, OMEGA_SL)
 
@@ -178,16 +178,16 @@ def test_where_no_start_is_solved_the_best_end_is_begun_from_again(monkeypatch: 
 
     monkeypatch.setattr(stages, "_solved_from", solved)
     monkeypatch.setattr(stages, "breakaway_starts", lambda *_: [])
-    problem: Any = SimpleNamespace(free=(), start=np.ones(SIZE), begins=[], noise=None)
+    problem: Any = SimpleNamespace(free=(), start=np.ones(SIZE), breakaway_times=[], noise=None)
     # Nothing is solved: from the best end (6.0 off) again, which is no better, so once and no more.
-    unsolved = stages.solve_first_stage(problem, [MC], [INERTIA])
-    assert unsolved == pytest.approx(6.0)
+    equations_chi2 = stages.solve_unloaded(problem, [MC], [INERTIA])
+    assert equations_chi2 == pytest.approx(6.0)
     assert problem.start[INERTIA] == 2.0
     assert begun == [*((1.0, share) for share in (1.0, 0.8, 0.6, 1.25)), (2.0, 1.0)]
     # An inertia that is known is not searched.
     begun.clear()
     problem.start = np.ones(SIZE)
-    stages.solve_first_stage(problem, [MC], [])
+    stages.solve_unloaded(problem, [MC], [])
     assert len(begun) == 1
 
 
@@ -200,13 +200,13 @@ def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(monkeypatch
 
     monkeypatch.setattr(stages, "_solved_from", solved)
     monkeypatch.setattr(stages, "breakaway_starts", lambda p, *_: [(p.start.copy(), [])] * 2)
-    problem: Any = SimpleNamespace(free=(), start=np.ones(SIZE), begins=[], noise=None)
-    assert stages.solve_first_stage(problem, [MC], [INERTIA]) == 1.0
+    problem: Any = SimpleNamespace(free=(), start=np.ones(SIZE), breakaway_times=[], noise=None)
+    assert stages.solve_unloaded(problem, [MC], [INERTIA]) == 1.0
     assert problem.start[INERTIA] == 30.0
     near = [1.0, 0.8, 0.6, 1.25, *([1.0, 0.8, 0.6] * 2), 1.0]
     assert begun == pytest.approx([*near, 3.0, 10.0, 30.0])
     # A known inertia is not looked for.
     begun.clear()
     problem.start = np.ones(SIZE)
-    assert stages.solve_first_stage(problem, [MC], []) == 40.0
+    assert stages.solve_unloaded(problem, [MC], []) == 40.0
     assert set(begun) == {1.0}

@@ -8,7 +8,7 @@ import pytest
 from identification.estimate.default import identify
 from identification.estimate.likelihood.profile import LEVEL, crossings, profiles
 from identification.estimate.likelihood.stages import Refined, refine_stages
-from identification.filter.noise_level import CLIP
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX
 from identification.numerics import levenberg_marquardt as levenberg
@@ -67,7 +67,7 @@ def test_a_profile_is_the_least_cost_with_that_value_held(practical_pair: tuple[
             lambda x: joint.residuals(whole(x)),
             lambda x, here: joint.jacobian(whole(x), here).without(place),
             np.delete(joint.origin(), place),
-            threshold=CLIP,
+            threshold=HUBER_THRESHOLD,
             tolerance=1e-9,
         )
         return found.cost

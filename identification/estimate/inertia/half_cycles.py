@@ -1,7 +1,6 @@
-"""The course of sensitivities over single stretches of motion, and what rehearsals of the same stretches make of them.
+"""Sensitivities over single motion segments, in recordings and in simulated replicates of them.
 
-Breakaways come a little earlier or later with every noise, so that curves are laid over one another by the time since
-breakaway.
+Breakaway times differ a little between noises, so curves are aligned by the time since breakaway.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ from identification.numerics.block_arrow import BlockArrow
 
 
 @dataclass(frozen=True)
-class Rehearsal:
-    """What a simulation of the same experiment says of every parameter.
+class Replicate:
+    """One simulated replicate of an experiment.
 
     Attributes:
-        problem: The simulated recordings, in the order of the real ones, at the values that were simulated.
+        problem: The simulated recordings, in the order of the real ones, at the simulated values.
         sensitivities: d prediction errors over their deviations / d x there, of the real problem's free parameters.
         residuals: Those errors over their deviations, shape (r,).
-        noise: Which noise it was drawn with; that with its sign turned is the same one.
+        noise: Number of its noise; the same noise with its sign turned has the same number.
     """
 
     problem: Problem
@@ -34,20 +33,20 @@ class Rehearsal:
     residuals: Array
     noise: int
 
-    def believed(self) -> tuple[BlockArrow, Array]:
-        """Return sensitivities and residuals with the doubt in single stretches, as in the estimate."""
-        share = 1.0 / self.problem.doubt[self.problem.owners]
+    def inflated(self) -> tuple[BlockArrow, Array]:
+        """Return sensitivities and residuals with variance inflation (M13), as in the estimate."""
+        share = 1.0 / self.problem.inflation[self.problem.owners]
         return self.sensitivities.scaled(share), self.residuals * share
 
 
 @dataclass(frozen=True)
 class Curve:
-    """Sensitivities over one stretch of a rehearsal.
+    """Sensitivities over one segment of a replicate.
 
     Attributes:
-        values: Of the parameters, then of the breakaway time, shape (n, p + 1).
-        onset: When it breaks away, samples after its first.
-        noise: Of its rehearsal.
+        values: In the parameters, then in the breakaway time, shape (n, p + 1).
+        onset: Breakaway, samples after its first.
+        noise: Noise of its replicate.
     """
 
     values: Array
@@ -56,14 +55,14 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class PlayedStretch:
-    """A stretch of a recording, and what rehearsals show of it.
+class ReplicatedSegment:
+    """A segment of a recording with its counterparts in replicates.
 
     Attributes:
-        number: Of the stretch, over all recordings.
+        number: Number of the segment, over all recordings.
         rows: Its residuals.
-        onset: When it breaks away, samples after its first.
-        curves: Of those rehearsals in which there is such a stretch.
+        onset: Breakaway, samples after its first.
+        curves: Its counterparts, of those replicates that have one.
     """
 
     number: int
@@ -72,42 +71,42 @@ class PlayedStretch:
     curves: tuple[Curve, ...]
 
     def mean(self, curves: Sequence[Curve]) -> tuple[Array, Array]:
-        """Return the mean of some curves, at least one, at its samples, (n, p + 1), and how many there are, (n, 1)."""
+        """Return the mean of some curves, at least one, at its samples, (n, p + 1), and their number, (n, 1)."""
         length = self.rows.stop - self.rows.start
         return mean_curve([c.values for c in curves], [c.onset for c in curves], length, self.onset)
 
 
-def played(problem: Problem, rehearsals: Sequence[Rehearsal]) -> Iterator[PlayedStretch]:
-    """Yield every stretch of a problem with what rehearsals show of it."""
-    shown = [_stretches(r) for r in rehearsals]
+def replicated_segments(problem: Problem, replicates: Sequence[Replicate]) -> Iterator[ReplicatedSegment]:
+    """Yield every segment of a problem with its counterparts in replicates."""
+    found_in = [_segments(r) for r in replicates]
     row, number = 0, 0
-    for k, (m, begins) in enumerate(zip(problem.motions, problem.begins, strict=True)):
+    for k, (m, begins) in enumerate(zip(problem.motions, problem.breakaway_times, strict=True)):
         for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
             end = row + int(bounds[LAST] - bounds[FIRST])
-            found = [curve for one in shown if (curve := _same(one[k], bounds)) is not None]
-            yield PlayedStretch(number, slice(row, end), float(onset), tuple(found))
+            found = [curve for one in found_in if (curve := _same(one[k], bounds)) is not None]
+            yield ReplicatedSegment(number, slice(row, end), float(onset), tuple(found))
             row, number = end, number + 1
 
 
-def _stretches(rehearsal: Rehearsal) -> list[list[tuple[Array, Curve]]]:
-    """Return, by recording, the stretches of a rehearsal: row of the table, and curve."""
-    problem, slopes = rehearsal.problem, rehearsal.sensitivities
+def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
+    """Return, by recording, the segments of a replicate: row of the table, and curve."""
+    problem, slopes = replicate.problem, replicate.sensitivities
     curves = np.column_stack([slopes.parameters, slopes.own])
     out, row = [], 0
-    for m, begins in zip(problem.motions, problem.begins, strict=True):
-        stretches = []
+    for m, begins in zip(problem.motions, problem.breakaway_times, strict=True):
+        segments = []
         for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
             length = int(bounds[LAST] - bounds[FIRST])
-            stretches.append((bounds, Curve(curves[row : row + length], float(onset), rehearsal.noise)))
+            segments.append((bounds, Curve(curves[row : row + length], float(onset), replicate.noise)))
             row += length
-        out.append(stretches)
+        out.append(segments)
     return out
 
 
-def _same(stretches: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the stretch that goes the same way over most of the same samples, None if none does."""
+def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
+    """Return the curve of the segment in the same direction over most of the same samples, None without one."""
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
-    for other, curve in stretches:
+    for other, curve in segments:
         common = min(other[LAST], bounds[LAST]) - max(other[FIRST], bounds[FIRST])
         if other[DIRECTION] == bounds[DIRECTION] and common > least:
             best, least = curve, common
@@ -115,19 +114,19 @@ def _same(stretches: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | No
 
 
 def onsets_of(m: Motion, begins: Array) -> Array:
-    """Return when each stretch breaks away, in samples after its first, shape (m,)."""
+    """Return the breakaway of each segment, in samples after its first, shape (m,)."""
     first = m.table[:, FIRST].astype(np.int64)
     return np.asarray((begins - m.time[first]) / m.recording.period)
 
 
 def mean_curve(curves: Sequence[Array], onsets: Sequence[float], length: int, onset: float) -> tuple[Array, Array]:
-    """Return the mean of curves shifted to one ``onset``, shape (length, p), and how many there are, (length, 1).
+    """Return the mean of curves shifted to one ``onset``, shape (length, p), and their number, (length, 1).
 
     Args:
-        curves: Each of its own length, at least one.
-        onsets: When each breaks away, samples after its first.
-        length: Of the mean.
-        onset: When that breaks away.
+        curves: At least one, each of its own length.
+        onsets: Breakaway of each, samples after its first.
+        length: Length of the mean.
+        onset: Breakaway of the mean.
     """
     total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
     for curve, begun in zip(curves, onsets, strict=True):

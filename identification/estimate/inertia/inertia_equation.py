@@ -1,7 +1,6 @@
-"""The inertia's own estimating equation, all else eliminated.
+"""The estimating equation of the inertia, all other unknowns eliminated (M30 to M32).
 
-An instrument of the inertia less what those of all else can say of it: to first order the solution is untouched by what
-the others are off by.
+The instrument is made orthogonal to those of all other unknowns, so that their errors enter in second order.
 """
 
 from __future__ import annotations
@@ -11,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate.inertia.half_cycles import Rehearsal
-from identification.estimate.inertia.instruments import instruments, rehearsed_instruments
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia.instruments import instruments, replicate_instruments
 from identification.filter.likelihood import Problem
-from identification.filter.noise_level import CLIP
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INERTIA
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
@@ -23,11 +22,11 @@ from identification.numerics.levenberg_marquardt import huber_weight
 
 @dataclass(frozen=True)
 class Equation:
-    """What the equation makes of each residual.
+    """The linearised equation, per residual.
 
     Attributes:
-        influence: What a unit of each residual takes off the logarithm of the inertia, shape (r,).
-        parts: What each residual takes off it, by itself and by its part in others' instruments, shape (r,).
+        influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
+        parts: Decrease by each residual, through itself and through its part in other instruments, shape (r,).
     """
 
     influence: Array
@@ -35,35 +34,35 @@ class Equation:
 
 
 def influence_on_inertia(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return what a unit of each residual takes off the logarithm of the inertia, shape (r,)."""
+    """Return the decrease of the logarithm of the inertia per unit of each residual (M30), shape (r,)."""
     return z.along(_mixture(problem, z, jacobian, residual))
 
 
 def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the mixture of instruments that only the inertia moves, by one with its logarithm, shape (p + m,)."""
+    """Return the mixture of instruments that only the inertia changes, by one with its logarithm, shape (p + m,)."""
     j = problem.free.index(INERTIA)
     power = z.product()
     others = np.delete(power, j, axis=0)
     taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
     alone = np.insert(-taken, j, 1.0)
-    return alone / float(z.along(alone) @ (jacobian.parameters[:, j] * huber_weight(residual, CLIP)))
+    return alone / float(z.along(alone) @ (jacobian.parameters[:, j] * huber_weight(residual, HUBER_THRESHOLD)))
 
 
 def equation(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
-    """Return the inertia's equation by instruments that nothing of the residuals is in."""
+    """Return the inertia's equation for instruments that are independent of the residuals."""
     influence = influence_on_inertia(problem, z, jacobian, residual)
-    return Equation(influence, influence * residual * huber_weight(residual, CLIP))
+    return Equation(influence, influence * residual * huber_weight(residual, HUBER_THRESHOLD))
 
 
-def equation_of_strokes(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
-    """Return the inertia's equation by instruments of strokes alike, whose sum is one over pairs of stretches.
+def equation_of_half_cycles(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
+    """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of segments.
 
-    A stretch enters twice: by its residuals, and by its sensitivities, which are in the others' instruments (Hoeffding,
-    Ann. Math. Statist. 19 (1948) 293).
+    A segment enters by its residuals, and by its sensitivities, which are in the instruments of other segments
+    (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
     """
     j = problem.free.index(INERTIA)
     first = equation(problem, z, jacobian, residual)
-    weighted = residual * huber_weight(residual, CLIP)
+    weighted = residual * huber_weight(residual, HUBER_THRESHOLD)
     columns = np.zeros_like(jacobian.parameters)
     columns[:, j] = weighted
     carrier = replace(jacobian, parameters=columns, own=np.zeros_like(weighted))
@@ -73,28 +72,28 @@ def equation_of_strokes(problem: Problem, z: BlockArrow, jacobian: BlockArrow, r
     return replace(first, parts=first.parts + second)
 
 
-def best(one: Equation, other: Equation) -> Equation:
-    """Return the mean of two equations for one unknown that has the least variance, neither counted against."""
+def least_variance(one: Equation, other: Equation) -> Equation:
+    """Return the mean of two equations for one unknown with the least variance (M32), both weights not negative."""
     a, b = one.influence, other.influence
     away = a - b
     share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
     return Equation(b + share * away, other.parts + share * (one.parts - other.parts))
 
 
-def with_rehearsals(
-    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array, rehearsals: Sequence[Rehearsal]
+def combined_equation(
+    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array, replicates: Sequence[Replicate]
 ) -> Equation:
-    """Return the mean of the equations by strokes alike and by rehearsals that has the least variance.
+    """Return the combination of least variance of the equations by half cycles and by replicates (M32).
 
     Args:
         problem: At its start.
-        z: Its instruments by strokes alike.
+        z: Its instruments by matching half cycles.
         jacobian: d residuals / d x there.
         residual: There.
-        rehearsals: None for the strokes' alone.
+        replicates: Empty for half cycles alone.
     """
-    strokes = equation_of_strokes(problem, z, jacobian, residual)
-    if not rehearsals:
-        return strokes
-    other = rehearsed_instruments(problem, z, rehearsals)
-    return best(strokes, equation(problem, other, jacobian, residual))
+    half_cycles = equation_of_half_cycles(problem, z, jacobian, residual)
+    if not replicates:
+        return half_cycles
+    other = replicate_instruments(problem, z, replicates)
+    return least_variance(half_cycles, equation(problem, other, jacobian, residual))

@@ -1,10 +1,9 @@
-"""Instruments: the sensitivities of a stretch of motion, taken from the others of its recording that move like it.
+"""Instruments of a motion segment: sensitivities without its own noise (M28).
 
-A stretch's own sensitivities hold the noise of its measured torque, and that noise is in its prediction errors too: the
-drive follows it within its loops' bandwidth, in a way that nobody knows. The mean over the others that make the same
-motion, as long after their breakaway, is nearly the same curve and has none of it (Soderstrom and Stoica, Instrumental
-Variable Methods for System Identification, 1983, ch. 4). So is the mean over rehearsals of the stretch itself, of which
-there are as many as are simulated.
+A segment's own sensitivities contain the noise of its measured torque, and so do its prediction errors, because the
+drive follows that noise within its bandwidth. The mean over matching half cycles, at the same time since breakaway, is
+nearly the same curve without that noise (Soderstrom and Stoica, Instrumental Variable Methods for System
+Identification, 1983, ch. 4). So is the mean over simulated replicates of the segment itself.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from identification.estimate.inertia.half_cycles import Rehearsal, mean_curve, onsets_of, played
+from identification.estimate.inertia.half_cycles import Replicate, mean_curve, onsets_of, replicated_segments
 from identification.filter.likelihood import Problem
 from identification.filter.segment_table import DIRECTION, FIRST, LAST
 from identification.model.parameters import OFFSET
@@ -27,13 +26,13 @@ from identification.numerics.block_arrow import BlockArrow
 _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
-"""Standard deviation of the smoothing: a share of the time since breakaway, less these samples, at most 2^7 samples."""
+"""Deviation of the smoothing, samples: a share of the time since breakaway, less a constant, at most 2^7."""
 _TRUNCATED = 4.0
-"""Standard deviations at which a Gaussian ends."""
+"""Standard deviations at which a Gaussian is cut off."""
 
 
 def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
-    """Return the instruments of every residual; zero where no other stretch lasts as long.
+    """Return the instruments of every residual; zero where no other segment lasts as long.
 
     Args:
         problem: At its start.
@@ -42,9 +41,9 @@ def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
     count = len(problem.free)
     both_ways = np.array([k == OFFSET for k in problem.free] + [False])
     parameters, own = np.zeros_like(jacobian.parameters), np.zeros_like(jacobian.own)
-    row, stretch = 0, 0
+    row, segment = 0, 0
     tie = len(own) - problem.breakaways
-    for m, begins in zip(problem.motions, problem.begins, strict=True):
+    for m, begins in zip(problem.motions, problem.breakaway_times, strict=True):
         lengths = (m.table[:, LAST] - m.table[:, FIRST]).astype(np.int64)
         starts = row + np.concatenate(([0], np.cumsum(lengths)))
         curves, sides = [], []
@@ -52,41 +51,41 @@ def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
             sides.append(np.where(both_ways, 1.0, side))
             here = slice(starts[j], starts[j + 1])
             curves.append(np.column_stack([jacobian.parameters[here], jacobian.own[here]]) * sides[j])
-        ties = jacobian.own[tie + stretch : tie + stretch + len(lengths)]
-        onsets, alike = onsets_of(m, begins), m.alike
+        ties = jacobian.own[tie + segment : tie + segment + len(lengths)]
+        onsets, matching = onsets_of(m, begins), m.matching
         for j, side in enumerate(sides):
-            others = np.flatnonzero(alike[j] & (np.arange(len(curves)) != j))
+            others = np.flatnonzero(matching[j] & (np.arange(len(curves)) != j))
             mean, _ = mean_curve([curves[i] for i in others], onsets[others].tolist(), len(curves[j]), onsets[j])
             mean = _smooth(mean, onsets[j]) * side
             parameters[starts[j] : starts[j + 1]] = mean[:, :count]
             own[starts[j] : starts[j + 1]] = mean[:, count]
-            parameters[tie + stretch + j] = jacobian.parameters[tie + stretch + j]
-            own[tie + stretch + j] = np.mean(np.delete(ties, j))
+            parameters[tie + segment + j] = jacobian.parameters[tie + segment + j]
+            own[tie + segment + j] = np.mean(np.delete(ties, j))
         row = int(starts[-1])
-        stretch += len(lengths)
+        segment += len(lengths)
     return replace(jacobian, parameters=parameters, own=own)
 
 
-def rehearsed_instruments(problem: Problem, plain: BlockArrow, rehearsals: Sequence[Rehearsal]) -> BlockArrow:
-    """Return the instruments of every residual as rehearsals of its own stretch have them; ``plain`` where none has.
+def replicate_instruments(problem: Problem, plain: BlockArrow, replicates: Sequence[Replicate]) -> BlockArrow:
+    """Return the instruments of every residual by replicates; ``plain`` where no replicate has its segment.
 
-    Strokes alike are few, and each is a little another motion; a rehearsal is the same motion with another noise. Its
-    mean is not smoothed: the drive answers to its command's and encoder's steps alike each time, from sample to sample,
-    and at coarse counts that is what tells most of the inertia.
+    Matching half cycles are few and differ a little; a replicate is the same motion under another noise. Its mean is
+    not smoothed: the drive answers the steps of command and encoder in the same way each time, and with a coarse
+    encoder these samples carry most information on the inertia.
 
     Args:
         problem: At its start.
-        plain: Its instruments by strokes alike.
-        rehearsals: At least one.
+        plain: Instruments by matching half cycles.
+        replicates: At least one.
     """
     parameters, own = plain.parameters.copy(), plain.own.copy()
-    for stretch in played(problem, rehearsals):
-        if not stretch.curves:
+    for segment in replicated_segments(problem, replicates):
+        if not segment.curves:
             continue
-        here, doubt = stretch.rows, problem.doubt[stretch.number]
-        mean, seen = stretch.mean(stretch.curves)
-        alike = np.column_stack([parameters[here], own[here]])
-        mean = np.where(seen > 0.0, mean / doubt, alike)
+        here, inflation = segment.rows, problem.inflation[segment.number]
+        mean, seen = segment.mean(segment.curves)
+        matching = np.column_stack([parameters[here], own[here]])
+        mean = np.where(seen > 0.0, mean / inflation, matching)
         parameters[here], own[here] = mean[:, :-1], mean[:, -1]
     return replace(plain, parameters=parameters, own=own)
 
@@ -94,7 +93,7 @@ def rehearsed_instruments(problem: Problem, plain: BlockArrow, rehearsals: Seque
 def _smooth(curve: Array, onset: float) -> Array:
     """Return a curve smoothed over a time that grows with the time since ``onset`` (samples), shape (n, p).
 
-    Sensitivities change fast after a breakaway and slowly later; the noise left in their mean does not.
+    Sensitivities change fast after a breakaway and slowly later.
     """
     width = np.clip(_WIDENING * (np.arange(len(curve)) - onset) - _SHARP, 2.0**-1, 2.0**_WIDEST)
     level = np.log2(width) + 1.0
@@ -105,9 +104,9 @@ def _smooth(curve: Array, onset: float) -> Array:
 
 
 def _smoothed(curve: Array) -> Array:
-    """Return a curve as it is, then by Gaussians of 2^0 to 2^7 samples, its ends held, shape (9, n, p).
+    """Return a curve as it is, then smoothed by Gaussians of 2^0 to 2^7 samples, shape (9, n, p).
 
-    One transform serves all of them: the widest has a thousand taps.
+    One Fourier transform serves all of them: the widest has a thousand taps.
     """
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)
@@ -119,7 +118,7 @@ def _smoothed(curve: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _responses(length: int) -> NDArray[np.complex128]:
-    """Return the frequency responses of the Gaussians over a circle of so many samples, shape (8, length // 2 + 1)."""
+    """Return the frequency responses of the Gaussians over a circle of ``length`` samples, (8, length // 2 + 1)."""
     place = np.arange(length)
     distance = np.minimum(place, length - place)
     sigma = 2.0 ** np.arange(_WIDEST + 1)[:, None]

@@ -1,9 +1,8 @@
-"""Bootstrap over half cycles: the refined estimate made again from stretches of motion drawn with replacement.
+"""Bootstrap: estimates from motion segments drawn with replacement.
 
-It asks nothing of the noise but that stretches err independently of one another, so that it bears out, or not, the
-intervals that rest on a noise model (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw
-solves the estimating equations with every segment counted as often as it was drawn; weights, noise levels and the
-inertia's instrument are those of the estimate.
+It assumes only that segments err independently, and so checks intervals that rest on a noise model (Efron and
+Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the estimating equations with every segment
+counted as often as it was drawn; weights, noise levels and the inertia's instrument are those of the estimate.
 """
 
 from __future__ import annotations
@@ -17,7 +16,7 @@ from identification.estimate.inertia.inertia_equation import influence_on_inerti
 from identification.estimate.inertia.instruments import instruments
 from identification.estimate.likelihood.stages import Refined
 from identification.filter.likelihood import Problem
-from identification.filter.noise_level import CLIP
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
@@ -27,9 +26,9 @@ from identification.result import Resampled
 
 _ROUNDS = 6
 _SETTLED = 0.1
-"""Of the deviation: a draw is solved when a step is smaller."""
+"""Step, over the standard deviation, below which a draw is solved."""
 _LONGEST = 3.0
-"""Of the deviation: longest step of a round."""
+"""Longest step of a round, over the standard deviation."""
 
 
 def bootstrap(
@@ -39,17 +38,17 @@ def bootstrap(
     rng: np.random.Generator,
     progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Resampled, ...]:
-    """Return the spread of every parameter over draws of the stretches of each recording.
+    """Return the spread of every parameter over draws of the segments of each recording.
 
     Args:
         refined: The estimate.
         units: Parameter name to unit.
-        draws: How many.
-        rng: Draws the stretches.
-        progress: Called with the share that is done.
+        draws: Number of draws.
+        rng: Draws the segments.
+        progress: Called with the share done.
 
     Returns:
-        One per name; ends are None where fewer than half of the draws were solved.
+        One per name; bounds are None where fewer than half of the draws were solved.
     """
     problem = refined.joint
     equations = _Equations(problem, _deviations(refined))
@@ -69,7 +68,7 @@ def bootstrap(
 
 
 def _counts(problem: Problem, rng: np.random.Generator) -> Array:
-    """Return how often each stretch is drawn, from its own recording, shape (m,)."""
+    """Return how often each segment is drawn, within its recording, shape (m,)."""
     sizes = [len(m.table) for m in problem.motions]
     return np.concatenate([rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]).astype(np.float64)
 
@@ -87,7 +86,7 @@ class _Equations:
     def __init__(self, problem: Problem, deviations: Array) -> None:
         self.problem = problem
         self.deviations = deviations
-        problem.weigh()
+        problem.hold_weights()
         self.origin = problem.origin()
         residual = problem.residuals(self.origin)
         jacobian = problem.jacobian(self.origin, residual)
@@ -102,8 +101,8 @@ class _Equations:
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
-        """Return the equations and their derivatives, shape (x,) and (x, x), for stretches counted so often."""
-        weight = huber_weight(residual, CLIP) * counts[jacobian.owners]
+        """Return the equations and their derivatives, shape (x,) and (x, x), for these counts of segments."""
+        weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
         side = jacobian
         if self.inertia is not None:
             columns = jacobian.parameters.copy()
@@ -112,7 +111,7 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves them; None where the search does not settle."""
+        """Return the free vector that solves them for these counts; None where the search does not settle."""
         x = self.origin.copy()
         residual, jacobian = self.begun
         for _ in range(_ROUNDS):

@@ -1,10 +1,8 @@
-"""Refinement by prediction errors in bounded memory: any number of pieces, a few passes over them.
+"""Maximum likelihood in bounded memory: passes over any number of pieces (M44).
 
-What the in-memory refinement minimises splits into stretches of motion that share nothing but the parameters. So each
-piece is settled by itself (its breakaway times, the parameters held), leaves its reduced normal equations behind and is
-forgotten; after each pass the parameters take one Gauss-Newton step. The first piece of each stage, refined in memory,
-gives the start and the torque noise; from a start that near, one step is as good as all, and a second pass confirms it.
-Time grows with the length, memory does not.
+The objective splits into motion segments that share nothing but the parameters. Each piece has its breakaway times
+optimised with the parameters held, is reduced to its normal equations and dropped; after each pass the parameters take
+one Gauss-Newton step. The first piece of each recording, refined in memory, gives the start, the noise and the inertia.
 """
 
 from __future__ import annotations
@@ -17,9 +15,9 @@ import numpy as np
 from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import rise_to_static
-from identification.filter.breakaway_times import SETTLING, Reduced, reduce, settle
+from identification.filter.breakaway_times import ROUNDS, Reduced, optimise_breakaway_times, reduce
 from identification.filter.likelihood import Problem, static_limit
-from identification.filter.noise_level import CLIP
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, LOGARITHMIC, pack, unpack
 from identification.numerics.arrays import Array
@@ -28,7 +26,7 @@ from identification.recording import Model, Recording
 
 PASSES = 3
 SETTLED = 0.2
-"""Length of a step, in standard errors and root mean square over the parameters, at which the passes end."""
+"""Rms over the parameters of a step, in standard errors, at which the passes end."""
 
 
 def refine_pieces(
@@ -40,21 +38,21 @@ def refine_pieces(
     progress: Callable[[float], None],
     correlated: bool = False,
 ) -> Refined | str:
-    """Return the refined estimate over all pieces, or in words why prediction errors do not apply.
+    """Return the refined estimate over all pieces, or a text that says why prediction errors do not apply.
 
     Args:
-        heads: The pieces that the start is found on, one or more of each stage.
+        heads: The pieces for the start, one or more of each load condition.
         pieces: All pieces, heads among them.
         values: Equation-error values of all parameters.
-        names: Those that are asked for.
+        names: Parameters to fit.
         model: Declared terms and fixed values.
         progress: Called with the share of the passes done, at most.
-        correlated: Whether the torque's noise is given a correlated part.
+        correlated: Whether the torque noise has a correlated part.
     """
     start = refine_recordings(heads, values, names, model, correlated)
     if isinstance(start, str):
         return start
-    # By least squares the inertia would take the loop's own noise for motion; the heads' instruments know better.
+    # Least squares are biased in the inertia (noise of the loop counts as motion); it keeps the heads' value.
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
@@ -67,10 +65,10 @@ def refine_pieces(
             if moving is None:
                 continue
             problem = Problem([moving], vector, free, model, start.noise)
-            problem.begins = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
-            settle(problem, CLIP, SETTLING if number == 0 else 1)
-            begins[k] = problem.begins
-            found.append(reduce(problem, CLIP))
+            problem.breakaway_times = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
+            optimise_breakaway_times(problem, HUBER_THRESHOLD, ROUNDS if number == 0 else 1)
+            begins[k] = problem.breakaway_times
+            found.append(reduce(problem, HUBER_THRESHOLD))
             evaluations += problem.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
         normal = np.sum([r.normal for r in found], axis=0)
@@ -99,7 +97,7 @@ def refine_pieces(
 
 
 def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters, the larger of information's and sandwich's, and its bound."""
+    """Return the covariance of the named parameters, the larger of information and sandwich, and its bound."""
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])
     bread = np.linalg.pinv(normal, hermitian=True)
@@ -109,8 +107,8 @@ def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) 
     mean_square = sum(r.squares for r in found) / sum(r.count for r in found)
     plain = bread * max(mean_square, 1.0)
     widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
-    stretch = np.array([vector[INDEX[n]] if INDEX[n] in LOGARITHMIC else 1.0 for n in names])
+    units = np.array([vector[INDEX[n]] if INDEX[n] in LOGARITHMIC else 1.0 for n in names])
     turn = rise_to_static(names)
-    full = plain * np.outer(widen * stretch / scale, widen * stretch / scale)
-    bound = bread * np.outer(stretch / scale, stretch / scale)
+    full = plain * np.outer(widen * units / scale, widen * units / scale)
+    bound = bread * np.outer(units / scale, units / scale)
     return np.asarray(turn @ full @ turn.T), np.asarray(turn @ bound @ turn.T)

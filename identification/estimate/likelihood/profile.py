@@ -21,7 +21,7 @@ from identification.estimate.inertia.instruments import instruments
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import rise_to_static
 from identification.filter.likelihood import Problem
-from identification.filter.noise_level import CLIP
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import Eliminated
@@ -34,21 +34,21 @@ REACH = (0.8, 1.6, 2.4, 3.2)
 LEVEL = float(stats.chi2.ppf(CONFIDENCE, 1))
 """Deviance at the ends of the 90 % range."""
 _GAIN = 0.003
-"""Half deviance below which another step is not worth taking."""
+"""Half deviance below which no further step is taken."""
 _ROUNDS = 6
 _HALVINGS = 4
 _DEGREE = 4
 
 
 class _Criterion:
-    """Half the deviance about its least point at the inertia of the estimate, which is the estimate or next to it.
+    """Half the deviance (M45) above its minimum at the inertia of the estimate.
 
-    ``curve`` is what depends on log J over its estimate alone.
+    ``curve`` is the part that depends on the change of log J alone.
     """
 
     def __init__(self, problem: Problem) -> None:
         self.problem = problem
-        problem.weigh()
+        problem.hold_weights()
         self.x = problem.origin()
         self.count = len(problem.free)
         self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
@@ -60,14 +60,14 @@ class _Criterion:
         self.x, self.residual, self._cost = self.descend(self.x, held)
 
     def value(self, x: Array, residual: Array) -> float:
-        return huber_cost(residual, CLIP) - self._cost + float(self.curve(self._shift(x)))
+        return huber_cost(residual, HUBER_THRESHOLD) - self._cost + float(self.curve(self._shift(x)))
 
     def _shift(self, x: Array) -> float:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
     def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
         """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that of the cost alone."""
-        cost = self.problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, CLIP))
+        cost = self.problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, HUBER_THRESHOLD))
         matrix, gradient = cost.matrix.copy(), cost.scores.sum(axis=0)
         if self.inertia is not None:
             matrix[self.inertia, self.inertia] += self.curve.deriv(2)(self._shift(x))
@@ -107,7 +107,7 @@ def profiles(
     Args:
         refined: The estimate.
         units: Parameter name to unit.
-        progress: Called with the share that is done.
+        progress: Called with the share done.
     """
     problem = refined.joint
     criterion = _Criterion(problem)
@@ -138,9 +138,9 @@ def profiles(
 
 
 def crossings(values: Array, deviance: Array) -> tuple[float | None, float | None]:
-    """Return where the deviance passes :data:`LEVEL` on either side of its least point; None where it does not.
+    """Return where the deviance passes :data:`LEVEL` on either side of its minimum; None where it does not.
 
-    By its root, which is straight where the likelihood is a parabola.
+    Its root is interpolated, which is a straight line where the likelihood is a parabola.
     """
     root, level = np.sqrt(np.maximum(deviance, 0.0)), LEVEL**0.5
     middle = int(np.argmin(deviance))
@@ -166,12 +166,12 @@ def _directions(problem: Problem, names: tuple[str, ...]) -> Array:
 
 
 def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of ``along`` @ parameters, rising, and the deviance at each; outwards from the estimate.
+    """Return values of ``along`` @ parameters, rising, and the deviance at each, outwards from the estimate.
 
     Args:
         criterion: About the estimate.
-        along: What is held.
-        shape: How the parameters follow per unit of it, shape (p,).
+        along: Weights of the parameters; their sum is held.
+        shape: Change of the parameters per unit of it, shape (p,).
         sigma: Its standard deviation.
     """
     steps, deviance = [0.0], [0.0]
@@ -190,10 +190,10 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and its deviance Q; leave (Q/2 less the least cost at each J) in the criterion.
+    """Return steps of log J and the deviance Q; the criterion keeps Q/2 less the least cost at each J.
 
-    The equation is the error of J that the instruments see with the others at their least squares: its slope is -1
-    where the problem is linear.
+    The equation is the error of J with the other parameters at their least squares: its slope is -1 where the problem
+    is linear.
     """
     problem, x = criterion.problem, criterion.x
     jacobian = problem.jacobian(x, criterion.residual)
@@ -201,7 +201,7 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
     shape = _tangent(criterion.normal(x, criterion.residual)[0], along)
 
     def equation(residual: Array) -> float:
-        return float(influence @ (residual * huber_weight(residual, CLIP)))
+        return float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD)))
 
     origin = equation(criterion.residual)
     steps, costs, errors = [0.0], [0.0], [0.0]
@@ -225,13 +225,13 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
 
 
 def _tangent(normal: Array, along: Array) -> Array:
-    """Return how the parameters follow, per unit of ``along`` @ parameters, where the others are optimised."""
+    """Return the change of the parameters per unit of ``along`` @ parameters, the others optimised."""
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))
 
 
 def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
-    """Return the Newton step that leaves ``along`` @ parameters as it is."""
+    """Return the Newton step that holds ``along`` @ parameters."""
     inverse = _inverse(matrix)
     back = inverse @ along
     free = inverse @ gradient

@@ -1,4 +1,4 @@
-"""What the recordings are taken to say: the equation error's values, refined by prediction errors where those apply."""
+"""The estimate from given recordings: prediction errors where accepted, else the equation error."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from identification.estimate.likelihood.replicates import Bias, likelihood_bias
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.estimate.uncertainty.parameter_table import typical_error
-from identification.filter.breakaway_times import settle_anywhere
+from identification.filter.breakaway_times import search_breakaway_times
 from identification.filter.likelihood import Problem
-from identification.filter.noise_level import CLIP
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.ladder import NOMINAL
 from identification.model.parameters import STRIBECK_TERMS, pack, unpack
@@ -31,16 +31,16 @@ from identification.result import Convergence, MeasuredNoise, Starts
 
 @dataclass(frozen=True)
 class Found:
-    """What the recordings are taken to say: refined where that applies, else by the equation error.
+    """The estimate.
 
     Attributes:
         values: Name to value.
-        spread: Of those that were fitted.
-        floors: Name to the least half width; empty without refinement.
-        taken: The refinement, where its values are taken.
-        starts: Of its searches, taken or not.
-        stages: How it went.
-        warnings: Why it was not taken.
+        spread: Covariance of the fitted ones.
+        floors: Name to half width at the Cramer-Rao bound; empty without refinement.
+        taken: The refinement, where it is accepted.
+        starts: Ends of its searches, accepted or not.
+        stages: How the search went.
+        warnings: Why it was refused.
     """
 
     values: dict[str, float]
@@ -60,7 +60,16 @@ def refine(
     model: Model,
     bandwidth_Hz: float,
 ) -> Found:
-    """Refine equation-error values by prediction errors, and judge whether the refined ones are to be taken."""
+    """Refine equation-error values by prediction errors, test them, and correct their bias.
+
+    Args:
+        recordings: To fit.
+        active: The same, prepared for the equation error.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        bandwidth_Hz: Bandwidth of the equation error.
+    """
     plain = Found(values, block_sandwich(active, values, names, model.alpha))
     refined, fault = try_refinements(
         lambda correlated: refine_recordings(recordings, values, names, model, correlated),
@@ -84,11 +93,11 @@ def refine(
     if bias is None:
         return found
     found = _unbiased(found, bias)
-    return _with_instruments(found, refined.joint, bias) if bias.rehearsals else found
+    return _with_instruments(found, refined.joint, bias) if bias.replicates else found
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Take the likelihood's bias off; what so few rehearsals leave open of it is in the covariance."""
+    """Subtract the bias (M36) and add its variance (M42); no correction that leaves the parameter range."""
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
     rises = all(values[static] >= values[coulomb] for coulomb, static, _ in STRIBECK_TERMS if static in values)
     positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
@@ -103,15 +112,15 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
 
 
 def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
-    """Solve the inertia's equation with the rehearsals' instruments too; the others follow. The floor is theirs.
+    """Solve the inertia's equation with instruments of replicates too (M32); the others follow. Floors are theirs.
 
-    It is solved where the likelihood's bias is taken off already, as rehearsals solve it at their true values: what the
-    others are off by moves it in second order, and several deviations of that count.
+    It is solved at the bias-corrected values, as replicates solve it at their true values: errors of the others enter
+    in second order, which counts at several standard deviations.
     """
     names, there = found.spread.names, copy(joint)
     there.start = pack(found.values, joint.alpha)
-    settle_anywhere(there, CLIP)
-    solved = covariances(there, bias.rehearsals)
+    search_breakaway_times(there, HUBER_THRESHOLD)
+    solved = covariances(there, bias.replicates)
     x = there.origin()
     x[: len(solved.step)] += solved.step
     values = {**found.values, **unpack(there.parameters(x), names)}
@@ -127,14 +136,14 @@ def refine_recordings(
     model: Model,
     correlated: bool = False,
 ) -> Refined | str:
-    """Return the refined estimate, or in words why the prediction error does not apply.
+    """Return the refined estimate, or a text that says why prediction errors do not apply.
 
     Args:
         recordings: To fit.
         values: Equation-error values of all parameters.
-        names: Those that are asked for.
+        names: Parameters to fit.
         model: Declared terms and fixed values.
-        correlated: Whether the torque's noise is given a correlated part.
+        correlated: Whether the torque noise has a correlated part.
     """
     if not names:
         return "every parameter is fixed"
@@ -166,24 +175,24 @@ def refine_recordings(
 
 
 def spread_of(refined: Refined) -> Spread:
-    """Return the spread of refined values."""
+    """Return the covariance of refined values."""
     return Spread(refined.names, refined.covariance, math.inf)
 
 
 def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
-    """Return the noise that refined values were found with."""
+    """Return the noise of a refined estimate, torque in ``unit``."""
     noise, steps = refined.noise, [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions]
     return MeasuredNoise(noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit)
 
 
 def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
-    """Return name to the half width of the 90 % interval of an estimate at the Cramer-Rao bound ``floor``, (p, p)."""
+    """Return name to the half width of a 90 % interval at the Cramer-Rao bound ``floor``, shape (p, p)."""
     exact = Spread(names, floor, math.inf)
     return {name: exact.half_width(name) for name in names}
 
 
 def joint_convergence(refined: Refined) -> Convergence:
-    """Return how the joint refinement went."""
+    """Return how the joint fit went."""
     return Convergence(
         stage="joint",
         method="prediction error",

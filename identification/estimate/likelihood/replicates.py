@@ -1,15 +1,13 @@
-"""What the likelihood of the prediction errors puts off, found by rehearsal, and the inertia with its instruments.
+"""Bias of the maximum-likelihood estimate, measured by simulating the experiment at the estimate (M33 to M36).
 
-Right after a breakaway friction falls steeply, and the filter is linear (to second order) about its prediction: it
-takes noise there to speed the onset up more than it does. And within the period of a breakaway the torque is no
-straight line, as the drive answers. So the likeliest values stand beside the true ones, most where static friction is
-high. The experiment is simulated at the estimate, under its own commands and by the drive's loop as the recordings show
-it, and what one step of the likelihood makes of the values simulated is the bias there (indirect inference: Gourieroux,
-Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise is used twice, the second time with its sign
-turned, so that what is odd in it cancels and few rehearsals are enough.
+Just after a breakaway friction falls steeply, and the filter, which is linear about its prediction, overestimates how
+much noise speeds the onset up; within the period of a breakaway the torque is no straight line. The maximum of the
+likelihood is therefore biased, most where static friction is high. Replicates are simulated under the recorded commands
+and the drive loop that the recordings show; the mean of one scoring step from the simulated values is the bias
+(parametric bootstrap; indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each
+noise is used twice, the second time with its sign turned, so that odd terms cancel.
 
-Their sensitivities are instruments too, and those of two noises together the Cramer-Rao bound: the recording has few
-strokes alike, and a rehearsal is the same motion with another noise.
+The sensitivities of replicates are instruments too, and products of two of them give the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -22,11 +20,11 @@ from itertools import islice
 
 import numpy as np
 
-from identification.estimate.inertia.estimating_equations import doubted
-from identification.estimate.inertia.half_cycles import Rehearsal
-from identification.filter.breakaway_times import settle_anywhere
+from identification.estimate.inertia.estimating_equations import segment_inflation
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.filter.breakaway_times import search_breakaway_times
 from identification.filter.likelihood import Problem, static_limit
-from identification.filter.noise_level import CLIP, torque_noise
+from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import Motion, motion
 from identification.model.parameters import INERTIA, LOAD_PARAMETERS, OFFSET, SYSTEM_PARAMETERS, unpack
 from identification.numerics.arrays import Array
@@ -35,44 +33,43 @@ from identification.simulate.seen_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
 
 PAIRS, MOST_PAIRS = 3, 6
-"""Noises, each taken both ways: at first, and where these leave the bias too uncertain."""
+"""Noises, each used with both signs: at first, and at most where the bias is uncertain."""
 _UNCERTAIN = 0.15
-"""Error of the bias, in deviations of the estimate, up to which no more noises are taken."""
+"""Error of the bias, in standard errors of the estimate, up to which no more noises are taken."""
 _TRIED, _ENOUGH = 9, 2
-"""Pairs tried where rehearsals fail, as one in which a shaft that all but stops is lost; and those that are enough."""
+"""Pairs tried at most, and least number of pairs, where replicates fail because the filter loses the joint."""
 _LARGE, _TURNS = 2.0, 3
-"""Deviations of a bias beyond which values nearer to the true ones are rehearsed in turn, and how often at most."""
+"""Bias, in standard errors, above which the simulation is repeated at corrected values, and times at most."""
 _UNSEEN = 0.5
-"""Share of the noise's variance that the logged torque holds, where the recordings do not show it: which of the two the
-noise is in rests on the drive's current loop, and both ends have been seen."""
+"""Logged share of the noise variance where the recordings do not show it (M34)."""
 _DRAW = 1000
-"""Number of the noise that the drive's answer to noise is simulated with."""
+"""Seed of the noise for the drive's answer to noise."""
 _HEADROOM = 2.0
 """The drive's greatest torque over the greatest in the recordings."""
 _FARTHEST = 20.0
-"""Deviations beyond which a rehearsal's step is one of a filter that lost the shaft, and tells nothing."""
+"""Step, in standard deviations, above which the filter has lost the joint and the replicate is dropped."""
 
 
 @dataclass(frozen=True)
 class Bias:
-    """By how much the likelihood puts parameters off.
+    """Bias of the likelihood.
 
     Attributes:
-        shifts: Name to what it adds to the true value, SI.
-        variances: The square of the error of that, by which so few rehearsals leave it uncertain.
-        rehearsals: That it was found by.
+        shifts: Name to bias, SI.
+        variances: Name to the variance of the bias, from the number of replicates.
+        replicates: The replicates.
     """
 
     shifts: Mapping[str, float]
     variances: Mapping[str, float]
-    rehearsals: tuple[Rehearsal, ...] = field(default=(), compare=False, repr=False)
+    replicates: tuple[Replicate, ...] = field(default=(), compare=False, repr=False)
 
 
 def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
-    """Return by how much the likelihood puts parameters off at a problem's start.
+    """Return the bias of the likelihood at a problem's start (M35); none for the inertia.
 
-    The inertia, which is not found by likelihood, has no bias of it. None where that cannot be rehearsed: the
-    recordings do not show the drive's loop, hold loads that a weight does not make, or the filter does not follow.
+    None where the experiment cannot be simulated: the recordings do not show the drive's loop, a load is not made by a
+    weight, or the filter does not follow the replicates.
 
     Args:
         joint: At the estimate; it is not changed.
@@ -83,7 +80,7 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
         return None
     share = logged_share(joint, loop)
     start, found = joint.start, None
-    played: tuple[Rehearsal, ...] = ()
+    replicates: tuple[Replicate, ...] = ()
     for turn in range(1, _TURNS + 1):
         there = copy(joint)
         there.start = start
@@ -99,28 +96,30 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
                 break
             pairs.append(more)
         found = _even(pairs)
-        played = tuple(r.rehearsal for pair in pairs for r in pair)
+        replicates = tuple(r.replicate for pair in pairs for r in pair)
         if last:
             break
-        # What the estimate is off by is what values that far from it are put off by.
+        # The bias at the true values is that at the corrected estimate.
         start = joint.parameters(_away(joint, mean))
     if found is None:
         return None
     moved = np.array([_named(joint, pair, names) for pair in found])
     mean, spread = _named(joint, np.mean(found, axis=0), names), np.var(moved, axis=0, ddof=1) / len(moved)
-    return Bias(dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)), played)
+    return Bias(
+        dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)), replicates
+    )
 
 
 def logged_share(joint: Problem, loop: Loop) -> float:
-    """Return the share of the torque noise's variance that is in the logged torque and not in the true one.
+    """Return the share of the torque noise's variance that is in the logged torque and not in the true one (M34).
 
-    A drive's current loop follows the noise of its own sensor as far as its bandwidth reaches: that part turns the
-    shaft and is not logged. What the logged torque scatters from sample to sample beyond what the drive answers to the
-    other part is noise of the measurement. Where that answer hides it, half is taken.
+    A drive's current loop follows the noise of its own sensor within its bandwidth: that part moves the joint and is
+    not logged. Scatter of the logged torque beyond the drive's answer to it is noise of the measurement. Where that
+    answer exceeds the noise, half is taken.
 
     Args:
         joint: At the estimate; it is not changed.
-        loop: The drive's.
+        loop: The drive.
     """
     noise = joint.noise.torque
     if not noise > 0.0:
@@ -135,31 +134,31 @@ def logged_share(joint: Problem, loop: Loop) -> float:
 
 @dataclass(frozen=True)
 class _Scored:
-    """A rehearsal and what one step of the likelihood makes of it.
+    """A replicate and one scoring step of the likelihood from the simulated values.
 
     Attributes:
-        step: From the values that are simulated, shape (p,).
-        deviation: Of that; infinite, and no step, where a parameter is not found by likelihood, shape (p,).
-        rehearsal: What was simulated.
+        step: Shape (p,).
+        deviation: Standard deviation of it; infinite, with no step, for the inertia, shape (p,).
+        replicate: The replicate.
     """
 
     step: Array
     deviation: Array
-    rehearsal: Rehearsal
+    replicate: Replicate
 
 
 _Pair = tuple[_Scored, _Scored]
-"""Rehearsals with one noise, and with its sign turned."""
+"""Replicates with one noise, and with its sign turned."""
 
 
 def _pairs(there: Problem, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
-    """Yield pairs of rehearsals that both work, until the noises are used up.
+    """Yield pairs of replicates that both succeed, until the noises are used up.
 
     Args:
-        there: The problem whose experiment is simulated, at the values that are simulated.
-        loop: The drive's.
-        share: Of the noise's variance that is logged.
-        noises: Their numbers.
+        there: The problem of the experiment, at the simulated values.
+        loop: The drive.
+        share: Logged share of the noise variance.
+        noises: Their seeds.
     """
     for noise in noises:
         one, other = (_step(there, loop, share, noise, sign) for sign in (1.0, -1.0))
@@ -168,17 +167,17 @@ def _pairs(there: Problem, loop: Loop, share: float, noises: Iterator[int]) -> I
 
 
 def _even(pairs: Sequence[_Pair]) -> Array:
-    """Return each pair's mean step, in which what is odd in the noise cancels, shape (n, p)."""
+    """Return each pair's mean step, in which odd terms of the noise cancel, shape (n, p)."""
     return np.array([0.5 * (one.step + other.step) for one, other in pairs])
 
 
 def _deviation(pairs: Sequence[_Pair]) -> Array:
-    """Return the median deviation of a step, shape (p,)."""
+    """Return the median standard deviation of a step, shape (p,)."""
     return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
 
 
 def _uncertain(pairs: Sequence[_Pair]) -> bool:
-    """Return whether so few pairs leave the bias of some parameter uncertain beside what the estimate is."""
+    """Return whether the bias of some parameter is uncertain beside the standard error of the estimate."""
     error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
     return bool(np.max(error / _deviation(pairs)) > _UNCERTAIN)
 
@@ -191,13 +190,13 @@ def _away(joint: Problem, step: Array) -> Array:
 
 
 def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
-    """Return by how much named parameters change in a step that ends at the start, in their own units, shape (p,)."""
+    """Return the change of named parameters in a step that ends at the start, in their own units, shape (p,)."""
     before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.start))
     return np.array([here[n] - before[n] for n in names])
 
 
 def _loop(motions: Sequence[Motion]) -> Loop | None:
-    """Return the drive's loop, where recordings show it and it can be rehearsed under their loads."""
+    """Return the drive's loop, where recordings show it and their loads can be simulated."""
     recordings = [m.recording for m in motions]
     plain = all(r.pendulum is None and not r.hot_fire and "command" in r.channels for r in recordings)
     if not plain:
@@ -211,36 +210,38 @@ def _step_of_encoder(m: Motion) -> float:
 
 
 def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
-    """Rehearse once and return one step of the likelihood; None where the filter does not follow."""
+    """Simulate a replicate and return its scoring step; None where the filter does not follow."""
     rng = np.random.default_rng(seed)
-    motions = [_rehearsed(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions]
+    motions = [_replicate(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions]
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
     problem = Problem(seen, joint.start, [], Model(), joint.noise)
     problem.free = tuple(k for k in joint.free if k != INERTIA)
-    problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
-    settle_anywhere(problem, CLIP)
-    problem.doubt = doubted(problem)
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
+    search_breakaway_times(problem, HUBER_THRESHOLD)
+    problem.inflation = segment_inflation(problem)
     problem.free = joint.free
     return _scored(problem, seed)
 
 
 def _scored(problem: Problem, noise: int) -> _Scored | None:
-    """Return the parameters' part of a step of Fisher scoring on them and breakaway times, the inertia held.
+    """Return the parameters' part of a scoring step (M23) over them and breakaway times, the inertia held.
 
-    ``noise`` is the number of that which the problem's recordings were simulated with.
+    Args:
+        problem: Of the replicate.
+        noise: Seed of its noise.
     """
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
     every, widening = problem.derivatives(x, errors, deviations)
-    doubt = problem.doubt[problem.owners]
-    rehearsal = Rehearsal(problem, every.scaled(doubt), errors / deviations * doubt, noise)
+    inflation = problem.inflation[problem.owners]
+    replicate = Replicate(problem, every.scaled(inflation), errors / deviations * inflation, noise)
     held = [j for j, k in enumerate(problem.free) if k == INERTIA]
     jacobian = every
     for j in held:
         jacobian, widening = jacobian.without(j), widening.without(j)
-    residual = np.clip(errors / deviations, -CLIP, CLIP)
+    residual = np.clip(errors / deviations, -HUBER_THRESHOLD, HUBER_THRESHOLD)
     score = jacobian.back(residual) + widening.back(1.0 - residual**2)
     known = jacobian.product() + 2.0 * widening.product()
     sought = count - len(held)
@@ -253,17 +254,17 @@ def _scored(problem: Problem, noise: int) -> _Scored | None:
         return None
     for j in held:
         step, deviation = np.insert(step, j, 0.0), np.insert(deviation, j, np.inf)
-    return _Scored(step, deviation, rehearsal)
+    return _Scored(step, deviation, replicate)
 
 
 def _drawn(joint: Problem, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
-    """Return what the true torque falls short by and what the logged one is off by, N m, shape (2, n)."""
+    """Return the torque noise that moves the joint, and that of the log, N m, shape (2, n)."""
     rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
     return rows * np.sqrt([[1.0 - share], [share]])
 
 
 def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Response:
-    """Return what the shaft does under a recording's commands at the problem's values."""
+    """Return the simulated response to a recording's command at the problem's values."""
     r = m.recording
     values = unpack(joint.start, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
     values["J"] += m.extra_inertia
@@ -271,8 +272,8 @@ def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Resp
     return respond(command, r.period, values, float(np.median(m.moment)), joint.alpha, loop, disturbance)
 
 
-def _rehearsed(joint: Problem, m: Motion, loop: Loop, noise: Array) -> Motion | None:
-    """Return what the bench would log of a recording's commands at the problem's values, with noise of shape (2, n)."""
+def _replicate(joint: Problem, m: Motion, loop: Loop, noise: Array) -> Motion | None:
+    """Return the replicate of a recording at the problem's values, with noise of shape (2, n)."""
     r = m.recording
     response = _response(joint, m, loop, noise[0])
     step = _step_of_encoder(m)

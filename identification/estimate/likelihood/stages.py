@@ -1,10 +1,10 @@
-"""Refinement by prediction errors: all stages and all breakaways jointly, from the equation-error start.
+"""The unloaded, loaded and joint fit of the prediction errors, from the start values of the equation error.
 
-Unknown beside the parameters is when each stretch breaks away. Each such time is tied to the static limit by the torque
-measured then. Least squares leads into the right basin, with the inertia held: the torque noise is first assumed large
-and then lowered, as a filter that trusts the encoder more has a smoother cost. At the noise's own level the likelihood
-is searched. Instrumental variables then give the inertia, which both put far off, and the likelihood the rest beside it
-(:mod:`identification.estimate.inertia.estimating_equations`).
+Unknown beside the parameters is the breakaway time of each segment, which is tied to the static limit by the torque
+measured then (M22). Least squares with the inertia held lead into the right basin: the torque noise is first taken
+large and then lowered, because a filter that trusts the encoder more has a smoother cost. At the noise's own level the
+likelihood is searched. The inertia follows from its estimating equation, because least squares and likelihood are
+biased in it (:mod:`identification.estimate.inertia.estimating_equations`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.inertia.estimating_equations import SOLVED, beside_inertia, defect, solve
+from identification.estimate.inertia.estimating_equations import SOLVED, equations_chi2, fit_beside_inertia, solve
 from identification.estimate.likelihood.searches import (
     SAME_END,
     STARTS,
@@ -29,11 +29,11 @@ from identification.estimate.uncertainty.covariance import covariances, named_co
 from identification.filter.likelihood import Problem, static_limit
 from identification.filter.noise import Noise
 from identification.filter.noise_level import (
-    CLIP,
+    HUBER_THRESHOLD,
+    first_correlated_noise,
     likeliest_noise,
-    repeated,
+    repeating_share,
     torque_noise,
-    with_correlated,
 )
 from identification.filter.segments import Motion
 from identification.model.parameters import (
@@ -54,17 +54,15 @@ from identification.recording import Model
 from identification.result import Starts
 
 _Start = tuple[Array, Sequence[Array], float]
-"""Begin of a solution of the unloaded stage: kernel's vector, breakaway times, inertia over the vector's."""
+"""Start of a solution of the unloaded fit: parameters, breakaway times, inertia over that of the parameters."""
 _Solved = tuple[float, Array, list[Array], Noise]
-"""End of a solution of the unloaded stage: defect, kernel's vector, breakaway times, noise."""
+"""End of a solution of the unloaded fit: chi-square (M29), parameters, breakaway times, noise."""
 _AGAIN = 2
-"""Solutions begun from the best end where none of the starts is solved, as with an inertia that starts far off; one
-that leads to nothing better is the last."""
+"""Solutions started from the best end where no start is solved; the first without a gain is the last."""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
-"""Inertias tried, over the equation error's; it errs upward under noise."""
+"""Inertias tried, over that of the equation error, which errs upward under noise."""
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
-"""Those tried where none of these leads anywhere: of a shaft that slips through the fall of friction, short and fast,
-the equation error may leave a fiftieth."""
+"""Inertias tried where none of these is solved: for short, fast slips the equation error may find a fiftieth."""
 
 
 @dataclass(frozen=True)
@@ -73,22 +71,22 @@ class Refined:
 
     Attributes:
         values: Name to value.
-        covariance: Of the fitted ``names``, shape (p, p), in the values' own units.
-        floor: The least covariance possible (:mod:`identification.estimate.uncertainty.cramer_rao`), of the same shape.
+        covariance: Of the fitted ``names``, shape (p, p), in the units of the values.
+        floor: Its Cramer-Rao bound (:mod:`identification.estimate.uncertainty.cramer_rao`), shape (p, p).
         names: Fitted names in that order.
-        innovation_rms: 1 where the noise model holds; of innovations as far as they are believed.
-        whiteness: Correlation of neighbouring innovations, the same.
-        noise: Of torque and angle, that the prediction errors ask for.
-        repeated: Share of the noise's correlated part that comes again in strokes alike; zero without such a part.
-        torque_scatter: The torque's own scatter from sample to sample, N m rms.
+        innovation_rms: Of innovations with variance inflation; 1 where the noise model holds.
+        whiteness: Correlation of neighbouring innovations, likewise.
+        noise: Noise of torque and angle.
+        repeating_share: Share of the correlated noise that repeats (M26); zero without correlated noise.
+        torque_scatter: Torque scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
-        breakaways: Breakaways that entered.
-        strayed: Deviance at the loaded stage's end above that at its likeliest start; positive where the least squares
-            at raised noise, whose weights are held, left the basin and the likelihood did not lead back.
-        unsolved: Defect of the first stage's estimating equations: of any size where no start solved them.
+        breakaways: Number of segments.
+        likelihood_drop: Deviance at the end of the loaded fit above that at its likeliest start; positive where the
+            least squares at raised noise left the basin and the likelihood did not return to it.
+        equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The joint problem, at the estimate.
-        starts: What each search began from came to.
+        starts: Ends of the searches by start.
     """
 
     values: Mapping[str, float]
@@ -98,27 +96,27 @@ class Refined:
     innovation_rms: float
     whiteness: float
     noise: Noise
-    repeated: float
+    repeating_share: float
     torque_scatter: float
     evaluations: int
     iterations: int
     breakaways: int
-    strayed: float
-    unsolved: float
+    likelihood_drop: float
+    equations_chi2: float
     joint: Problem
     starts: tuple[Starts, ...] = ()
 
 
-def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence[int]) -> float:
-    """Solve the unloaded stage from one start after the other, until the estimating equations are solved.
+def solve_unloaded(problem: Problem, system: Sequence[int], inertia: Sequence[int]) -> float:
+    """Solve the unloaded fit from one start after another, until the estimating equations are solved.
 
-    Least squares with the inertia held lead into the basin of the inertia they are given; the equation error's may be
-    off by half, and at times by far more. Leaves the problem at the best end; returns its defect.
+    Least squares with the inertia held lead into the basin of that inertia; the equation error's may be off by half and
+    more. Leaves the problem at the best end; returns its chi-square (M29).
 
     Raises:
-        numpy.linalg.LinAlgError: The instruments pin the parameters from none of the starts.
+        numpy.linalg.LinAlgError: The instruments determine the parameters from none of the starts.
     """
-    vector, begins, noise = problem.start, problem.begins, problem.noise
+    vector, begins, noise = problem.start, problem.breakaway_times, problem.noise
     free = system, inertia
     both = bool(system) and bool(inertia)
     problem.free = tuple(system)
@@ -136,12 +134,12 @@ def solve_first_stage(problem: Problem, system: Sequence[int], inertia: Sequence
         best = _best_of(problem, _far(problem, vector, noise, system), noise, free, best)
     if best is None:
         raise np.linalg.LinAlgError("no start pins the parameters")
-    unsolved, problem.start, problem.begins, problem.noise = best
-    return unsolved
+    chi2, problem.start, problem.breakaway_times, problem.noise = best
+    return chi2
 
 
 def _far(problem: Problem, vector: Array, noise: Noise, system: Sequence[int]) -> Iterator[_Start]:
-    """Yield starts at inertias far from the equation error's, each with the breakaways that are likeliest with it."""
+    """Yield starts at inertias far from the equation error's, each with its likeliest breakaway times."""
     for share in _FAR:
         problem.start, problem.noise, problem.free = vector.copy(), noise, tuple(system)
         problem.start[INERTIA] *= share
@@ -156,7 +154,7 @@ def _best_of(
     free: tuple[Sequence[int], Sequence[int]],
     best: _Solved | None,
 ) -> _Solved | None:
-    """Solve from one start after the other until the equations are solved; return the best end, ``best`` among them."""
+    """Solve from one start after another until the equations are solved; return the best end, including ``best``."""
     for start, times, share in starts:
         found = _solved_from(problem, start, times, share, noise, free)
         if found is not None and (best is None or found[0] < best[0]):
@@ -174,18 +172,18 @@ def _solved_from(
     noise: Noise,
     free: tuple[Sequence[int], Sequence[int]],
 ) -> _Solved | None:
-    """Solve the unloaded stage from one start; None where that leads nowhere.
+    """Solve the unloaded fit from one start; None where that fails.
 
     Args:
         problem: Left at the end.
-        start: Kernel's vector.
+        start: Parameter vector.
         times: Breakaway times.
-        share: Inertia begun with, over that of the start.
-        noise: Begun with.
+        share: Inertia at first, over that of the start.
+        noise: Noise at first.
         free: Parameters that least squares find first, then the inertia.
     """
     system, inertia = free
-    problem.start, problem.begins, problem.noise = start.copy(), list(times), noise
+    problem.start, problem.breakaway_times, problem.noise = start.copy(), list(times), noise
     problem.start[INERTIA] *= share
     problem.free = tuple(system)
     try:
@@ -194,18 +192,18 @@ def _solved_from(
         problem.free = (*system, *inertia)
         if problem.free:
             solve(problem)
-        unsolved = defect(problem) if problem.free else 0.0
+        chi2 = equations_chi2(problem) if problem.free else 0.0
     except np.linalg.LinAlgError:
-        # From a start without a rise, as the equation error finds it in slips, nothing tells its speed.
+        # From a start without a rise, as the equation error finds it in slips, the Stribeck speed is undetermined.
         return None
-    if not math.isfinite(unsolved):
+    if not math.isfinite(chi2):
         return None
-    problem.ends.append(unsolved)
-    return unsolved, problem.start, problem.begins, problem.noise
+    problem.solution_chi2.append(chi2)
+    return chi2, problem.start, problem.breakaway_times, problem.noise
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Return the places of what is not fixed: of the system's parameters, of the load's, and the inertia's."""
+    """Return the places of the parameters that are not fixed: of the system, of the load, and of the inertia."""
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
     system = [k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed]
     if "offset" in model.terms and OFFSET not in fixed:
@@ -217,12 +215,12 @@ def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
 def _first_problem(
     unloaded: Sequence[Motion], start: Mapping[str, float], system: Sequence[int], model: Model, correlated: bool
 ) -> Problem:
-    """Return the first stage's problem at the equation error's values, with the noise that is likeliest there."""
+    """Return the problem of the unloaded fit at the equation error's values, with the likeliest noise there."""
     first = Problem(unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded)))
     # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
-    first.begins = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
+    first.breakaway_times = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
     if correlated:
-        first.noise = with_correlated(first)
+        first.noise = first_correlated_noise(first)
     first.noise = likeliest_noise(first)
     return first
 
@@ -234,41 +232,44 @@ def refine_stages(
     model: Model,
     correlated: bool = False,
 ) -> Refined:
-    """Refine stage by stage, then jointly.
+    """Fit unloaded recordings, then loaded ones, then all jointly.
 
     Args:
-        unloaded: Recordings of the first stage.
-        loaded: Recordings of the second stage, may be empty.
+        unloaded: Unloaded recordings.
+        loaded: Loaded recordings, may be empty.
         start: Equation-error values of all parameters.
         model: Declared terms and fixed values.
-        correlated: Whether the torque's noise is given a correlated part.
+        correlated: Whether the torque noise has a correlated part.
     """
     system, load, inertia = _sought(model)
     first = _first_problem(unloaded, start, system, model, correlated)
-    unsolved = solve_first_stage(first, system, inertia)
-    starts = [Starts("unloaded", "defect of the estimating equations", tuple(first.ends), SOLVED, absolute=True)]
+    chi2 = solve_unloaded(first, system, inertia)
+    starts = [
+        Starts("unloaded", "defect of the estimating equations", tuple(first.solution_chi2), SOLVED, absolute=True)
+    ]
     evaluations = first.evaluations
-    motions, begins, noise, free, strayed = tuple(unloaded), list(first.begins), first.noise, system, 0.0
+    motions, begins, noise = tuple(unloaded), list(first.breakaway_times), first.noise
+    free, likelihood_drop = system, 0.0
     vector, others = first.start, []
     if loaded:
         second = Problem(loaded, vector, load, model, noise)
-        strayed = refine_from(second, breakaway_starts(second, MU_C, LOAD_RISE, OMEGA_SL))
+        likelihood_drop = refine_from(second, breakaway_starts(second, MU_C, LOAD_RISE, OMEGA_SL))
         evaluations += second.evaluations
-        ends = tuple(end for _, end, *_ in second.reached if math.isfinite(end))
+        ends = tuple(end for _, end, *_ in second.search_ends if math.isfinite(end))
         starts.append(Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END))
-        motions, begins, free = (*motions, *loaded), begins + second.begins, system + load
+        motions, begins, free = (*motions, *loaded), begins + second.breakaway_times, system + load
         vector = second.start
-        others = [(p, first.begins + times) for p, times in basins(second)]
+        others = [(p, first.breakaway_times + times) for p, times in basins(second)]
     free = [*free, *inertia]
     joint = Problem(motions, vector, free, model, noise)
-    joint.begins = begins
+    joint.breakaway_times = begins
     if len(others) > 1:
         likeliest_together(joint, others)
-    residual = beside_inertia(joint, refine)
+    residual = fit_beside_inertia(joint, refine)
     names = tuple(n for n, k in INDEX.items() if k in free)
     achieved, floor = named_covariances(covariances(joint), joint, names)
-    # A slip of twenty samples that the filter loses is one of many strokes, and physics that is missing is in most.
-    inside = np.clip(residual[: len(residual) - joint.breakaways], -CLIP, CLIP)
+    # A slip of twenty samples that the filter loses is one segment of many; missing physics is in most of them.
+    inside = np.clip(residual[: len(residual) - joint.breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD)
     return Refined(
         values={**start, **unpack(joint.start, [n for n in INDEX if n in start])},
         covariance=achieved,
@@ -277,13 +278,13 @@ def refine_stages(
         innovation_rms=float(np.sqrt(np.mean(inside**2))),
         whiteness=float(np.mean(inside[1:] * inside[:-1]) / np.mean(inside**2)),
         noise=joint.noise,
-        repeated=repeated(joint) if correlated else 0.0,
+        repeating_share=repeating_share(joint) if correlated else 0.0,
         torque_scatter=torque_noise(motions),
         evaluations=evaluations + joint.evaluations,
         iterations=joint.iterations,
         breakaways=joint.breakaways,
-        strayed=strayed,
-        unsolved=unsolved,
+        likelihood_drop=likelihood_drop,
+        equations_chi2=chi2,
         joint=joint,
         starts=tuple(starts),
     )

@@ -12,9 +12,9 @@ from identification.numerics.spread import Spread
 from identification.result import Tradeoff
 
 TRADE_OFF = 0.9
-"""Correlation from which two parameters count as hardly told apart."""
+"""Correlation from which two parameters count as hardly shown apart."""
 _SHOWN = 0.3
-"""Least share of a combination that is told, over its greatest."""
+"""Least share of a combination that is listed, over its greatest."""
 
 _AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
 """Pairs (a, b) whose sum a + b omega is friction at a speed (eq. 9 and 13 beyond the Stribeck speed)."""
@@ -54,9 +54,9 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     relative = _relative(spread, values, names)
     shares, vectors = np.linalg.eigh(correlation * np.outer(relative, relative))
     vector = vectors[:, -1] / vectors[np.argmax(np.abs(vectors[:, -1])), -1]
-    told = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
-    changes = [f"{name} by {100.0 * share:+.0f} %" for name, share in told]
-    where = f"{told[0][0]} alone" if len(told) == 1 else "a change of " + ", ".join(changes) + " together"
+    shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
+    changes = [f"{name} by {100.0 * share:+.0f} %" for name, share in shown]
+    where = f"{shown[0][0]} alone" if len(shown) == 1 else "a change of " + ", ".join(changes) + " together"
     upper = np.triu(np.abs(correlation), 1)
     line = f"least pinned is {where}: relative standard deviation {100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
     if len(names) > 1:
