@@ -1,4 +1,4 @@
-"""What presses on the valve during a recording: a measured force, a burning gas generator, or a hanging weight."""
+"""Contact force on the valve during a recording: measured, of the gas generator, or of a weight (M4)."""
 
 from __future__ import annotations
 

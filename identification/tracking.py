@@ -1,4 +1,4 @@
-"""How well a recording followed its command, and what that took."""
+"""Tracking error and effort of a recording against its command."""
 
 from __future__ import annotations
 

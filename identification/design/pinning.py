@@ -6,7 +6,7 @@ breakaway times, and of what the estimator leaves out around them. A stretch's o
 noise, and one in which the shaft all but stopped by chance would promise what no other run need repeat. So a stage is
 simulated with several drives and noises, and what counts is what two of these runs have in common, as in the floor of
 an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by several runs of
-each (:mod:`identification.design.rehearsal`).
+each (:mod:`identification.design.simulated_trial`).
 """
 
 from __future__ import annotations

@@ -18,9 +18,9 @@ import numpy as np
 
 from identification.design.excitation import Bounds, Frame, Part
 from identification.design.pinning import Pinned
-from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Design, Search, halved, planned, promised
 from identification.design.simulated import Nominal, PlannedStage, with_drives
+from identification.design.simulated_trial import expected, rehearse
 
 CANDIDATES = (60, 200)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""

@@ -1,4 +1,4 @@
-"""The default method: both stages by variable projection, then refined by prediction errors where those apply."""
+"""The default method: variable projection, then prediction errors where those are accepted (docs/method.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was identified on one set of recordings, scored on another: day, unit, mass or load."""
+"""Transfer of an identification: its error on other recordings, of another day, unit, mass or load."""
 
 from __future__ import annotations
 

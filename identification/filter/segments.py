@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.even import evened
+from identification.even_sampling import evened
 from identification.filter.segment_table import DIRECTION, FIRST, LAST, TORQUE_RATE
 from identification.numerics.arrays import Array, BoolArray
 from identification.prepare import drive_torque, joint_angle, resting

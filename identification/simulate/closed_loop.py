@@ -13,7 +13,7 @@ from identification.model.parameters import INERTIA, WEIGHT, ZERO, pack
 from identification.numerics.arrays import Array
 from identification.prepare import joint_angle
 from identification.recording import Controller, Recording, RecordingError
-from identification.simulate import kernel
+from identification.simulate import closed_loop_kernel as kernel
 
 STEP_S = 2.5e-4
 """Greatest integration step: the error it leaves is far below what recordings show (tests/identification)."""

@@ -1,7 +1,7 @@
-"""A cheap forward simulation of the nominal model: the joint under a usual servo loop, with set-valued friction.
+"""The nominal model in a position loop of a drive: joint with set-valued friction, in simulated time.
 
-Only for planning: it says what an encoder and a drive would log if the nominal values were true and the drive were
-tuned as drives usually are. Nothing here is shared with the simulated bench, and no estimate comes from it.
+It simulates planned experiments, and the replicates by which the bias of an estimate is measured (M33 to M36). It
+shares nothing with the simulated bench.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
 
 @dataclass(frozen=True)
 class Loop:
-    """The drive as it is assumed: position P and velocity PI with feedforward.
+    """A drive: position P and velocity PI with feedforward of the commanded speed.
 
     Attributes:
         position_gain: 1/s.
@@ -32,10 +32,9 @@ class Loop:
         integral: Of the velocity loop, 1/s.
         filter_Hz: First-order filter on the measured speed.
         torque_limit: N m.
-        count: Joint angle of one step of the encoder that the drive follows, rad; 0 for an exact one. At the speeds of
-            a Stribeck curve its steps come through the speed filter as torque, and a target in whole counts through the
-            feedforward.
-        lag: Of the torque behind what the loop asks for, s; 0 where it follows at once.
+        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. Its steps enter the torque
+            through the speed filter, and those of a target in whole counts through the feedforward.
+        lag: Of the torque behind the loop's output, s; 0 for none.
     """
 
     position_gain: float
@@ -55,7 +54,7 @@ def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
 
 @dataclass(frozen=True)
 class Response:
-    """What the nominal model does. Arrays have shape (n,), at the joint.
+    """The response of the nominal model. Arrays have shape (n,), at the joint.
 
     Attributes:
         angle: At each sample, rad.
@@ -90,7 +89,7 @@ def respond(
         moment: F_P L1, N m (eq. 13).
         alpha: Stribeck exponent.
         loop: The drive.
-        disturbance: What the torque falls short of the logged one in each period, N m, shape (n,): the drive's current
+        disturbance: Logged torque less the torque on the joint in each period, N m, shape (n,): the drive's current
             loop follows the noise of its own sensor. None for none.
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))

@@ -19,10 +19,10 @@ LEAST_BLOCKS = 8
 def block_sandwich(
     prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
 ) -> Spread:
-    """Return the covariance of ``names`` at ``values`` from all recordings jointly, clustered by blocks of time.
+    """Return the covariance of ``names`` at ``values`` from all recordings jointly, clustered by blocks of time (M10).
 
-    Blocks are ten residual correlation times long, at least eight over all, and never span two recordings, so that what
-    the model leaves out from stretch to stretch widens the interval (Liang and Zeger, Biometrika 73 (1986) 13).
+    Blocks are ten residual correlation times long, at least eight over all, and never span two recordings, so that
+    model errors that differ between blocks widen the interval (Liang and Zeger, Biometrika 73 (1986) 13).
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)

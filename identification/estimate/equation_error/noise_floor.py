@@ -1,7 +1,7 @@
-"""The noise floor of a fit: the part of the torque residual that does not repeat when the command does.
+"""The noise floor of a fit: the part of the torque residual that does not repeat with the command.
 
-A model that lacks physics errs alike each time the same motion is made; noise does not. Two passes under equal inputs
-have residuals e1, e2 whose difference holds twice the variance of what does not repeat, whatever the model.
+A model that lacks physics has the same error each time the same motion is made; noise does not repeat. Two passes under
+equal inputs have residuals e1 and e2, and e1 - e2 has twice the variance of the part that does not repeat.
 """
 
 from __future__ import annotations

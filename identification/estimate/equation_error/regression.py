@@ -1,4 +1,4 @@
-"""The two stages as equation-error problems: eq. 16 without load, eq. 15 with it."""
+"""Unloaded and loaded fit by equation error: eq. 16 (M7) and eq. 15 (M8)."""
 
 from __future__ import annotations
 

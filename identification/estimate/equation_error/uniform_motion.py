@@ -1,7 +1,7 @@
 """The conventional method: friction as the motor's torque in uniform motion (eq. 14), a Stribeck curve through points.
 
-It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and slips instead, the
-mean torque of a stretch is not the friction at its mean speed, and nothing in the mean says so: the spread does.
+It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and slips, the mean
+torque is not the friction at the mean speed; the spread of the speed shows it, the mean does not.
 """
 
 from __future__ import annotations

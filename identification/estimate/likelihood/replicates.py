@@ -29,7 +29,7 @@ from identification.filter.segments import Motion, motion
 from identification.model.parameters import INERTIA, LOAD_PARAMETERS, OFFSET, SYSTEM_PARAMETERS, unpack
 from identification.numerics.arrays import Array
 from identification.recording import Model
-from identification.simulate.seen_loop import drive_loop
+from identification.simulate.drive_loop import drive_loop
 from identification.simulate.servo_loop import Loop, Response, respond
 
 PAIRS, MOST_PAIRS = 3, 6

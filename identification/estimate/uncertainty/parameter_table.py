@@ -1,4 +1,4 @@
-"""From values and their spread to the records a report shows."""
+"""The parameter table and the fit errors of a report: values, intervals, and why a value is withheld (M43)."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from identification.recording import Model
 from identification.result import Fit, Parameter, Trace
 
 WIDEST = 0.5
-"""Half width of the 90 % interval over the value, above which a parameter counts as not identified."""
+"""Half width of the 90 % interval over the value, above which a parameter is not identifiable."""
 LEAST_RISE = 1e-3
-"""Rise toward rest over the Coulomb level, below which nothing of it counts as seen."""
+"""Rise over the Coulomb level below which it is not identifiable."""
 
 
 def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
@@ -67,9 +67,8 @@ def fit_of(
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
     """Return the geometric mean over the recordings of their rms torque errors, N m or N.
 
-    What counts where recordings have unknown levels of error of their own: one that turns too fast for the bandwidth
-    has an error many times that of the others, whatever the values. Each counts alike, however long: a long one with
-    such an error would outvote all others together.
+    Recordings have unknown error levels of their own: one that turns too fast for the bandwidth has an error many times
+    that of the others. In the geometric mean each counts alike, however long.
     """
     errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
     return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))

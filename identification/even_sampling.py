@@ -1,8 +1,8 @@
-"""An unevenly sampled recording on an even grid: samples that are missing or off the grid are filled and marked.
+"""Even sampling: missing or late samples of a recording are interpolated and marked.
 
-The prediction-error filter runs from sample to sample and knows one period. Cycles that a bus lost, or that were taken
-late by their own stamp, are few and short on a bench that works; between their neighbours torque and angle hardly bend.
-Longer holes are for the caller to keep clear of.
+The Kalman filter runs from sample to sample with one period. Cycles that a bus lost, or that were late by their own
+time stamp, are few and short on a sound bench; torque and angle are nearly straight between their neighbours. Callers
+leave out longer gaps.
 """
 
 from __future__ import annotations

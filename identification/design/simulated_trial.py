@@ -1,10 +1,8 @@
-"""A proposal is rehearsed before it is made: simulated on the nominal model with noise, and identified.
+"""Simulated trials of a proposed experiment: simulated on the nominal model with noise, and identified.
 
-Fisher information on the filter's residuals looks at one point and in a straight line; under a heavy weight the shaft
-breaks away within one sample, and there it has promised ten times what came out. So the best few designs, the present
-one among them, are simulated with a few noises, which are replicates of one another, and get the intervals that the
-default method would state at the values simulated, with the scatter from stretch to stretch. What is proposed has gone
-through the whole method, whose searches take most of the time.
+Fisher information is a linearisation at one point; under a heavy weight the joint breaks away within one sample, and
+there the information may be ten times the attained one. So the best few designs, the present one among them, are
+simulated with a few noises and get the intervals that the default method states at the simulated values.
 """
 
 from __future__ import annotations

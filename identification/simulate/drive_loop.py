@@ -1,9 +1,9 @@
-"""The drive's loop as recordings show it: how its torque answered the shaft.
+"""The drive's loop, estimated from recordings (M33).
 
 A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e from its target. The
-logged command reaches the loop some cycles late, which is worth more than e itself: whole cycles are sought, and for
-what is left of one the command and its derivatives are regressors too. The encoder's steps and the loop's own delay
-would lower Kv: the regression is of means over a few samples, of the shaft's angle at the delay that fits best.
+logged command reaches the loop some cycles late: whole cycles are searched, and the command and its derivatives are
+regressors for the rest of a cycle. Encoder steps and the loop's own delay would lower Kv, so the regression uses means
+over a few samples, with the joint's angle at the delay that fits best.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _MEAN = 4
 _LATENESSES = range(7)
 """Cycles by which a command may be late."""
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
-"""Between the shaft's motion and what the loop makes of it."""
+"""Delay between the joint's motion and the loop's response."""
 _MISFIT = 0.15
-"""Greatest rms of what the regression leaves, over that of the torque's changes, at which the loop counts as seen."""
+"""Greatest rms of the regression's residual, over that of the torque's changes, at which the loop is known."""
 _GAINS = 3
 
 
 def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
-    """Return the loop that recordings were made in; None where they do not log it, or answer otherwise.
+    """Return the loop of the drive; None where the recordings do not log it, or do not fit it.
 
     Args:
         recordings: Of one bench; those without command, motor angle and current are left out.

@@ -1,4 +1,4 @@
-"""One rung of the ladder fitted to a draw of recordings and scored on another, quickly enough to be done many times."""
+"""Bootstrap of the friction ladder: one rung fitted to a draw of recordings and scored on another."""
 
 from __future__ import annotations
 
