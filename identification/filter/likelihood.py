@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
-from threading import Thread
 
 import numpy as np
 from numpy.typing import NDArray
@@ -138,10 +138,10 @@ class Problem:
         self.evaluations += 1
         one, other = self._halves
         if other:
-            beside = Thread(target=self._filter, args=(other, p, times, noise))
-            beside.start()
-            self._filter(one, p, times, noise)
-            beside.join()
+            with ThreadPoolExecutor(1) as beside:
+                half = beside.submit(self._filter, other, p, times, noise)
+                self._filter(one, p, times, noise)
+            half.result()
         else:
             self._filter(one, p, times, noise)
         errors = [out[m.inside] for m, out in zip(self.motions, self._out, strict=True)]

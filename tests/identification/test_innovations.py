@@ -207,6 +207,23 @@ def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> No
     assert abs(steps[0] - steps[1]) <= 2.0 * longest
 
 
+def test_an_error_in_the_second_thread_is_raised(
+    motions: tuple[Motion, Motion], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
+    both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
+    _, second = both._halves
+    assert second
+
+    def broken(pieces: list[tuple[int, slice]], *_: object) -> None:
+        if pieces is second:
+            raise FloatingPointError("half of the segments were not filtered")
+
+    monkeypatch.setattr(both, "_filter", broken)
+    with pytest.raises(FloatingPointError, match="were not filtered"):
+        both.run(both.start, both.breakaway_times, both.noise)
+
+
 def _of(m: Motion, rows: slice) -> np.ndarray:
     return np.concatenate([m.steps[int(a) : int(b)] for a, b in m.table[rows, :2]])
 
