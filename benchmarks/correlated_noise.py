@@ -18,8 +18,8 @@ from profile_coverage import stage
 from scipy import signal
 
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.regression import model_torque
-from identification.estimate.uncertainty import block_sandwich
+from identification.estimate.equation_error.block_sandwich import block_sandwich
+from identification.estimate.equation_error.regression import model_torque
 from identification.model.nominal import NOMINAL
 from identification.prepare import Prepared, prepare
 from identification.recording import Array, Dataset, Model, Recording

@@ -24,11 +24,11 @@ from floor_benches import of_the_model, random_bench, record
 
 import rig.bench
 from identification.estimate.default import identify, solve_stages
-from identification.estimate.paper import identify_paper
-from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.result import Identification
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.paper_method.paper import identify_paper
 from identification.prepare import prepare
 from identification.recording import Dataset
+from identification.result import Identification
 from rig.run import load_run
 from rig.tables import table
 from rig.truth import JOINT_FIELDS, truth_of

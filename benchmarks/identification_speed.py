@@ -27,15 +27,16 @@ from scipy import optimize
 
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.direct import simulate
-from identification.estimate import varpro
 from identification.estimate.default import identify
-from identification.estimate.levenberg import huber
-from identification.estimate.paper import GENERATIONS, POPULATION
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, torque_noise
-from identification.estimate.prediction.problem import Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.stage_problem import StageProblem
+from identification.estimate.equation_error import variable_projection as varpro
+from identification.estimate.paper_method.paper import GENERATIONS, POPULATION
+from identification.estimate.paper_method.stage_problem import StageProblem
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
+from identification.filter.segments import motion
+from identification.model.parameters import pack
+from identification.numerics.levenberg_marquardt import huber
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
 from rig.tables import table
@@ -174,7 +175,7 @@ def likelihood_race(
     spent_s, spent = process_time() - began, default.evaluations
     target = _worst(default.values(), truth)
     motions = [m for m in map(motion, pair) if m is not None]
-    likelihood = Problem(motions, pack(truth), (), Model(), Noise(0.0))
+    likelihood = Problem(motions, pack(truth, 2.0), (), Model(), Noise(0.0))
     noise = Noise(torque_noise(motions))
 
     def named(x: Array) -> dict[str, float]:
@@ -184,10 +185,10 @@ def likelihood_race(
     def costs(points: Array) -> Array:
         out = np.empty(len(points))
         for k, x in enumerate(points):
-            p = pack(named(x))
+            p = pack(named(x), 2.0)
             begins = [m.static_crossing(static_limit(p, m)) for m in motions]
             errors, deviations = likelihood.run(p, begins, noise)
-            value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, CLIP)))
+            value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, HUBER_THRESHOLD)))
             out[k] = value if np.isfinite(value) else 1e300
         return out
 

@@ -24,7 +24,7 @@ import yaml
 
 from drivers.mock.plant.constants import Joint
 from identification.estimate.default import identify
-from identification.estimate.result import Identification
+from identification.result import Identification
 from rig import cli
 from rig.bench import load_bench
 from rig.experiment import plan_experiment

@@ -1,11 +1,12 @@
-"""What presses on the valve during a recording: a measured force, a burning gas generator, or a hanging weight."""
+"""Contact force on the valve during a recording: measured, of the gas generator, or of a weight (M4)."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from identification.model.valve import impacted_area
-from identification.recording import Array, Recording, RecordingError
+from identification.numerics.arrays import Array
+from identification.recording import Recording, RecordingError
 from identification.signals import resample
 
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
-from identification.recording import Array, Recording, RecordingError
+from identification.numerics.arrays import Array, BoolArray
+from identification.recording import Recording, RecordingError
 from identification.signals import (
-    BoolArray,
     Decimator,
     central_difference,
     decimator,

@@ -8,11 +8,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from identification.model.gas_generator import GasGenerator
-
-Array = NDArray[np.float64]
+from identification.numerics.arrays import Array as Array
 
 CHANNELS: Mapping[str, str] = {
     "time": "s",

@@ -8,10 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
-from identification.compiled import compiled_sums
-from identification.recording import Array
-
-BoolArray = NDArray[np.bool_]
+from identification.numerics.arrays import Array
+from identification.numerics.arrays import BoolArray as BoolArray
+from identification.numerics.compiled import compiled_sums
 
 _LEAST_STEPS = 8
 """Steps near the smallest one below which a common measure would be chance."""

@@ -1,4 +1,4 @@
-"""How well a recording followed its command, and what that took."""
+"""Tracking error and effort of a recording against its command."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.recording import Array, Recording
+from identification.numerics.arrays import Array
+from identification.recording import Recording
 
 REST_RAD_S = 1e-4
 """Mean speed over :data:`REST_SPAN_S` below which a joint counts as at rest."""

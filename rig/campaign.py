@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
 
-from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.ladder import LADDER, NOMINAL, bears_load, rises
+from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.model.valve import PAPER
 from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
 from rig.campaign_gas import Constant, GasGeneratorSection

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from identification.estimate.comparison import Contender
+from identification.estimate.paper_method.comparison import Contender
 from rig.parameter_table import Table
 from rig.results import finite
 from rig.tables import number, percent

@@ -15,7 +15,7 @@ from drivers.amt21 import COUNTS_PER_TURN
 from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.propose import Proposal, propose
 from identification.design.simulated import Nominal, Sensors
-from identification.simulate.seen_loop import drive_loop
+from identification.simulate.drive_loop import drive_loop
 from rig.bench import Bench, EncoderSection, ServoSection
 from rig.configuration import Document
 from rig.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan

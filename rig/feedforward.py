@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.cia402_servo import FRAMES_WITH_OFFSET
 from identification.model import compensation, feedback
+from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Bench as BenchConstants
 from rig.bench import Bench, Bus, bus_overload
 from rig.configuration import Document
@@ -23,8 +24,8 @@ from rig.sequence import Array
 
 UNLOADED = ("Mc", "sigma_2", "J")
 LOADED = ("mu_c", "mu_2")
-RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"))
-"""Friction's rise toward rest: kinetic level, static level and Stribeck speed of eq. 9 and 12."""
+RISES = STRIBECK_TERMS[:2]
+"""Kinetic level, static level and Stribeck speed of eq. 9 and 12."""
 CATCH_UP_SHARE = 0.1
 """Of the speed limit: where damping balances the most that stiffness may add."""
 

@@ -12,13 +12,13 @@ from typing import Protocol
 
 import numpy as np
 
-from identification.estimate.comparison import Contender, compare
 from identification.estimate.ladder import Rung, climb
 from identification.estimate.long import identify_any_length
-from identification.estimate.paper import identify_paper
-from identification.estimate.result import Identification
+from identification.estimate.paper_method.comparison import Contender, compare
+from identification.estimate.paper_method.paper import identify_paper
 from identification.estimate.transfer import Transfer, transfer
 from identification.recording import Dataset, RecordingError
+from identification.result import Identification
 from rig.errors import InputError
 from rig.input_files import is_folder
 from rig.label_check import comparable, off_label

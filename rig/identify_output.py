@@ -6,8 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from identification.estimate.result import Identification
 from identification.recording import Recording
+from identification.result import Identification
 from rig.comparison_table import COMPARISON_NOTE, comparison_record, comparison_table
 from rig.errors import InputError
 from rig.identify import Outcome

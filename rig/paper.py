@@ -10,8 +10,8 @@ import numpy as np
 
 from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.direct import simulate
-from identification.estimate.result import Identification
 from identification.recording import Array, Bench, Dataset, Recording
+from identification.result import Identification
 from rig.bench import load_bench
 from rig.identify import METHODS
 from rig.run import bench_constants

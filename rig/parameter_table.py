@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from identification.estimate.result import Identification, Parameter
+from identification.result import Identification, Parameter
 from rig.tables import interval, number, percent
 
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import jinja2
 
-from identification.estimate.comparison import Contender
-from identification.estimate.result import Fit, Identification, Trace
+from identification.estimate.paper_method.comparison import Contender
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.recording import Dataset, Recording
+from identification.result import Fit, Identification, Trace
 from rig.comparison_table import COMPARISON_NOTE, comparison_table
 from rig.figures import Picture, save
 from rig.parameter_table import Table, parameter_notes, parameter_table, pinned_notes

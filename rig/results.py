@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from identification.estimate.result import Convergence, Fit, Identification, Parameter
 from identification.recording import Recording
+from identification.result import Convergence, Fit, Identification, Parameter
 from rig.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"

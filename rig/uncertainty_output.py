@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from identification.estimate.result import Identification, MeasuredNoise, Profile, Resampled
 from identification.plots import profile as plots
+from identification.result import Identification, MeasuredNoise, Profile, Resampled
 from rig.figures import Picture
 from rig.parameter_table import Table
 from rig.results import finite

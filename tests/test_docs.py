@@ -114,7 +114,7 @@ def test_every_equation_is_mapped_to_code_that_exists() -> None:
         names = _CODE.findall(code)
         assert names
         for name in names:
-            prefix = "" if name.startswith(_PACKAGES) else "identification.estimate."
+            prefix = "" if name.startswith(_PACKAGES) else "identification."
             assert callable(found(prefix + name)), name
 
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 def rest_times(time: Array, velocity: Array) -> Array:

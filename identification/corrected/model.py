@@ -12,7 +12,8 @@ from identification.corrected.motor import DRIVE, VOLTAGE, nominal_voltage
 from identification.corrected.torque import TORQUE, nominal_torque
 from identification.corrected.transmission import TRANSMISSION
 from identification.diagnosis.result import Curve
-from identification.recording import Array, Recording
+from identification.numerics.arrays import Array
+from identification.recording import Recording
 
 Signals = Mapping[str, object]
 PARAMETERS = ("J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2", "mu_gc", "mu_gs", "offset")

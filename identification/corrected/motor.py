@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from identification.corrected.states import advanced, lagged, mean_step, winding_rise
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 def nominal_voltage(s: Any, m: Any) -> Array:

@@ -15,8 +15,8 @@ from identification.corrected.model import CorrectedModel
 from identification.corrected.signals import signals_of
 from identification.diagnosis.view import View, views
 from identification.estimate.default import identify
-from identification.estimate.result import Identification
 from identification.recording import Dataset, Recording, RecordingError
+from identification.result import Identification
 
 _REPLACED = ("current", "voltage", "torque")
 

@@ -14,7 +14,7 @@ import numpy as np
 from identification.corrected.model import CorrectedModel
 from identification.corrected.signals import signals_of
 from identification.diagnosis.view import View
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 @dataclass(frozen=True)

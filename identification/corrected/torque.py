@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from identification.corrected.states import dahl_friction, lagged
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 def friction_level(speed: Array, m: Any, alpha: float) -> Array:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from identification.corrected.states import play
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 
 def backlash(s: Any, m: Any, gap_rad: float) -> Array:

@@ -1,1 +1,1 @@
-"""Design of experiments: what a planned excitation would pin, and which one would pin more."""
+"""Design of experiments: the information of a planned excitation, and a better excitation."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 _RAMP_ACCELERATION, _LEAST_RAMP_S, _LONGEST_RAMP = 2.0, 0.05, 0.25
 """Acceleration at which a proposed sine fades in, rad/s^2, the least time that takes, s, and its greatest share of the

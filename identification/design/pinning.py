@@ -5,8 +5,8 @@ default method minimises. So the information knows of the encoder's quantisation
 breakaway times, and of what the estimator leaves out around them. A stretch's own sensitivities hold the current's
 noise, and one in which the shaft all but stopped by chance would promise what no other run need repeat. So a stage is
 simulated with several drives and noises, and what counts is what two of these runs have in common, as in the floor of
-an estimate (:mod:`identification.estimate.prediction.cramer_rao`). Whole designs are then judged by several runs of
-each (:mod:`identification.design.rehearsal`).
+an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by several runs of
+each (:mod:`identification.design.simulated_trial`).
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ import numpy as np
 from scipy import stats
 
 from identification.design.simulated import Nominal, PlannedStage, at_the_truth
-from identification.estimate.levenberg import huber_weight
-from identification.estimate.prediction.cramer_rao import means_alike, rehearsed_information
-from identification.estimate.prediction.instruments import instruments
-from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem
-from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
-from identification.estimate.uncertainty import CONFIDENCE
-from identification.recording import Array
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia.instruments import instruments
+from identification.estimate.uncertainty.cramer_rao import matching_means, replicate_information
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.model.parameters import INDEX, LOAD_PARAMETERS, LOGARITHMIC, SYSTEM_PARAMETERS
+from identification.numerics.arrays import Array
+from identification.numerics.levenberg_marquardt import huber_weight
+from identification.numerics.spread import CONFIDENCE
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
@@ -84,7 +84,7 @@ class Pinned:
 
 
 def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Information:
-    """Return what one stage says about all nine, by runs that are rehearsals of one another.
+    """Return what one stage says about all nine, by runs that are replicates of one another.
 
     Nothing where a run has too few breakaways, or moves so that the estimator could not follow. Relative, so that the
     matrices are well scaled; static limits count as themselves, not as the rise above the Coulomb level.
@@ -109,19 +109,19 @@ def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Infor
     return Information(_believable(found[0], found[1]), found[1], found[2])
 
 
-def _told(run: Rehearsal, others: Sequence[Rehearsal]) -> Array:
-    """Return the information of a run by rehearsals of it, as far as its stretches are believed, shape (p, p)."""
+def _told(run: Replicate, others: Sequence[Replicate]) -> Array:
+    """Return the information of a run by replicates of it, as far as its stretches are believed, shape (p, p)."""
     problem, jacobian = run.problem, run.sensitivities
-    alike = means_alike(jacobian, instruments(problem, jacobian), problem.siblings)
-    told = rehearsed_information(problem, alike, others)
-    return np.asarray(np.sum(told / problem.doubt[:, None, None] ** 2, axis=0))
+    alike = matching_means(jacobian, instruments(problem, jacobian), problem.matching_count)
+    told = replicate_information(problem, alike, others)
+    return np.asarray(np.sum(told / problem.inflation[:, None, None] ** 2, axis=0))
 
 
-def _scores(run: Rehearsal) -> tuple[Array, Array]:
+def _scores(run: Replicate) -> tuple[Array, Array]:
     """Return the power that a stage's scores should have, and what they have, breakaway times eliminated, (p, p)."""
-    jacobian, residual = run.believed()
-    residual = residual * huber_weight(residual, CLIP)
-    stretches, owners = jacobian.stretches, jacobian.owners
+    jacobian, residual = run.inflated()
+    residual = residual * huber_weight(residual, HUBER_THRESHOLD)
+    stretches, owners = jacobian.blocks, jacobian.owners
     rows = np.column_stack([jacobian.parameters, jacobian.own])
     count = rows.shape[1] - 1
     power = np.zeros((stretches, count + 1, count + 1))
@@ -137,7 +137,7 @@ def _scores(run: Rehearsal) -> tuple[Array, Array]:
 
 
 def _believable(told: Array, power: Array) -> Array:
-    """Return information by rehearsals, as far as it lies between none and that of a stage's own sensitivities.
+    """Return information by replicates, as far as it lies between none and that of a stage's own sensitivities.
 
     Products of two noises have neither bound: where few stretches come again, chance makes them negative, or far more
     than the stage itself would say.
@@ -163,7 +163,7 @@ def likelihood_slope(problem: Problem) -> float:
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
     jacobian, widening = problem.derivatives(x, errors, deviations)
-    residual = np.clip(errors / deviations, -CLIP, CLIP)
+    residual = np.clip(errors / deviations, -HUBER_THRESHOLD, HUBER_THRESHOLD)
     score = jacobian.back(residual) + widening.back(1.0 - residual**2)
     known = jacobian.product() + 2.0 * widening.product()
     times = list(range(count, len(score)))

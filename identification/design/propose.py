@@ -18,9 +18,9 @@ import numpy as np
 
 from identification.design.excitation import Bounds, Frame, Part
 from identification.design.pinning import Pinned
-from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Design, Search, halved, planned, promised
 from identification.design.simulated import Nominal, PlannedStage, with_drives
+from identification.design.simulated_trial import expected, rehearse
 
 CANDIDATES = (60, 200)
 """Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
@@ -137,7 +137,7 @@ def _likeliest_to_hold(
 
 
 def _worst(stages: Sequence[PlannedStage], search: Search) -> Pinned:
-    """Return the worst of a few rehearsals; the first that fails is the last."""
+    """Return the worst of a few replicates; the first that fails is the last."""
     found = []
     for seed in range(WHOLE_SEED, WHOLE_SEED + NOISES):
         found.append(rehearse(stages, search.nominals[0], np.random.default_rng(seed)))

@@ -14,9 +14,9 @@ from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.pinning import NAMES, NOTHING, Information, Pinned, heard, pinned, stage_information
 from identification.design.shares import shared
 from identification.design.simulated import Nominal, PlannedStage, followed, stage_response
-from identification.estimate.regression import HIGHEST_SHARE
-from identification.estimate.result import SYSTEM_PARAMETERS
-from identification.recording import Array
+from identification.estimate.equation_error.regression import HIGHEST_SHARE
+from identification.model.parameters import SYSTEM_PARAMETERS
+from identification.numerics.arrays import Array
 
 DESIGNS = 8
 """Designs that are judged as wholes, at most."""

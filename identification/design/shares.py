@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from identification.design.pinning import NAMES, Information, weights_of_scores
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2
 _OTHERS = 0.04

@@ -8,15 +8,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.estimate.prediction.acceptance import WHITE
-from identification.estimate.prediction.information import settle
-from identification.estimate.prediction.instrumental import doubts_by
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.recording import Array, Bench, Model, Recording
+from identification.estimate.inertia.estimating_equations import inflation_by
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.likelihood.acceptance import WHITE
+from identification.filter.breakaway_times import optimise_breakaway_times
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, pack
+from identification.numerics.arrays import Array
+from identification.recording import Bench, Model, Recording
 from identification.simulate.servo_loop import Loop, Response, respond, usual_loop
 
 NOISE_SEED = 0
@@ -125,7 +127,7 @@ def recorded(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.
 
 def at_the_truth(
     stages: Sequence[PlannedStage], nominal: Nominal, names: Sequence[str], noise: int, whole: bool = True
-) -> Rehearsal | None:
+) -> Replicate | None:
     """Return a run of some stages and the fit at the values simulated; None where the filter does not follow.
 
     Args:
@@ -142,20 +144,20 @@ def at_the_truth(
         return None
     free = [INDEX[n] for n in names]
     noise_level = Noise(torque_noise(known) if whole else nominal.sensors.torque_noise)
-    problem = Problem(known, pack(nominal.values), free, Model(alpha=nominal.alpha), noise_level)
-    problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in known]
-    settle(problem, CLIP)
+    problem = Problem(known, pack(nominal.values, nominal.alpha), free, Model(), noise_level)
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m)) for m in known]
+    optimise_breakaway_times(problem, HUBER_THRESHOLD)
     if whole:
         problem.noise = likeliest_noise(problem)
-    problem.weigh()
+    problem.hold_weights()
     x = problem.origin()
     residual = problem.residuals(x)
     inside = residual[: len(residual) - problem.breakaways]
     if abs(float(np.mean(inside[1:] * inside[:-1]))) > WHITE * float(np.mean(inside**2)):
         return None
     jacobian = problem.jacobian(x, residual)
-    problem.doubt = doubts_by(problem, jacobian.without(free.index(INDEX["J"])))
-    return Rehearsal(problem, jacobian, residual, noise)
+    problem.inflation = inflation_by(problem, jacobian.without(free.index(INDEX["J"])))
+    return Replicate(problem, jacobian, residual, noise)
 
 
 def followed(stage: PlannedStage, nominals: Sequence[Nominal], names: Sequence[str], noises: Iterable[int]) -> bool:

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import sparse
 
-from identification.compiled import compiled
 from identification.diagnosis.equations import Equation
-from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
+from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
+from identification.numerics.compiled import compiled
+from identification.numerics.spread import correlation_samples
 from identification.recording import Array
 
 LEAST_BLOCK_S = 1.0

@@ -36,7 +36,7 @@ from identification.diagnosis.terms.transmission import on_the_joint
 from identification.diagnosis.unsought import unsought
 from identification.diagnosis.view import View, views
 from identification.diagnosis.wording import title
-from identification.estimate.assemble import units_of
+from identification.estimate.uncertainty.parameter_table import units_of
 from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, RecordingError
 

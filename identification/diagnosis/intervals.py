@@ -12,8 +12,8 @@ from identification.diagnosis.linear import STEP, Added, directions, displaced
 from identification.diagnosis.result import Estimate
 from identification.diagnosis.stack import stacked
 from identification.diagnosis.terms.term import Context
-from identification.estimate.assemble import WIDEST
-from identification.estimate.uncertainty import CONFIDENCE
+from identification.estimate.uncertainty.parameter_table import WIDEST
+from identification.numerics.spread import CONFIDENCE
 
 COARSE, PLACE_RAD = 0.02, 0.01
 """What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle as such, rad."""

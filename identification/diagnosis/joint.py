@@ -10,7 +10,6 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.diagnosis.equations import Equation, equations
-from identification.diagnosis.least import least_squares
 from identification.diagnosis.linear import STEP, Solved, directions, displaced, sized, solve, wide
 from identification.diagnosis.linear import Added as Added
 from identification.diagnosis.nominal import STATICS, Nominal
@@ -18,6 +17,7 @@ from identification.diagnosis.promise import promise
 from identification.diagnosis.stack import Stack, granting, stacked, tied
 from identification.diagnosis.terms.term import Shape
 from identification.diagnosis.view import View
+from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 
 ROUNDS = 12

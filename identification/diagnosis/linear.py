@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from identification.diagnosis.least import least_squares
 from identification.diagnosis.nominal import SPEEDS
 from identification.diagnosis.stack import Stack, bound
 from identification.diagnosis.terms.term import Context, Shape, Term
+from identification.numerics.least_squares import least_squares
 from identification.recording import Array
 
 FACTOR = 4.0

@@ -13,7 +13,7 @@ from identification.diagnosis.generic import COORDINATES, LINEAR_UNITS, Coordina
 from identification.diagnosis.result import Curve, Location, Map
 from identification.diagnosis.stack import Stack
 from identification.diagnosis.view import View
-from identification.estimate.uncertainty import CONFIDENCE
+from identification.numerics.spread import CONFIDENCE
 from identification.recording import Array
 
 BINS = 16

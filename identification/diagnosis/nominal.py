@@ -13,6 +13,7 @@ from functools import lru_cache
 import numpy as np
 
 from identification.diagnosis.view import View
+from identification.model.parameters import STRIBECK_TERMS as _RISES
 from identification.recording import Array
 
 RISE = 0.5
@@ -26,8 +27,6 @@ LEAST_RISE = 1e-6
 """Of static over Coulomb friction, over the latter."""
 LEAST_FALL = 1e-3
 """The same, below which friction does not fall."""
-_RISES = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
-"""Coulomb level, static level and Stribeck speed: of the system, of the load, of the gear under a declared weight."""
 STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from identification.diagnosis.linear import Added
 from identification.diagnosis.stack import Stack
-from identification.estimate.assemble import RISES
+from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
 UNKEPT = 1.5
@@ -48,7 +48,7 @@ def risen(stack: Stack, effects: Sequence[Added]) -> float:
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = {name: equation.tangent[:, k] for k, name in enumerate(equation.names)}
-    for coulomb, static, speed in RISES:
+    for coulomb, static, speed in STRIBECK_TERMS:
         level, rise = columns.get(coulomb), columns.pop(static, None)
         if level is not None and rise is not None:
             columns[coulomb] = level + rise

@@ -1,1 +1,1 @@
-"""Estimators: the staged genetic algorithm of the paper, the default method, and their uncertainty."""
+"""From recordings to parameters: the pipelines of ``rig identify``."""

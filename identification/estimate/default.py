@@ -1,4 +1,4 @@
-"""The default method: both stages by variable projection, then refined by prediction errors where those apply."""
+"""The default method: variable projection, then prediction errors where those are accepted (docs/method.md)."""
 
 from __future__ import annotations
 
@@ -9,16 +9,17 @@ from time import perf_counter
 
 import numpy as np
 
-from identification.estimate import varpro
-from identification.estimate.assemble import RISES, fit_of, parameter_table, trace_of, units_of
-from identification.estimate.prediction.bootstrap import bootstrap
-from identification.estimate.prediction.profile import profiles
-from identification.estimate.prediction.refinement import Found, noise_of, refine
-from identification.estimate.regression import Stage, loaded_stage, require_motion, unloaded_stage
-from identification.estimate.result import SYSTEM_PARAMETERS, Convergence, Identification, Profile, Resampled
-from identification.estimate.tradeoff import least_pinned, tradeoffs
+from identification.estimate.equation_error import variable_projection as varpro
+from identification.estimate.equation_error.regression import Stage, loaded_stage, require_motion, unloaded_stage
+from identification.estimate.likelihood.bootstrap import bootstrap
+from identification.estimate.likelihood.profile import profiles
+from identification.estimate.likelihood.refinement import Found, noise_of, refine
+from identification.estimate.uncertainty.parameter_table import fit_of, parameter_table, trace_of, units_of
+from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
+from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
 from identification.recording import Dataset, Model, RecordingError
+from identification.result import Convergence, Identification, Profile, Resampled
 
 Progress = Callable[[str, float], None]
 
@@ -37,7 +38,7 @@ def identify(
     Args:
         dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once at the end.
         bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what each bears.
-        rng: Draws the stretches of the bootstrap.
+        rng: Draws the segments of the bootstrap.
         progress: Called with a stage's name and the share done.
         profile: Whether to profile the likelihood of every parameter as well, which takes several times as long.
         draws: Bootstrap draws, 0 for none.
@@ -109,10 +110,10 @@ def _asked(
         return (), (), [f"no {what}: of the prediction errors alone, which were not taken"] if what else []
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
-    # Both are about the likeliest values: they move with what the estimate was moved by.
+    # Both are about the maximum of the likelihood; they are shifted as the estimate was.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        # As wide as the intervals are: rehearsals tell the inertia better, and leave something of each bias open.
+        # With the covariance that is stated, which includes replicates and the uncertainty of the bias.
         stated = replace(found.taken, covariance=found.spread.covariance)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
@@ -176,7 +177,7 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
     """Return the names that the data are asked for: not fixed, and not a Stribeck term that is absent."""
-    falling = [names for names in RISES if names[1] in values]
+    falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}
     absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}
     absent -= {speed for names in falling if names not in flat for speed in names[2:]}

@@ -1,8 +1,8 @@
-"""Every rung of the friction ladder on one dataset: fitted, then scored on what was set aside.
+"""The friction ladder: every rung fitted to one dataset and scored on its validation recordings.
 
-Intervals are over recordings: the recordings to fit and those to score are drawn anew with replacement, the same draws
-for every rung, each rung is fitted to its draw and scored on the other (Efron and Tibshirani, An Introduction to the
-Bootstrap, ch. 8). Samples within a recording hang together far too much to count as independent.
+Intervals are over recordings: those to fit and those to score are drawn with replacement, the same draws for every
+rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Samples within a recording are too correlated to
+count as independent.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from identification.estimate.default import identify
-from identification.estimate.redraw import Indices, Redraw, Score
-from identification.estimate.result import Identification
-from identification.estimate.uncertainty import CONFIDENCE
+from identification.estimate.ladder_bootstrap import Indices, Redraw, Score
 from identification.model.ladder import LADDER, bears_load
+from identification.numerics.spread import CONFIDENCE
 from identification.prepare import Prepared, default_bandwidth, prepare
 from identification.recording import Dataset, RecordingError
+from identification.result import Identification
 from identification.simulate.closed_loop import replay
 from identification.simulate.score import compare, pooled
 

@@ -1,7 +1,7 @@
 """The default method on recordings too long for memory: the same two steps, piece by piece.
 
 The equation error is decimated to 2.5 times its bandwidth as ever, which keeps all it uses; only the velocity stays at
-the full rate. The prediction errors pass over the pieces (:mod:`identification.estimate.prediction.long_refinement`).
+the full rate. The prediction errors pass over the pieces (:mod:`identification.estimate.likelihood.long_refinement`).
 """
 
 from __future__ import annotations
@@ -13,16 +13,22 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate import default
-from identification.estimate.assemble import fit_of, parameter_table, trace_of, typical_error, units_of
 from identification.estimate.default import Progress, free_names, solve_stages
-from identification.estimate.prediction import acceptance
-from identification.estimate.prediction.long_refinement import refine_pieces
-from identification.estimate.prediction.refinement import floors_of, joint_convergence, noise_of, spread_of
-from identification.estimate.result import Identification, MeasuredNoise, Starts
-from identification.estimate.tradeoff import least_pinned, tradeoffs
-from identification.estimate.uncertainty import block_sandwich
+from identification.estimate.equation_error.block_sandwich import block_sandwich
+from identification.estimate.likelihood import acceptance
+from identification.estimate.likelihood.long_refinement import refine_pieces
+from identification.estimate.likelihood.refinement import floors_of, joint_convergence, noise_of, spread_of
+from identification.estimate.uncertainty.parameter_table import (
+    fit_of,
+    parameter_table,
+    trace_of,
+    typical_error,
+    units_of,
+)
+from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare, resting, torque_unit
 from identification.recording import Dataset, Recording
+from identification.result import Identification, MeasuredNoise, Starts
 
 LONG_SAMPLES = 200_000
 """Samples to fit, over all recordings, above which memory is bounded; below, all of them at once are quicker."""
@@ -61,7 +67,7 @@ def identify_any_length(
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into stretches of about ``PIECE_SAMPLES``, at rest where it rests; channels are views."""
+    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at rest where it rests; channels are views."""
     n, start = len(recording.time), 0
     found = []
     while start < n:

@@ -1,4 +1,4 @@
-"""What was identified on one set of recordings, scored on another: day, unit, mass or load."""
+"""Transfer of an identification: its error on other recordings, of another day, unit, mass or load."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from identification.estimate.assemble import fit_of
 from identification.estimate.default import identify
-from identification.estimate.noise_floor import Floor, noise_floor
-from identification.estimate.result import LOAD_PARAMETERS, Fit, Identification, Parameter
+from identification.estimate.equation_error.noise_floor import Floor, noise_floor
+from identification.estimate.uncertainty.parameter_table import fit_of
+from identification.model.parameters import LOAD_PARAMETERS
 from identification.prepare import prepare
 from identification.recording import Dataset, RecordingError
+from identification.result import Fit, Identification, Parameter
 
 
 @dataclass(frozen=True)

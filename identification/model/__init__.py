@@ -1,1 +1,1 @@
-"""What we believe of the machine: friction and load as terms with named parameters."""
+"""The nominal model: friction law, parameters, valve, gas generator, feed-forward; no recordings."""

@@ -1,10 +1,10 @@
-"""Torque that a drive is to add, from identified parameters: what the commanded motion will meet.
+"""Feed-forward torque from identified parameters (eq. 15), and torque pulses at the falling branch of friction.
 
-Friction follows the commanded speed, not the measured one, so that this part changes no stability. It cannot: where
-friction falls as speed rises (eq. 9 and 13 above rest) a joint that is held softly sticks and slips however well its
-mean torque is known. :mod:`identification.model.feedback` gives back what the falling branch takes, as far as the
-delay of a bus allows. Where that is too little, the torque comes in pulses, which take the joint through the
-falling branch many times a second instead of leaving it to find its own, slower rhythm.
+Friction follows the commanded speed, not the measured one, so that feed-forward does not affect stability. Where
+friction falls with speed (eq. 9 and 13 above rest) a softly held joint sticks and slips even if its mean torque is
+known: :mod:`identification.model.feedback` returns the damping that the falling branch takes, as far as the delay of a
+bus allows. Where that is too little, the torque is pulsed, which moves the joint through the falling branch many times
+a second instead of in a slower limit cycle.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from identification.model.feedback import gains
 from identification.model.friction import load_coefficient, system_friction
-from identification.recording import Array
+from identification.numerics.arrays import Array
 
 SMOOTHING_RAD_S = 1e-3
 """Commanded speed over which the sign of friction changes: below what any encoder of this kind resolves in a cycle."""

@@ -1,12 +1,117 @@
-"""Stribeck friction as the paper writes it (eq. 9, bracket of eq. 12 and 13), linear but for the Stribeck speed."""
+"""The friction law, eq. 9, 12 and 13 (M1, M2): compiled for one speed, its expectation, and broadcasting over arrays.
+
+With speed w >= 0, contact moment m and gear load g the magnitude of friction is
+
+    F = Mc + sigma_2 w + (dM + g dmu_g) e(w/omega_sf) + m (mu_c + mu_2 w + dmu e(w/omega_sL)) + g mu_gc
+
+where e(x) = exp(-x^alpha). At rest F is the static limit (M3).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from identification.recording import Array
+from identification.model.parameters import (
+    ALPHA,
+    GEAR_RISE,
+    LOAD_RISE,
+    MC,
+    MU_2,
+    MU_C,
+    MU_GC,
+    OMEGA_SF,
+    OMEGA_SL,
+    SIGMA_2,
+    SYSTEM_RISE,
+)
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import inlined
+
+_NEGLIGIBLE = 37.0
+"""Exponent beyond which the falling part is below the rounding error of the rest: exp(-37)."""
+
+
+@inlined
+def friction(speed: float, moment: float, gear: float, p: Array) -> tuple[float, float]:
+    """Return the magnitude of friction, N m, and its slope at ``speed`` >= 0.
+
+    Args:
+        speed: Magnitude, rad/s.
+        moment: Contact moment F_P L1, N m.
+        gear: Magnitude of the torque that the gear carries, N m; its rise shares omega_sf.
+        p: Vector of :mod:`identification.model.parameters`.
+    """
+    value, slope = p[MC] + p[SIGMA_2] * speed, p[SIGMA_2]
+    height = p[SYSTEM_RISE]
+    if gear > 0.0:
+        height += gear * p[GEAR_RISE]
+        value += gear * p[MU_GC]
+    if height > 0.0:
+        x = (speed / p[OMEGA_SF]) ** p[ALPHA]
+        part = height * math.exp(-x)
+        value += part
+        if speed > 0.0:
+            slope -= part * p[ALPHA] * x / speed
+    if moment > 0.0:
+        part = 0.0
+        slope += moment * p[MU_2]
+        if p[LOAD_RISE] > 0.0:
+            x = (speed / p[OMEGA_SL]) ** p[ALPHA]
+            part = moment * p[LOAD_RISE] * math.exp(-x)
+            if speed > 0.0:
+                slope -= part * p[ALPHA] * x / speed
+        value += moment * (p[MU_C] + p[MU_2] * speed) + part
+    return value, slope
+
+
+@inlined
+def static_friction(moment: float, p: Array) -> float:
+    """Return the static limit without gear load (M3), N m."""
+    limit: float = p[MC] + p[SYSTEM_RISE] + moment * (p[MU_C] + p[LOAD_RISE])
+    return limit
+
+
+@inlined
+def _falling(height: float, speed: float, omega_s: float, alpha: float, variance: float) -> tuple[float, float]:
+    """Return the expected falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope at ``speed`` > 0.
+
+    The mean over a speed of that ``variance`` to second order (M15); a variance above omega_s^2, where the expansion
+    does not hold, counts as omega_s^2.
+    """
+    within = omega_s * omega_s
+    rate = 1.0 / within
+    x = speed * speed * rate
+    if alpha != 2.0:
+        x = (speed / omega_s) ** alpha
+        rate = x / (speed * speed)
+    if x >= _NEGLIGIBLE:
+        return 0.0, 0.0
+    part = height * math.exp(-x)
+    curved = part * alpha * rate
+    return part + 0.5 * min(variance, within) * curved * (alpha * x - alpha + 1.0), -curved * speed
+
+
+@inlined
+def expected_friction(speed: float, variance: float, moment: float, p: Array) -> tuple[float, float]:
+    """Return the expected magnitude of friction, N m, and its slope, for an uncertain speed > 0 (M15).
+
+    Args:
+        speed: Magnitude of the mean, rad/s.
+        variance: Of the speed, (rad/s)^2; with zero this is :func:`friction`, in fewer operations where alpha is 2.
+        moment: Contact moment F_P L1, N m.
+        p: Vector of :mod:`identification.model.parameters`.
+    """
+    part, slope = _falling(p[SYSTEM_RISE], speed, p[OMEGA_SF], p[ALPHA], variance)
+    value = p[MC] + p[SIGMA_2] * speed + part
+    slope += p[SIGMA_2]
+    if moment > 0.0:
+        part, fall = _falling(moment * p[LOAD_RISE], speed, p[OMEGA_SL], p[ALPHA], variance)
+        value += moment * (p[MU_C] + p[MU_2] * speed) + part
+        slope += moment * p[MU_2] + fall
+    return value, slope
 
 
 def stribeck_shape(velocity: Array, omega_s: float, alpha: float) -> Array:

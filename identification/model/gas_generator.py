@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from identification.model import gas_kernel as kernel
-from identification.model.valve import Array, ValveGeometry, throat_area
+from identification.model.valve import ValveGeometry, throat_area
+from identification.numerics.arrays import Array
 
 _MOST_STEPS = 60
 LAYER_STEP = 2.5e-4

@@ -16,8 +16,8 @@ import math
 
 import numpy as np
 
-from identification.compiled import compiled
-from identification.model.valve import Array
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 
 # Constants.
 (

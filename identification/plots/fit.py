@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identification.estimate.result import Convergence, Identification, Trace
 from identification.model.friction import load_coefficient, system_friction
+from identification.numerics.arrays import Array
 from identification.plots.style import (
     BLACK,
     BLUE,
@@ -23,7 +23,7 @@ from identification.plots.style import (
     moving,
     thinned,
 )
-from identification.recording import Array
+from identification.result import Convergence, Identification, Trace
 
 _POINTS_PER_LOAD = 1500
 _LEAST_PERCENT = 1e-6  # deviations below this are rounding

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.prediction.profile import LEVEL
-from identification.estimate.result import Parameter, Profile, Starts
+from identification.estimate.likelihood.profile import LEVEL
+from identification.numerics.arrays import Array
 from identification.plots.fit import LABELS
 from identification.plots.style import BLACK, BLUE, GREY, VERMILION, Figure, figure
-from identification.recording import Array
+from identification.result import Parameter, Profile, Starts
 
 _COLUMNS = 3
 _TOP = 3.0

@@ -8,8 +8,8 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.figure import Figure
 
+from identification.numerics.arrays import Array
 from identification.plots.style import BLACK, BLUE, GREY, VERMILION, figure, legend_above, thinned
-from identification.recording import Array
 
 __all__ = ["Figure", "areas", "closed_loop", "errors", "speeds", "sweep", "tracking", "uniform"]
 

@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from identification.estimate.result import Trace
 from identification.plots.style import (
     BLACK,
     BLUE,
@@ -20,6 +19,7 @@ from identification.plots.style import (
     thinned,
 )
 from identification.recording import Recording
+from identification.result import Trace
 
 
 def response(trace: Trace, recording: Recording, unit: str) -> Figure:

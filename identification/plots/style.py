@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.legend import Legend
 from numpy.typing import NDArray
 
-from identification.estimate.result import Trace
-from identification.recording import Array
+from identification.numerics.arrays import Array
+from identification.result import Trace
 
 __all__ = ["Figure"]  # for callers that must not import matplotlib themselves
 

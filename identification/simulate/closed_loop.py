@@ -9,9 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from identification.contact_force import contact_moment
+from identification.model.parameters import INERTIA, WEIGHT, ZERO, pack
+from identification.numerics.arrays import Array
 from identification.prepare import joint_angle
-from identification.recording import Array, Controller, Recording, RecordingError
-from identification.simulate import kernel
+from identification.recording import Controller, Recording, RecordingError
+from identification.simulate import closed_loop_kernel as kernel
 
 STEP_S = 2.5e-4
 """Greatest integration step: the error it leaves is far below what recordings show (tests/identification)."""
@@ -57,40 +59,19 @@ class Inputs:
 
 
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
-    """Return the kernel's parameters of the joint with the recording's pendulum on it, shape (15,).
-
-    Parameters that are absent count as zero; a static level below its Coulomb level counts as that.
+    """Return the vector of :mod:`identification.model.parameters` of the joint with the recording's pendulum on it.
 
     Raises:
         RecordingError: There is no inertia to move.
     """
-    body = np.zeros(kernel.BODY_SIZE)
-    body[kernel.INERTIA] = values.get("J", 0.0)
-    for name, place in (
-        ("Mc", kernel.MC),
-        ("sigma_2", kernel.SIGMA_2),
-        ("mu_c", kernel.MU_C),
-        ("mu_2", kernel.MU_2),
-        ("mu_gc", kernel.MU_GC),
-        ("offset", kernel.OFFSET),
-    ):
-        body[place] = values.get(name, 0.0)
-    for coulomb, static, place in (
-        ("Mc", "Ms", kernel.DM),
-        ("mu_c", "mu_s", kernel.DMU),
-        ("mu_gc", "mu_gs", kernel.DMU_G),
-    ):
-        body[place] = max(values.get(static, 0.0) - values.get(coulomb, 0.0), 0.0)
-    body[kernel.OMEGA_SF] = values.get("omega_sf", 1.0)
-    body[kernel.OMEGA_SL] = values.get("omega_sL", 1.0)
-    body[kernel.ALPHA] = alpha
+    body = pack(values, alpha)
     if recording.pendulum is not None:
         pendulum = recording.pendulum
-        body[kernel.INERTIA] += pendulum.inertia
-        body[kernel.WEIGHT] = pendulum.mass * recording.bench.gravity * pendulum.length
-        body[kernel.ZERO] = pendulum.zero
-    if not body[kernel.INERTIA] > 0.0:
-        raise RecordingError(f"{recording.name}: an inertia of {body[kernel.INERTIA]:g} cannot be simulated; fix J")
+        body[INERTIA] += pendulum.inertia
+        body[WEIGHT] = pendulum.mass * recording.bench.gravity * pendulum.length
+        body[ZERO] = pendulum.zero
+    if not body[INERTIA] > 0.0:
+        raise RecordingError(f"{recording.name}: an inertia of {body[INERTIA]:g} cannot be simulated; fix J")
     return body
 
 

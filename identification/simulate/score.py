@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identification.numerics.arrays import Array
 from identification.prepare import POSITION_BANDWIDTH, Prepared, joint_angle, uniform_grid
-from identification.recording import Array, RecordingError
+from identification.recording import RecordingError
 from identification.signals import resample, smooth
 from identification.simulate.closed_loop import Response
 

@@ -1,7 +1,7 @@
-"""A cheap forward simulation of the nominal model: the joint under a usual servo loop, with set-valued friction.
+"""The nominal model in a position loop of a drive: joint with set-valued friction, in simulated time.
 
-Only for planning: it says what an encoder and a drive would log if the nominal values were true and the drive were
-tuned as drives usually are. Nothing here is shared with the simulated bench, and no estimate comes from it.
+It simulates planned experiments, and the replicates by which the bias of an estimate is measured (M33 to M36). It
+shares nothing with the simulated bench.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.compiled import compiled
-from identification.estimate.prediction.problem import pack
-from identification.recording import Array
+from identification.model.friction import friction, static_friction
+from identification.model.parameters import INERTIA, pack
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled
 
 STEPS = 20
 """Integration steps per sample at 1 kHz; under load friction falls within 100 microseconds."""
 _VELOCITY_BANDWIDTH = 2.0 * math.pi * 95.0
-_MC, _DM, _OMEGA_SF, _SIGMA_2, _INERTIA, _MU_C, _DMU, _OMEGA_SL, _MU_2 = range(9)  # as in innovations
 
 
 @dataclass(frozen=True)
 class Loop:
-    """The drive as it is assumed: position P and velocity PI with feedforward.
+    """A drive: position P and velocity PI with feedforward of the commanded speed.
 
     Attributes:
         position_gain: 1/s.
@@ -32,10 +32,9 @@ class Loop:
         integral: Of the velocity loop, 1/s.
         filter_Hz: First-order filter on the measured speed.
         torque_limit: N m.
-        count: Joint angle of one step of the encoder that the drive follows, rad; 0 for an exact one. At the speeds of
-            a Stribeck curve its steps come through the speed filter as torque, and a target in whole counts through the
-            feedforward.
-        lag: Of the torque behind what the loop asks for, s; 0 where it follows at once.
+        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. Its steps enter the torque
+            through the speed filter, and those of a target in whole counts through the feedforward.
+        lag: Of the torque behind the loop's output, s; 0 for none.
     """
 
     position_gain: float
@@ -55,7 +54,7 @@ def usual_loop(inertia: float, torque_limit: float, count: float = 0.0) -> Loop:
 
 @dataclass(frozen=True)
 class Response:
-    """What the nominal model does. Arrays have shape (n,), at the joint.
+    """The response of the nominal model. Arrays have shape (n,), at the joint.
 
     Attributes:
         angle: At each sample, rad.
@@ -90,7 +89,7 @@ def respond(
         moment: F_P L1, N m (eq. 13).
         alpha: Stribeck exponent.
         loop: The drive.
-        disturbance: What the torque falls short of the logged one in each period, N m, shape (n,): the drive's current
+        disturbance: Logged torque less the torque on the joint in each period, N m, shape (n,): the drive's current
             loop follows the noise of its own sensor. None for none.
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
@@ -102,7 +101,7 @@ def respond(
     lost = np.zeros_like(command) if disturbance is None else disturbance
     if loop.count > 0.0:
         command = np.rint(command / loop.count) * loop.count
-    _follow(command, period, pack(parameters), moment, alpha, gains, steps, lost, angle, torque, peaks)
+    _follow(command, period, pack(parameters, alpha), moment, gains, steps, lost, angle, torque, peaks)
     return Response(angle, torque, float(peaks[0]), float(peaks[1]), float(peaks[2]))
 
 
@@ -112,7 +111,6 @@ def _follow(
     period: float,
     p: Array,
     moment: float,
-    alpha: float,
     gains: Array,
     steps: int,
     lost: Array,
@@ -122,7 +120,7 @@ def _follow(
 ) -> None:
     """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are linearly implicit."""
     h = period / steps
-    static = p[_MC] + p[_DM] + moment * (p[_MU_C] + p[_DMU])
+    static = static_friction(moment, p)
     theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
     given = 0.0
     angle[0] = theta
@@ -153,20 +151,8 @@ def _follow(
             if speed == 0.0 and abs(drive) <= static:
                 omega = 0.0
             else:
-                x = (speed / p[_OMEGA_SF]) ** alpha
-                part = p[_DM] * math.exp(-x)
-                force = p[_MC] + p[_SIGMA_2] * speed + part
-                grade = p[_SIGMA_2]
-                if speed > 0.0:
-                    grade -= part * alpha * x / speed
-                if moment > 0.0:
-                    x = (speed / p[_OMEGA_SL]) ** alpha
-                    part = moment * p[_DMU] * math.exp(-x)
-                    force += moment * (p[_MU_C] + p[_MU_2] * speed) + part
-                    grade += moment * p[_MU_2]
-                    if speed > 0.0:
-                        grade -= part * alpha * x / speed
-                speed += h * (side * drive - force) / p[_INERTIA] / max(1.0 + 0.5 * h * grade / p[_INERTIA], 0.5)
+                force, grade = friction(speed, moment, 0.0, p)
+                speed += h * (side * drive - force) / p[INERTIA] / max(1.0 + 0.5 * h * grade / p[INERTIA], 0.5)
                 omega = side * max(speed, 0.0)
             theta += 0.5 * h * (before + omega)
             peaks[0] = max(peaks[0], abs(omega))

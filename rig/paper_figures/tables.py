@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from identification.estimate.result import Convergence
 from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.spread import spread
+from identification.result import Convergence
 from rig.figures import Picture
 from rig.paper import DURATION_S, RATE_HZ, TABLE_1, TABLE_2, WRONG_BASIN_PERCENT, Printed, Reproduction
 from rig.paper_figures.exhibit import Exhibit, Rows, columns

@@ -8,7 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from identification.estimate.uniform import UNIFORM, UniformPoint, errors_percent, fit_uniform, uniform_points
+from identification.estimate.equation_error.uniform_motion import (
+    UNIFORM,
+    UniformPoint,
+    errors_percent,
+    fit_uniform,
+    uniform_points,
+)
 from identification.model.friction import load_coefficient, system_friction
 from identification.plots import regulator
 from rig.bench import load_bench

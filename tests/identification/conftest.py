@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.result import Identification
 from identification.recording import Dataset, Recording
+from identification.result import Identification
 
 from .practical import logged, simulated
 

@@ -7,20 +7,20 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from identification.estimate.prediction.arrow import Arrow
+from identification.numerics.block_arrow import BlockArrow
 
 
-def arrow(seed: int, rows: int, parameters: int, stretches: int) -> Arrow:
+def arrow(seed: int, rows: int, parameters: int, stretches: int) -> BlockArrow:
     rng = np.random.default_rng(seed)
     owners = rng.integers(0, stretches, rows)
-    return Arrow(rng.normal(size=(rows, parameters)), rng.normal(size=rows), owners, stretches)
+    return BlockArrow(rng.normal(size=(rows, parameters)), rng.normal(size=rows), owners, stretches)
 
 
 @given(st.integers(0, 1000), st.integers(0, 40), st.integers(0, 4), st.integers(1, 6))
 def test_products_are_those_of_the_dense_matrix(seed: int, rows: int, parameters: int, stretches: int) -> None:
     one = arrow(seed, rows, parameters, stretches)
     rng = np.random.default_rng(seed + 1)
-    other = Arrow(rng.normal(size=(rows, parameters)), rng.normal(size=rows), one.owners, stretches)
+    other = BlockArrow(rng.normal(size=(rows, parameters)), rng.normal(size=rows), one.owners, stretches)
     weight, vector = rng.uniform(size=rows), rng.normal(size=rows)
     direction = rng.normal(size=(parameters + stretches, 2))
     dense, there = one.dense(), other.dense()
@@ -47,7 +47,7 @@ def test_a_newton_step_without_the_breakaway_times_is_that_of_the_whole(
     assume(np.linalg.cond(whole) < 1e8)
     assert np.linalg.inv(found.matrix) == pytest.approx(inverse[:parameters, :parameters])
     step = -np.linalg.solve(found.matrix, found.scores.sum(axis=0))
-    assert np.concatenate([step, found.times(step)]) == pytest.approx(-inverse @ gradient)
+    assert np.concatenate([step, found.own_step(step)]) == pytest.approx(-inverse @ gradient)
     for k in range(stretches):
         alone = one.eliminated(residual, weight * (one.owners == k))
         assert alone.scores[k] == pytest.approx(found.scores[k])

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.prediction.bootstrap import bootstrap
-from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.prediction.stages import Refined
-from identification.estimate.result import SYSTEM_PARAMETERS
+from identification.estimate.likelihood.bootstrap import bootstrap
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.likelihood.stages import Refined
+from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.model.nominal import NOMINAL
+from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Dataset, Model, Recording
 
 from .synthetic import sine
@@ -54,12 +54,12 @@ def test_without_prediction_errors_there_is_none_and_it_is_said() -> None:
 
 def test_a_breakaway_in_a_wrong_place_is_found_again(refined: Refined) -> None:
     problem = refined.joint
-    begun = [b.copy() for b in problem.begins]
-    problem.weigh()
-    problem.begins = [begun[0] + np.where(np.arange(len(begun[0])) == 2, 1.5e-3, 0.0)]
+    begun = [b.copy() for b in problem.breakaway_times]
+    problem.hold_weights()
+    problem.breakaway_times = [begun[0] + np.where(np.arange(len(begun[0])) == 2, 1.5e-3, 0.0)]
     try:
-        assert problem.seek_breakaways(CLIP)
-        np.testing.assert_allclose(problem.begins[0], begun[0], atol=2.6e-4)
-        assert abs(problem.begins[0][2] - begun[0][2]) < 1e-4
+        assert problem.move_breakaways(HUBER_THRESHOLD)
+        np.testing.assert_allclose(problem.breakaway_times[0], begun[0], atol=2.6e-4)
+        assert abs(problem.breakaway_times[0][2] - begun[0][2]) < 1e-4
     finally:
-        problem.begins = begun
+        problem.breakaway_times = begun

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate.comparison import DEFAULT, compare
 from identification.estimate.default import identify
-from identification.estimate.optimisers import OPTIMISERS, variable_projection
-from identification.estimate.result import Identification
-from identification.estimate.stage_problem import StageProblem
+from identification.estimate.paper_method.comparison import DEFAULT, compare
+from identification.estimate.paper_method.optimisers import OPTIMISERS, variable_projection
+from identification.estimate.paper_method.stage_problem import StageProblem
 from identification.prepare import prepare
 from identification.recording import Dataset, Model, Recording, RecordingError
+from identification.result import Identification
 
 from .synthetic import SYSTEM, TRUTH, sine
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from identification.contact_force import contact_force, contact_moment
-from identification.estimate.prediction.stretches import motion
+from identification.filter.segments import motion
 from identification.model.gas_generator import GasGenerator
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Recording, RecordingError

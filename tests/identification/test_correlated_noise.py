@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.prediction.acceptance import refusal
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.result import SYSTEM_PARAMETERS
+from identification.estimate.likelihood.acceptance import refusal
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.filter.noise import Noise
 from identification.model.nominal import NOMINAL
+from identification.model.parameters import SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording
 from identification.simulate.servo_loop import respond, usual_loop
 
@@ -66,5 +66,5 @@ def test_physics_that_is_missing_is_not_taken_for_noise(clean: Recording) -> Non
     refined = refine_recordings([recording], NOMINAL, SYSTEM_PARAMETERS, Model(), correlated=True)
     assert not isinstance(refined, str)
     assert refined.noise.correlated > 0.05
-    assert refined.repeated > 0.6
+    assert refined.repeating_share > 0.6
     assert "comes again with the motion" in refusal(refined, 1.0, 1.0)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate.prediction import covariance
-from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.covariance import _REHEARSED_PRIOR, _scatter, _spread, covariances
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.uncertainty import covariance
+from identification.estimate.uncertainty.covariance import _REPLICATE_PRIOR, _scatter, _spread, covariances
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, pack
+from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model
 
 from .test_cramer_rao import NOISE_N_M, SYSTEM, VALUES, from_the_model
@@ -20,14 +21,14 @@ STRETCHES, ROWS = 12, 60
 NOISE = Noise(NOISE_N_M)
 
 
-def strokes(seed: int = 0) -> Arrow:
+def strokes(seed: int = 0) -> BlockArrow:
     """Return slopes of two parameters over strokes that all make the same motion."""
     table = np.tile(np.random.default_rng(seed).normal(size=(ROWS, 2)), (STRETCHES, 1))
     owners = np.repeat(np.arange(STRETCHES), ROWS)
-    return Arrow(table, np.zeros(len(table)), owners, STRETCHES)
+    return BlockArrow(table, np.zeros(len(table)), owners, STRETCHES)
 
 
-def pulled(jacobian: Arrow, pulls: Array) -> Array:
+def pulled(jacobian: BlockArrow, pulls: Array) -> Array:
     """Return the residuals of strokes that each pull at the first parameter."""
     return 1e-3 * jacobian.parameters[:, 0] * pulls[jacobian.owners]
 
@@ -62,7 +63,7 @@ def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
     pulls = np.random.default_rng(3).normal(size=(2, STRETCHES))
     played = [(jacobian, pulled(jacobian, p)) for p in 1e3 * pulls / np.sqrt(ROWS)]
     foretold = np.mean([_scatter(*r)[0] for r in played], axis=0)
-    share = _REHEARSED_PRIOR / (_REHEARSED_PRIOR + STRETCHES)
+    share = _REPLICATE_PRIOR / (_REPLICATE_PRIOR + STRETCHES)
     assert _spread(jacobian, calm, played) == pytest.approx(np.sqrt(share * foretold))
     assert _spread(jacobian, calm, []) == pytest.approx(np.sqrt(1.0 / (1.0 + STRETCHES)))
 
@@ -70,19 +71,19 @@ def test_scatter_is_drawn_toward_that_of_rehearsals() -> None:
 def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
-    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
-    problem.weigh()
+    problem = Problem([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
+    problem.hold_weights()
     x = problem.origin()
     residual = problem.residuals(x)
     jacobian = problem.jacobian(x, residual)
     sure = without_doubt(problem)
-    played = [Rehearsal(sure, jacobian, residual, k) for k in range(2)]
+    played = [Replicate(sure, jacobian, residual, k) for k in range(2)]
     plain = covariances(problem, played)
-    problem.doubt[: problem.breakaways // 2] = 30.0
-    doubted = covariances(problem, played)
-    assert doubted.floor == pytest.approx(plain.floor, rel=1e-6)
-    ratio = np.diag(doubted.achieved) / np.diag(plain.achieved)
+    problem.inflation[: problem.breakaways // 2] = 30.0
+    segment_inflation = covariances(problem, played)
+    assert segment_inflation.floor == pytest.approx(plain.floor, rel=1e-6)
+    ratio = np.diag(segment_inflation.achieved) / np.diag(plain.achieved)
     assert np.all(ratio[: SYSTEM.index("J")] > 1.3)  # half of them all but lost; J has an equation of its own
 
 
@@ -90,15 +91,17 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
     """A Stribeck speed that no sample resolved was taken 400 times up by a straight line in its logarithm."""
     m = motion(from_the_model(1, 5.0))
     assert m is not None
-    problem = Problem([m], pack({**VALUES, "J": 1.05 * VALUES["J"]}), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE)
-    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
-    problem.weigh()
+    problem = Problem(
+        [m], pack({**VALUES, "J": 1.05 * VALUES["J"]}, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE
+    )
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
+    problem.hold_weights()
     plain = covariances(problem).step
     loose = np.ones(len(SYSTEM))
     loose[SYSTEM.index("omega_sf")] = 1e6
     bound = covariance.bound
 
-    def untold(alike: Arrow) -> Array:
+    def untold(alike: BlockArrow) -> Array:
         found = bound(alike)
         found[: len(loose), : len(loose)] *= np.outer(loose, loose)
         return found
@@ -114,5 +117,5 @@ def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.Monk
 def without_doubt(problem: Problem) -> Problem:
     """Return the same problem with doubts of its own."""
     other = Problem(list(problem.motions), problem.start, problem.free, Model(), problem.noise)
-    other.begins = list(problem.begins)
+    other.breakaway_times = list(problem.breakaway_times)
     return other

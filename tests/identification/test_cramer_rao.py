@@ -9,15 +9,16 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from identification.compiled import compiled
-from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.cramer_rao import bound, means_alike, rehearsed_bound, rehearsed_information
-from identification.estimate.prediction.instruments import _smoothed, instruments
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
-from identification.estimate.prediction.stages import Refined, refine_stages
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia.instruments import _smoothed, instruments
+from identification.estimate.likelihood.stages import Refined, refine_stages
+from identification.estimate.uncertainty.cramer_rao import bound, matching_means, replicate_bound, replicate_information
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, pack
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.compiled import compiled
 from identification.recording import Array, Bench, Model, Recording
 
 from .synthetic import TRUTH
@@ -106,9 +107,9 @@ def test_the_noise_is_found(estimates: list[Refined]) -> None:
     assert np.median([r.noise.torque for r in estimates]) == pytest.approx(NOISE_N_M, rel=0.1)
 
 
-def of_parameters(table: Array) -> Arrow:
+def of_parameters(table: Array) -> BlockArrow:
     """Return slopes in parameters alone, of rows of one stretch whose breakaway time none of them knows."""
-    return Arrow(table, np.zeros(len(table)), np.zeros(len(table), dtype=np.int64), 1)
+    return BlockArrow(table, np.zeros(len(table)), np.zeros(len(table), dtype=np.int64), 1)
 
 
 def test_bound_of_a_regression() -> None:
@@ -133,28 +134,28 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
     own = signal + rng.normal(size=(4000, 1))
     others = signal + rng.normal(size=(4000, 1)) / math.sqrt(15.0)
     right = 1.0 / float(np.sum(signal**2))
-    found = bound(means_alike(of_parameters(own), of_parameters(others), np.full(4000, 16.0)))
+    found = bound(matching_means(of_parameters(own), of_parameters(others), np.full(4000, 16.0)))
     assert float(found[0, 0]) == pytest.approx(right, rel=0.15)
     assert 1.0 / float(np.sum(own**2)) < 0.4 * right
 
 
-def slopes_at_the_truth(seed: int) -> tuple[Problem, Arrow]:
+def slopes_at_the_truth(seed: int) -> tuple[Problem, BlockArrow]:
     """Return the problem of a recording of the fitted model at its true values, and its Jacobian there."""
     m = motion(from_the_model(seed, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
-    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
-    problem.weigh()
+    problem = Problem([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
+    problem.hold_weights()
     x = problem.origin()
     return problem, problem.jacobian(x, problem.residuals(x))
 
 
-def rehearsal(problem: Problem, sensitivities: Arrow, noise: int) -> Rehearsal:
+def rehearsal(problem: Problem, sensitivities: BlockArrow, noise: int) -> Replicate:
     """Return a rehearsal that goes as foretold."""
-    return Rehearsal(problem, sensitivities, np.zeros(len(problem.owners)), noise)
+    return Replicate(problem, sensitivities, np.zeros(len(problem.owners)), noise)
 
 
-def shaken(problem: Problem, jacobian: Arrow, noise: int, level: float) -> Rehearsal:
+def shaken(problem: Problem, jacobian: BlockArrow, noise: int, level: float) -> Replicate:
     """Return a rehearsal whose sensitivities have noise of a level over their own rms."""
     rng = np.random.default_rng(noise)
     rms = np.sqrt(np.mean(jacobian.parameters**2, axis=0))
@@ -166,14 +167,14 @@ def test_noise_of_rehearsals_is_no_excitation() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     count = len(SYSTEM)
     right = np.diag(bound(jacobian))[:count]
-    found = rehearsed_bound(
-        rehearsed_information(problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)])
+    found = replicate_bound(
+        replicate_information(problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)])
     )
     assert found is not None
     assert np.diag(found) == pytest.approx(right, rel=0.15)
     # One noise twice would count its power.
     twice = [replace(shaken(problem, jacobian, 0, 0.5), noise=k) for k in range(2)]
-    low = rehearsed_bound(rehearsed_information(problem, jacobian, twice))
+    low = replicate_bound(replicate_information(problem, jacobian, twice))
     assert low is not None
     assert np.all(np.diag(low) < 0.85 * right)
 
@@ -181,7 +182,7 @@ def test_noise_of_rehearsals_is_no_excitation() -> None:
 def test_rehearsals_that_go_as_foretold_give_the_bound_itself() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     alike = [rehearsal(problem, jacobian, k) for k in range(2)]
-    found = rehearsed_bound(rehearsed_information(problem, jacobian, alike))
+    found = replicate_bound(replicate_information(problem, jacobian, alike))
     assert found is not None
     assert np.diag(found) == pytest.approx(np.diag(bound(jacobian))[: len(SYSTEM)], rel=0.02)
 
@@ -190,8 +191,8 @@ def test_too_few_noises_leave_no_bound() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     opposed = replace(jacobian, parameters=-jacobian.parameters)
     assert (
-        rehearsed_bound(
-            rehearsed_information(problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)])
+        replicate_bound(
+            replicate_information(problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)])
         )
         is None
     )
@@ -200,7 +201,7 @@ def test_too_few_noises_leave_no_bound() -> None:
 def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     one = shaken(problem, jacobian, 0, 3.0)
-    found = rehearsed_bound(rehearsed_information(problem, jacobian, [one, replace(one, sensitivities=jacobian)]))
+    found = replicate_bound(replicate_information(problem, jacobian, [one, replace(one, sensitivities=jacobian)]))
     assert found == pytest.approx(bound(jacobian)[: len(SYSTEM), : len(SYSTEM)])
 
 

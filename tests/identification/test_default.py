@@ -9,18 +9,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.assemble import typical_error
 from identification.estimate.default import free_names, identify, solve_stages
-from identification.estimate.paper import identify_paper
-from identification.estimate.prediction import stages
-from identification.estimate.prediction.acceptance import refusal
-from identification.estimate.prediction.problem import Problem
-from identification.estimate.prediction.refinement import refine_recordings
-from identification.estimate.prediction.stages import refine_stages
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.result import Identification
+from identification.estimate.likelihood import stages
+from identification.estimate.likelihood.acceptance import refusal
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.likelihood.stages import refine_stages
+from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.filter.likelihood import Problem
+from identification.filter.segments import motion
 from identification.prepare import prepare
 from identification.recording import Array, Dataset, Model, Recording, RecordingError
+from identification.result import Identification
 
 from .practical import beginning, logged, simulated, with_ripple
 from .synthetic import TRUTH, sine
@@ -55,10 +55,10 @@ def test_innovations_of_the_practical_bench_are_of_unit_size(practical_result: I
 def test_where_the_starts_ended_is_kept(practical_result: Identification) -> None:
     unloaded, loaded = practical_result.starts
     assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
-    assert unloaded.ends[-1] <= unloaded.reached
+    assert unloaded.ends[-1] <= unloaded.search_ends
     assert len(loaded.ends) == 3 + 4 + 2  # of the grid, and far from and near to the best of their ends
     assert 1 <= loaded.best <= 9
-    assert min(loaded.ends) < loaded.reached
+    assert min(loaded.ends) < loaded.search_ends
 
 
 def test_friction_at_a_speed_is_pinned_better_than_its_parts(practical_result: Identification) -> None:
@@ -151,7 +151,7 @@ def test_strong_hidden_ripple_does_not_break_the_search(
     # None near solves the equations, so that it goes to inertias far off; that one there does by chance is the
     # rounding's, and helps nobody.
     (unloaded,) = result.starts
-    assert min(unloaded.ends[:10]) > unloaded.reached
+    assert min(unloaded.ends[:10]) > unloaded.search_ends
     assert np.any(np.isclose(inertias, stages._FAR[0] * inertias[0]))
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}
@@ -169,7 +169,7 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert refusal(right, 1.0, 1.0) == ""
     assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)
     assert "stay correlated (+0.20" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
-    assert "less likely than it began (deviance +20)" in refusal(replace(right, strayed=20.0), 1.0, 1.0)
+    assert "less likely than it began (deviance +20)" in refusal(replace(right, likelihood_drop=20.0), 1.0, 1.0)
     assert refusal(right, 1.0, 1.2) == ""
     assert "raise the equation error from 1 to 1.4" in refusal(right, 1.0, 1.4)
     for lost in (replace(right, whiteness=math.nan), replace(right, values={**right.values, "J": math.nan})):
@@ -182,7 +182,7 @@ def test_a_slip_that_is_lost_is_no_missing_physics(
     """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all samples they do."""
     moving = motion(beginning(practical_pair[0], FEW_S))
     assert moving is not None
-    found = stages.beside_inertia
+    found = stages.fit_beside_inertia
 
     def refined(more: Callable[[Array], Array]) -> stages.Refined:
         def with_more(*given: object) -> Array:
@@ -190,7 +190,7 @@ def test_a_slip_that_is_lost_is_no_missing_physics(
             return residual + more(np.arange(len(residual)))
 
         with monkeypatch.context() as patched:
-            patched.setattr(stages, "beside_inertia", with_more)
+            patched.setattr(stages, "fit_beside_inertia", with_more)
             return refine_stages([moving], [], TRUTH_SYSTEM, Model())
 
     lost = refined(lambda k: np.where((k >= 3000) & (k < 3020), 62.0, 0.0))

@@ -12,20 +12,20 @@ import pytest
 
 from identification.design import pinning, search
 from identification.design import propose as proposing
-from identification.design import rehearsal as rehearsing
 from identification.design import shares as sharing
+from identification.design import simulated_trial as rehearsing
 from identification.design.draws import Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
 from identification.design.pinning import NAMES, NOTHING, Information, Pinned, pinned, stage_information
 from identification.design.propose import propose
-from identification.design.rehearsal import expected, rehearse
 from identification.design.search import Candidate, Design, Search, halved, planned, promised
 from identification.design.shares import best_shares, shared
 from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded, stage_response, with_drives
-from identification.estimate.result import Parameter
+from identification.design.simulated_trial import expected, rehearse
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
-from identification.simulate.seen_loop import drive_loop
+from identification.result import Parameter
+from identification.simulate.drive_loop import drive_loop
 from identification.simulate.servo_loop import respond, usual_loop
 
 from .synthetic import BENCH, friction

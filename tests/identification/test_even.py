@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify, solve_stages
-from identification.estimate.prediction.stretches import motion
-from identification.even import evened
+from identification.even_sampling import evened
+from identification.filter.segments import motion
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
 from identification.signals import quantum

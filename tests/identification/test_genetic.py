@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from identification.estimate.genetic import GeneticAlgorithm
+from identification.numerics.genetic_algorithm import GeneticAlgorithm
 from identification.recording import Array
 
 

@@ -8,11 +8,13 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import deviance, likeliest_noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit, unpack
-from identification.estimate.prediction.stretches import Motion, motion
+from identification.filter import kalman as kernel
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import deviance, likeliest_noise
+from identification.filter.segment_table import TORQUE_RATE
+from identification.filter.segments import Motion, motion
+from identification.model.parameters import INDEX, LOAD_RISE, SYSTEM_RISE, pack, unpack
 from identification.recording import Model, Recording
 
 from .synthetic import TRUTH
@@ -60,11 +62,11 @@ def run_kernel(
     angle: np.ndarray, torque: np.ndarray, side: float, steps: float, noise: np.ndarray = WHITE, begin: float = 0.0
 ) -> np.ndarray:
     n = len(angle)
-    p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA})
+    p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA}, 2.0)
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
         np.array([[1.0, float(n), side, np.inf]]), np.array([begin]), STEP_S * np.arange(n), side * angle,
-        side * torque, np.zeros(n), np.zeros(n), 0.0, 2.0, noise, np.full(n, steps), np.zeros(n), p, out, spread,
+        side * torque, np.zeros(n), np.zeros(n), 0.0, noise, np.full(n, steps), np.zeros(n), p, out, spread,
         speeds, np.zeros(n),
     )  # fmt: skip
     return side * out[1:] / spread[1:]
@@ -172,16 +174,16 @@ def motions(practical_pair: tuple[Recording, Recording]) -> tuple[Motion, Motion
 
 
 def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
-    problem = Problem([m], pack(TRUTH), free, Model(), Noise(0.06))
-    problem.begins = [m.static_crossing(static_limit(problem.start, m))]
-    problem.weigh()
+    problem = Problem([m], pack(TRUTH, 2.0), free, Model(), Noise(0.06))
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
+    problem.hold_weights()
     return problem
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
 def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Motion, Motion], case: int) -> None:
     problem = at_truth(motions[case])
-    errors, deviations = problem.run(problem.start, problem.begins, likeliest_noise(problem))
+    errors, deviations = problem.run(problem.start, problem.breakaway_times, likeliest_noise(problem))
     found = errors / deviations
     clipped = found[np.abs(found) < 6.0]  # the encoder's noise is uniform, friction at breakaway is steep
     assert len(clipped) > 0.995 * len(found)
@@ -190,10 +192,12 @@ def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Moti
 
 
 def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> None:
-    both = Problem(motions, pack(TRUTH), (), Model(), Noise(0.06))
-    both.begins = [m.static_crossing(static_limit(both.start, m)) for m in motions]
-    found = both.run(both.start, both.begins, Noise(0.06, 1e-6))
-    alone = [at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.begins, strict=True)]
+    both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
+    both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
+    found = both.run(both.start, both.breakaway_times, Noise(0.06, 1e-6))
+    alone = [
+        at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.breakaway_times, strict=True)
+    ]
     for k in (0, 1):
         assert found[k] == pytest.approx(np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15)
     filtered = [(j, row) for part in both._halves for j, rows in part for row in range(rows.start, rows.stop)]
@@ -203,13 +207,30 @@ def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> No
     assert abs(steps[0] - steps[1]) <= 2.0 * longest
 
 
+def test_an_error_in_the_second_thread_is_raised(
+    motions: tuple[Motion, Motion], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    both = Problem(motions, pack(TRUTH, 2.0), (), Model(), Noise(0.06))
+    both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
+    _, second = both._halves
+    assert second
+
+    def broken(pieces: list[tuple[int, slice]], *_: object) -> None:
+        if pieces is second:
+            raise FloatingPointError("half of the segments were not filtered")
+
+    monkeypatch.setattr(both, "_filter", broken)
+    with pytest.raises(FloatingPointError, match="were not filtered"):
+        both.run(both.start, both.breakaway_times, both.noise)
+
+
 def _of(m: Motion, rows: slice) -> np.ndarray:
     return np.concatenate([m.steps[int(a) : int(b)] for a, b in m.table[rows, :2]])
 
 
 def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) -> None:
     chained = motions[0].table.copy()
-    chained[1:-1, kernel.RISE] = 0.0
+    chained[1:-1, TORQUE_RATE] = 0.0
     one, other = at_truth(replace(motions[0], table=chained))._halves
     assert [rows for _, rows in one] == [slice(0, len(chained) - 1)]
     assert [rows for _, rows in other] == [slice(len(chained) - 1, len(chained))]
@@ -217,11 +238,11 @@ def test_what_goes_on_without_a_rest_is_not_cut(motions: tuple[Motion, Motion]) 
 
 def test_innovations_grow_away_from_the_truth(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1])
-    right = deviance(*problem.run(problem.start, problem.begins, Noise(0.06)))
+    right = deviance(*problem.run(problem.start, problem.breakaway_times, Noise(0.06)))
     for name in ("Mc", "sigma_2", "mu_c", "omega_sL"):
         wrong = problem.start.copy()
         wrong[INDEX[name]] *= 1.1
-        assert deviance(*problem.run(wrong, problem.begins, Noise(0.06))) > right, name
+        assert deviance(*problem.run(wrong, problem.breakaway_times, Noise(0.06))) > right, name
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
@@ -245,15 +266,15 @@ def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case:
 
 
 def test_packing_keeps_static_limits_as_rises() -> None:
-    p = pack(TRUTH)
-    assert p[kernel.DM] == pytest.approx(12.025 - 6.825)
-    assert p[kernel.DMU] == pytest.approx(0.086 - 0.052)
+    p = pack(TRUTH, 2.0)
+    assert p[SYSTEM_RISE] == pytest.approx(12.025 - 6.825)
+    assert p[LOAD_RISE] == pytest.approx(0.086 - 0.052)
     assert unpack(p, tuple(TRUTH)) == pytest.approx(dict(TRUTH))
 
 
 def test_parameters_and_origin_are_inverse(motions: tuple[Motion, Motion]) -> None:
     problem = at_truth(motions[1], tuple(INDEX.values()))
-    assert problem.parameters(problem.origin()) == pytest.approx(pack(TRUTH))
+    assert problem.parameters(problem.origin()) == pytest.approx(pack(TRUTH, 2.0))
 
 
 def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:

@@ -18,8 +18,8 @@ import pytest
 from numba.core.caching import IndexDataCacheFile
 
 import drivers.mock.plant.kernel_cache
-import identification.kernel_cache
-from identification.kernel_cache import KernelCache, digest
+import identification.numerics.kernel_cache
+from identification.numerics.kernel_cache import KernelCache, digest
 
 CALLED = """
 from identification.compiled import compiled
@@ -56,7 +56,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
     """Write three modules that call each other, with a constant in the last, and load the first anew."""
     names = {name: f"{name}_{tmp_path.name}" for name in ("constants", "called", "caller")}
     monkeypatch.syspath_prepend(str(tmp_path))
-    identification.kernel_cache._SAID.clear()
+    identification.numerics.kernel_cache._SAID.clear()
 
     def load(factor: float) -> ModuleType:
         texts = {"constants": f"FACTOR = {factor}\n", "called": CALLED, "caller": CALLER}
@@ -72,7 +72,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
 
 
 def test_the_two_copies_are_one() -> None:
-    first, second = identification.kernel_cache.__file__, drivers.mock.plant.kernel_cache.__file__
+    first, second = identification.numerics.kernel_cache.__file__, drivers.mock.plant.kernel_cache.__file__
     assert first != second
     assert Path(first).read_text(encoding="utf-8") == Path(second).read_text(encoding="utf-8")
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from identification.estimate.levenberg import minimise, minimise_deviance
+from identification.numerics.levenberg_marquardt import minimise, minimise_deviance
 from identification.recording import Array
 
 SAMPLES = 400

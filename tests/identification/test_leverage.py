@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
-from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction import instrumental
-from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.leverage import doubts
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
+from identification.estimate.inertia import estimating_equations as instrumental
+from identification.estimate.inertia.variance_inflation import inflation_factors
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
+from identification.model.parameters import MC, pack
+from identification.numerics.block_arrow import BlockArrow
 from identification.recording import Array, Model, Recording
 
 from .practical import beginning
@@ -26,18 +26,18 @@ ALIKE = np.full(10, 1000, dtype=np.int64)
 def test_the_noise_of_a_stretch_that_says_far_more_is_taken_to_be_larger() -> None:
     stretches = np.array([np.diag([1.0, 1.0])] * 9 + [np.diag([1.0, 9991.0])])
     one = np.zeros(10, dtype=np.int64)
-    doubt = doubts(stretches, ALIKE, one, 3.0)
+    doubt = inflation_factors(stretches, ALIKE, one, 3.0)
     assert doubt == pytest.approx([1.0] * 9 + [np.sqrt(9991.0 / 3.0)])
     believed = np.sum(stretches / doubt[:, None, None] ** 2, axis=0)
     assert believed == pytest.approx(np.diag([9.0 + 3.0 / 9991.0, 9.0 + 3.0]))
-    assert doubts(stretches[:9], ALIKE[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
+    assert inflation_factors(stretches[:9], ALIKE[:9], one[:9], 3.0) == pytest.approx(np.ones(9))
 
 
 def test_recordings_are_judged_each_by_its_own_stretches() -> None:
     """A heavier weight may say more than a lighter one, and what a recording does not hold limits nothing."""
     light, heavy = np.diag([1.0, 1.0, 1e-15]), np.diag([1.0, 100.0, 1.0])
     stretches = np.array([light] * 2 + [10.0 * light] + [heavy] * 3)
-    doubt = doubts(stretches, ALIKE[:6], np.repeat([0, 1], 3), 3.0)
+    doubt = inflation_factors(stretches, ALIKE[:6], np.repeat([0, 1], 3), 3.0)
     assert doubt == pytest.approx([1.0, 1.0, np.sqrt(10.0 / 3.0), 1.0, 1.0, 1.0])
 
 
@@ -46,15 +46,15 @@ def test_strokes_are_not_doubted_beside_more_slips_that_say_little() -> None:
     stretches = np.array([np.diag([100.0]), np.diag([1.0]), np.diag([1.0])] * 3)
     lengths = np.array([2000, 20, 20] * 3)
     recordings = np.zeros(9, dtype=np.int64)
-    assert doubts(stretches, lengths, recordings, 3.0) == pytest.approx(np.ones(9))
+    assert inflation_factors(stretches, lengths, recordings, 3.0) == pytest.approx(np.ones(9))
     stretches[0] *= 12.0
-    assert doubts(stretches, lengths, recordings, 3.0) == pytest.approx([2.0] + [1.0] * 8)
+    assert inflation_factors(stretches, lengths, recordings, 3.0) == pytest.approx([2.0] + [1.0] * 8)
 
 
 def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() -> None:
     rng = np.random.default_rng(0)
-    slopes = Arrow(rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3)
-    told = slopes.told()
+    slopes = BlockArrow(rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3)
+    told = slopes.information_by_block()
     weight = np.ones(12)
     assert np.sum(told, axis=0) == pytest.approx(slopes.eliminated(weight, weight).matrix)
     own, along = slopes.parameters[4:8], slopes.own[4:8]
@@ -67,17 +67,17 @@ def test_stretches_are_judged_again_where_the_fit_ends(
 ) -> None:
     found = motion(beginning(practical_pair[0], 3.0))
     assert found is not None
-    begun = pack(TRUTH)
-    problem = Problem([found], begun, [kernel.MC], Model(), Noise(0.1))
-    problem.begins = [found.static_crossing(static_limit(begun, found))]
+    begun = pack(TRUTH, 2.0)
+    problem = Problem([found], begun, [MC], Model(), Noise(0.1))
+    problem.breakaway_times = [found.static_crossing(static_limit(begun, found))]
 
     def fit(p: Problem, _noise: Sequence[float]) -> Array:
         p.start = p.start + 0.1
         return np.empty(0)
 
-    def doubted(p: Problem) -> Array:
+    def segment_inflation(p: Problem) -> Array:
         return np.full(p.breakaways, 1.0 if p.start is begun else 2.0)
 
-    monkeypatch.setattr(instrumental, "doubted", doubted)
-    instrumental.beside_inertia(problem, fit)
-    assert problem.doubt == pytest.approx(np.full(problem.breakaways, 2.0))
+    monkeypatch.setattr(instrumental, "segment_inflation", segment_inflation)
+    instrumental.fit_beside_inertia(problem, fit)
+    assert problem.inflation == pytest.approx(np.full(problem.breakaways, 2.0))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded
-from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction import searches
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack
-from identification.estimate.prediction.stretches import motion
+from identification.estimate.likelihood import searches
+from identification.filter.likelihood import Problem
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, LOAD_RISE, MU_C, OMEGA_SL, pack
 from identification.recording import Array, Model
 
 from .synthetic import BENCH
@@ -45,16 +45,18 @@ def searched(seed: int) -> tuple[float, float, float]:
     commands = (ramps(1.491, 4.521, 8), sine(24.254, 0.6223, 2.41), ramps(2.896, 5.911, 3))
     rng = np.random.default_rng(seed)
     motions = [motion(recorded(k, PlannedStage(c, WEIGHT), nominal, rng)) for k, c in enumerate(commands)]
-    start = pack({**TRUTH, "mu_c": 0.989 * 0.0339, "mu_s": 0.155, "omega_sL": 0.88 * 0.0415, "mu_2": 1.01 * 0.0282})
+    start = pack(
+        {**TRUTH, "mu_c": 0.989 * 0.0339, "mu_s": 0.155, "omega_sL": 0.88 * 0.0415, "mu_2": 1.01 * 0.0282}, 2.0
+    )
     free = [INDEX[name] for name in LOAD]
     problem = Problem([m for m in motions if m is not None], start, free, Model(), Noise(NOISE))
-    searches.refine_from(problem, searches.breakaway_starts(problem, kernel.MU_C, kernel.DMU, kernel.OMEGA_SL))
+    searches.refine_from(problem, searches.breakaway_starts(problem, MU_C, LOAD_RISE, OMEGA_SL))
     p = problem.start
-    static = p[kernel.MU_C] + p[kernel.DMU]
+    static = p[MU_C] + p[LOAD_RISE]
     return (
-        float(p[kernel.MU_C] / TRUTH["mu_c"] - 1.0),
+        float(p[MU_C] / TRUTH["mu_c"] - 1.0),
         float(static / TRUTH["mu_s"] - 1.0),
-        float(p[kernel.OMEGA_SL] / TRUTH["omega_sL"] - 1.0),
+        float(p[OMEGA_SL] / TRUTH["omega_sL"] - 1.0),
     )
 
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from identification.estimate import default, long
-from identification.estimate.prediction.information import reduce, settle
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.problem import INDEX, Problem, pack, static_limit
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.result import Identification
+from identification.filter.breakaway_times import optimise_breakaway_times, reduce
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, pack
 from identification.prepare import resting
 from identification.recording import Dataset, Model, Recording
+from identification.result import Identification
 
 from .synthetic import SYSTEM, TRUTH, sine
 
@@ -27,9 +28,9 @@ def short_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
 def unloaded_problem(recording: Recording) -> Problem:
     moving = motion(recording)
     assert moving is not None
-    problem = Problem([moving], pack(TRUTH), [INDEX[n] for n in SYSTEM], Model(), Noise(0.05))
-    problem.begins = [moving.static_crossing(static_limit(problem.start, moving))]
-    problem.weigh()
+    problem = Problem([moving], pack(TRUTH, 2.0), [INDEX[n] for n in SYSTEM], Model(), Noise(0.05))
+    problem.breakaway_times = [moving.static_crossing(static_limit(problem.start, moving))]
+    problem.hold_weights()
     return problem
 
 
@@ -105,7 +106,7 @@ def test_settling_never_makes_a_stretch_worse(practical_pair: tuple[Recording, R
     problem = unloaded_problem(practical_pair[0])
     owners = problem.owners.astype(np.int64)
     before = np.bincount(owners, problem.residuals(problem.origin()) ** 2)
-    settle(problem)
+    optimise_breakaway_times(problem)
     after = np.bincount(owners, problem.residuals(problem.origin()) ** 2)
     assert np.all(after <= before * (1.0 + 1e-12))
     assert after.sum() < before.sum()

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from identification.estimate.misfit import TorqueMisfit
-from identification.estimate.paper import GENERATIONS, POPULATION, identify_paper
-from identification.estimate.result import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.estimate.paper_method.paper import GENERATIONS, POPULATION, identify_paper
+from identification.estimate.paper_method.torque_misfit import TorqueMisfit
+from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
 from identification.recording import Bench, Dataset, Model, Recording, RecordingError
 
 TRUTH = {
@@ -88,7 +88,7 @@ def test_both_stages() -> None:
         assert stage.cost_history is not None
         assert np.all(np.diff(stage.cost_history) <= 0.0)
         assert stage.cost_history[-1] == stage.cost
-        assert stage.reached is False
+        assert stage.search_ends is False
         assert all(len(h) == GENERATIONS for h in stage.parameter_history.values())
     assert result.fit.validate_rms is not None
     assert result.fit.validate_rms < 0.3

@@ -14,10 +14,11 @@ from drivers.mock.plant.constants import Joint, Machine
 from drivers.mock.plant.friction import friction
 from drivers.mock.plant.gas_direct import burn, throat_area
 from drivers.mock.plant.machine import friction_vector
-from identification.estimate.prediction import innovations
 from identification.model import gas_kernel as kernel
+from identification.model.friction import friction as compiled_friction
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.gas_generator import GasGenerator, constants, pressure_history, throat_derivatives
+from identification.model.parameters import pack
 from identification.model.valve import throat_area as believed_throat
 
 from .synthetic import TRUTH
@@ -38,17 +39,10 @@ def test_friction_at_random_speeds_and_loads(seed: int, alpha: float) -> None:
 
 
 @pytest.mark.parametrize("force", [0.0, 3000.0])
-def test_the_filters_compiled_friction_is_the_same(force: float) -> None:
-    p = np.zeros(innovations.PARAMETERS)
-    t = TRUTH
-    p[[innovations.MC, innovations.DM, innovations.OMEGA_SF, innovations.SIGMA_2]] = (
-        t["Mc"], t["Ms"] - t["Mc"], t["omega_sf"], t["sigma_2"],
-    )  # fmt: skip
-    p[[innovations.MU_C, innovations.DMU, innovations.OMEGA_SL, innovations.MU_2]] = (
-        t["mu_c"], t["mu_s"] - t["mu_c"], t["omega_sL"], t["mu_2"],
-    )  # fmt: skip
+def test_the_compiled_friction_is_the_same(force: float) -> None:
+    p = pack(TRUTH, 2.0)
     for speed in np.geomspace(1e-5, 2.0, 40):
-        value, slope = innovations._friction(speed, force * 0.095, 2.0, 0.0, p)
+        value, slope = compiled_friction(speed, force * 0.095, 0.0, p)
         assert (value, slope) == pytest.approx(friction(speed, friction_vector(Joint(), force)), rel=1e-12)
 
 

@@ -7,13 +7,13 @@ import pytest
 from matplotlib.figure import Figure
 
 from identification.diagnosis.result import ResidualTrace
-from identification.estimate.result import Convergence, Fit, Identification, Parameter, Profile, Starts, Trace
 from identification.plots import fit as fit_plots
 from identification.plots import mismatch, signals
 from identification.plots import profile as profile_plots
 from identification.plots.spread import spread
 from identification.plots.style import MAX_POINTS, continuing, png
 from identification.recording import Bench, Recording
+from identification.result import Convergence, Fit, Identification, Parameter, Profile, Starts, Trace
 
 UNIT = re.compile(r"\((deg|rad/s|N m|N|m/s|mm|s|%|1|kg|A)\)$")
 

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate import levenberg
 from identification.estimate.default import identify
-from identification.estimate.prediction.noise_level import CLIP
-from identification.estimate.prediction.problem import INDEX
-from identification.estimate.prediction.profile import LEVEL, crossings, profiles
-from identification.estimate.prediction.stages import Refined, refine_stages
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.result import Identification
+from identification.estimate.likelihood.profile import LEVEL, crossings, profiles
+from identification.estimate.likelihood.stages import Refined, refine_stages
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX
+from identification.numerics import levenberg_marquardt as levenberg
 from identification.recording import Array, Dataset, Model, Recording
+from identification.result import Identification
 
 from .synthetic import SYSTEM, TRUTH, sine
 
@@ -67,7 +67,7 @@ def test_a_profile_is_the_least_cost_with_that_value_held(practical_pair: tuple[
             lambda x: joint.residuals(whole(x)),
             lambda x, here: joint.jacobian(whole(x), here).without(place),
             np.delete(joint.origin(), place),
-            threshold=CLIP,
+            threshold=HUBER_THRESHOLD,
             tolerance=1e-9,
         )
         return found.cost

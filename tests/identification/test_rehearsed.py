@@ -1,4 +1,4 @@
-"""By how much the likelihood is off, foretold by rehearsals and held against the simulated machine."""
+"""By how much the likelihood is off, foretold by replicates and held against the simulated machine."""
 
 from __future__ import annotations
 
@@ -16,22 +16,23 @@ from hypothesis.extra.numpy import arrays
 
 from drivers.mock.plant.constants import Joint, Machine, Sensing
 from identification.estimate.default import identify
-from identification.estimate.levenberg import minimise_deviance
-from identification.estimate.prediction import innovations as kernel
-from identification.estimate.prediction import refinement, rehearsed
-from identification.estimate.prediction.arrow import Arrow
-from identification.estimate.prediction.covariance import Covariances, covariances
-from identification.estimate.prediction.cramer_rao import bound
-from identification.estimate.prediction.inertia import Equation, best
-from identification.estimate.prediction.instruments import instruments, rehearsed_instruments
-from identification.estimate.prediction.noise import Noise
-from identification.estimate.prediction.noise_level import CLIP, likeliest_noise, torque_noise
-from identification.estimate.prediction.problem import INDEX, LOGARITHMIC, Problem, pack, static_limit, unpack
-from identification.estimate.prediction.refinement import Found, _unbiased
-from identification.estimate.prediction.rehearsed import Bias, _Scored, likelihood_bias, logged_share
-from identification.estimate.prediction.stretches import motion
-from identification.estimate.prediction.stroke_curves import Rehearsal
-from identification.estimate.uncertainty import Spread
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia.inertia_equation import Equation, least_variance
+from identification.estimate.inertia.instruments import instruments, replicate_instruments
+from identification.estimate.likelihood import refinement, replicates
+from identification.estimate.likelihood.refinement import Found, _unbiased
+from identification.estimate.likelihood.replicates import Bias, _Scored, likelihood_bias, logged_share
+from identification.estimate.uncertainty.covariance import Covariances, covariances
+from identification.estimate.uncertainty.cramer_rao import bound
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise import Noise
+from identification.filter.noise_level import HUBER_THRESHOLD, likeliest_noise, torque_noise
+from identification.filter.segment_table import DIRECTION
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, pack, unpack
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import minimise_deviance
+from identification.numerics.spread import Spread
 from identification.recording import Array, Dataset, Model, Pendulum, Recording
 
 from .practical import beginning, command, logged, simulated
@@ -56,11 +57,11 @@ def sticky(seed: int) -> list[Recording]:
 def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES) -> Problem:
     """Return the joint problem at these values, its breakaways and noise levels the likeliest."""
     motions = [m for r in recordings if (m := motion(r)) is not None]
-    problem = Problem(motions, pack(values), [], Model(), Noise(torque_noise(motions)))
-    problem.begins = [m.static_crossing(static_limit(problem.start, m)) for m in motions]
+    problem = Problem(motions, pack(values, 2.0), [], Model(), Noise(torque_noise(motions)))
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m)) for m in motions]
     problem.noise = likeliest_noise(problem)
-    problem.weigh()
-    problem.seek_breakaways(CLIP)
+    problem.hold_weights()
+    problem.move_breakaways(HUBER_THRESHOLD)
     problem.free = tuple(INDEX[n] for n in names)
     return problem
 
@@ -69,7 +70,7 @@ def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, 
 def _sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
     problem = at(STICKY, sticky(seed))
     with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(rehearsed, "_TURNS", 1)  # the true values are at hand
+        patched.setattr(replicates, "_TURNS", 1)  # the true values are at hand
         bias = likelihood_bias(problem, NAMES)
     assert bias is not None
     return problem, bias
@@ -81,23 +82,23 @@ def sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
     return deepcopy(problem), bias
 
 
-def silent(problem: Problem) -> Rehearsal:
+def silent(problem: Problem) -> Replicate:
     """Return a rehearsal that says nothing."""
     rows = len(problem.owners)
-    nothing = Arrow(np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways)
-    return Rehearsal(problem, nothing, np.zeros(rows), 0)
+    nothing = BlockArrow(np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways)
+    return Replicate(problem, nothing, np.zeros(rows), 0)
 
 
-def slopes(problem: Problem) -> Arrow:
-    problem.weigh()
+def slopes(problem: Problem) -> BlockArrow:
+    problem.hold_weights()
     return problem.jacobian(problem.origin(), problem.residuals(problem.origin()))
 
 
 def likeliest(problem: Problem) -> dict[str, float]:
     """Return the likeliest of all but the inertia, from the values at which a problem stands."""
-    problem.free = tuple(k for k in problem.free if k != kernel.INERTIA)
+    problem.free = tuple(k for k in problem.free if k != INERTIA)
     found = minimise_deviance(
-        problem.predictions, problem.derivatives, problem.origin(), threshold=CLIP, tolerance=0.05
+        problem.predictions, problem.derivatives, problem.origin(), threshold=HUBER_THRESHOLD, tolerance=0.05
     )
     return unpack(problem.parameters(found.x), [n for n in NAMES if n != "J"])
 
@@ -117,14 +118,14 @@ def test_a_rehearsal_is_the_same_each_time_and_changes_nothing() -> None:
     recordings = [seen(logged(simulated(0, 0.0), 0.0))]
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     problem = at(TRUTH, recordings, names)
-    before = problem.start.copy(), [b.copy() for b in problem.begins]
+    before = problem.start.copy(), [b.copy() for b in problem.breakaway_times]
     bias = likelihood_bias(problem, names)
     assert bias is not None
     assert bias.shifts["J"] == bias.variances["J"] == 0.0
     assert all(v > 0.0 for n, v in bias.variances.items() if n != "J")
     assert all(abs(bias.shifts[n]) < 0.01 * TRUTH[n] for n in names)
     assert np.array_equal(problem.start, before[0])
-    assert all(np.array_equal(a, b) for a, b in zip(problem.begins, before[1], strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(problem.breakaway_times, before[1], strict=True))
     assert likelihood_bias(problem, names) == bias
 
 
@@ -163,11 +164,11 @@ def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
     problem.noise = Noise(0.4)
-    seen_loop = rehearsed._loop(problem.motions)
+    seen_loop = replicates._loop(problem.motions)
     assert seen_loop is not None
     loop = replace(seen_loop, count=1e-6)  # of a finer encoder, whose steps the drive does not answer loudly
-    noise = rehearsed._drawn(problem, problem.motions[0], np.random.default_rng(1), 1.0, share)
-    played = rehearsed._rehearsed(problem, problem.motions[0], loop, noise)
+    noise = replicates._drawn(problem, problem.motions[0], np.random.default_rng(1), 1.0, share)
+    played = replicates._replicate(problem, problem.motions[0], loop, noise)
     assert played is not None
     channels = {**played.recording.channels, "command": problem.motions[0].recording.channels["command"]}
     again = copy(problem)
@@ -178,7 +179,7 @@ def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
 def test_where_the_drive_answers_louder_than_the_noise_half_of_it_is_logged() -> None:
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
-    loop = rehearsed._loop(problem.motions)
+    loop = replicates._loop(problem.motions)
     assert loop is not None
     for quiet in (0.0, 1e-4):  # the drive answers to its encoder's steps too
         problem.noise = Noise(quiet)
@@ -194,12 +195,12 @@ def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off
     found = Found(values, Spread(names, 1e-6 * np.eye(5), math.inf))
     bias = likelihood_bias(problem, names)
     assert bias is not None
-    before = problem.start.copy(), [b.copy() for b in problem.begins]
+    before = problem.start.copy(), [b.copy() for b in problem.breakaway_times]
     there: list[Array] = []
 
-    def recorded(moved: Problem, rehearsals: Sequence[Rehearsal]) -> Covariances:
+    def recorded(moved: Problem, replicates: Sequence[Replicate]) -> Covariances:
         there.append(moved.start.copy())
-        return covariances(moved, rehearsals)
+        return covariances(moved, replicates)
 
     monkeypatch.setattr(refinement, "covariances", recorded)
     solved = refinement._with_instruments(refinement._unbiased(found, bias), problem, bias)
@@ -208,7 +209,7 @@ def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off
     assert solved.values["J"] != expected["J"]
     assert np.all(np.diag(solved.spread.covariance)[:4] > [bias.variances[n] for n in names[:4]])
     assert np.array_equal(problem.start, before[0])
-    assert all(np.array_equal(a, b) for a, b in zip(problem.begins, before[1], strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(problem.breakaway_times, before[1], strict=True))
 
 
 def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
@@ -244,7 +245,7 @@ def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.Monk
         out[problem.free.index(INDEX["Ms"])] = 1e-3 * (seed + 2.0 * sign)
         return _Scored(out, np.ones(len(problem.free)), silent(problem))
 
-    monkeypatch.setattr(rehearsed, "_step", step)
+    monkeypatch.setattr(replicates, "_step", step)
     bias = likelihood_bias(problem, names)
     assert bias is not None
     assert bias.shifts["Ms"] == pytest.approx(1e-3 * (1 + 2 + 3) / 3)
@@ -267,7 +268,7 @@ def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
         out[problem.free.index(INDEX["Ms"])] = spread * (-1.0) ** seed
         return _Scored(out, np.ones(len(problem.free)), silent(problem))
 
-    monkeypatch.setattr(rehearsed, "_step", step)
+    monkeypatch.setattr(replicates, "_step", step)
     assert likelihood_bias(problem, names) is not None
     assert taken == [k for k in range(noises) for _ in range(2)]
 
@@ -283,7 +284,7 @@ def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(monkeypatch: py
         out[place] = 0.1 * joint.origin()[place]
         return _Scored(out, np.full(len(joint.free), deviation), silent(joint))
 
-    monkeypatch.setattr(rehearsed, "_step", step)
+    monkeypatch.setattr(replicates, "_step", step)
     whole = problem.origin()[place]
     found = {}
     for deviation in (1e-3, 1e3):
@@ -299,21 +300,21 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
     problem = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
     jacobian = slopes(problem)
     every = instruments(problem, jacobian)
-    problem.doubt[1] = 2.0
-    level = 2.5 / problem.doubt[problem.owners]
+    problem.inflation[1] = 2.0
+    level = 2.5 / problem.inflation[problem.owners]
     plain = replace(every, parameters=np.repeat(level[:, None], len(names), axis=1), own=level)
     marked = [replace(jacobian, parameters=np.full_like(every.parameters, k)) for k in (1.0, 4.0)]
-    found = rehearsed_instruments(problem, plain, [Rehearsal(problem, m, np.zeros(len(m.own)), 0) for m in marked])
+    found = replicate_instruments(problem, plain, [Replicate(problem, m, np.zeros(len(m.own)), 0) for m in marked])
     ties = len(plain.own) - problem.breakaways
     assert np.array_equal(found.parameters[ties:], plain.parameters[ties:])
     assert np.array_equal(found.own[ties:], plain.own[ties:])
-    for j, doubt in enumerate(problem.doubt):
+    for j, doubt in enumerate(problem.inflation):
         assert np.allclose(found.parameters[:ties][problem.owners[:ties] == j], 2.5 / doubt)
     # What goes the other way is no rehearsal of a stretch.
     other = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
-    other.motions[0].table[:2, kernel.SIDE] *= -1.0
+    other.motions[0].table[:2, DIRECTION] *= -1.0
     plain = replace(plain, parameters=np.full_like(plain.parameters, 7.0))
-    found = rehearsed_instruments(problem, plain, [Rehearsal(other, marked[0], np.zeros(len(plain.own)), 0)])
+    found = replicate_instruments(problem, plain, [Replicate(other, marked[0], np.zeros(len(plain.own)), 0)])
     for j in range(problem.breakaways):
         rows = np.flatnonzero(problem.owners[:ties] == j)[:100]
         assert np.allclose(found.parameters[rows], 7.0 if j < 2 else 1.0)
@@ -324,26 +325,26 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
 )
 def test_the_mean_of_two_equations_has_no_more_variance_than_either(one: Array, other: Array) -> None:
-    found = best(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
+    found = least_variance(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
     assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
     assert np.allclose(found.parts, 2.0 * found.influence)
 
 
 def test_two_equations_that_err_apart_count_by_their_variances() -> None:
     one, other = np.array([2.0, 0.0]), np.array([0.0, 1.0])
-    assert best(Equation(one, one), Equation(other, other)).influence == pytest.approx([0.4, 0.8])
+    assert least_variance(Equation(one, one), Equation(other, other)).influence == pytest.approx([0.4, 0.8])
 
 
 def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> None:
     problem, bias = sticky_with_bias(0)
-    assert len({r.noise for r in bias.rehearsals}) >= 3
-    j = problem.free.index(kernel.INERTIA)
-    plain, found = covariances(problem), covariances(problem, bias.rehearsals)
+    assert len({r.noise for r in bias.replicates}) >= 3
+    j = problem.free.index(INERTIA)
+    plain, found = covariances(problem), covariances(problem, bias.replicates)
     assert found.achieved[j, j] < plain.achieved[j, j]
     x = problem.origin()
     x[: len(found.step)] += found.step
     problem.keep(x)
-    assert abs(covariances(problem, bias.rehearsals).step[j]) < 0.1 * abs(found.step[j])
+    assert abs(covariances(problem, bias.replicates).step[j]) < 0.1 * abs(found.step[j])
 
 
 def test_instruments_of_a_rehearsal_are_what_it_shows_from_sample_to_sample() -> None:
@@ -352,8 +353,8 @@ def test_instruments_of_a_rehearsal_are_what_it_shows_from_sample_to_sample() ->
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 10.0))], names)
     own = slopes(problem)
     rough = replace(own, parameters=own.parameters * np.resize([1.0, -1.0], len(own.own))[:, None])
-    rehearsal = Rehearsal(problem, rough, np.zeros(len(own.own)), 0)
-    found = rehearsed_instruments(problem, instruments(problem, own), [rehearsal])
+    rehearsal = Replicate(problem, rough, np.zeros(len(own.own)), 0)
+    found = replicate_instruments(problem, instruments(problem, own), [rehearsal])
     inside = np.flatnonzero(np.diff(problem.owners[: len(own.own) - problem.breakaways]) == 0)  # all but the last
     assert found.parameters[inside] == pytest.approx(rough.parameters[inside], rel=1e-9)
 
@@ -369,7 +370,7 @@ def test_the_floor_is_that_of_a_bench_without_noise() -> None:
         quiet.noise = problem.noise
         count = len(NAMES)
         right = np.diag(bound(slopes(quiet)))[:count]
-        found = np.diag(covariances(problem, bias.rehearsals).floor)[:count]
+        found = np.diag(covariances(problem, bias.replicates).floor)[:count]
         units = [problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free]
         over.append(np.sqrt(found / right) / units)
     mean = dict(zip(NAMES, np.mean(over, axis=0), strict=True))

@@ -10,7 +10,7 @@ import pytest
 
 from identification.model.nominal import NOMINAL
 from identification.recording import Bench, Recording
-from identification.simulate.seen_loop import _least, drive_loop
+from identification.simulate.drive_loop import _least, drive_loop
 from identification.simulate.servo_loop import Loop, respond
 
 PERIOD = 1e-3

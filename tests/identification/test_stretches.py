@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identification.estimate.prediction.stretches import LEAD, RISING, motion
+from identification.filter.segments import LEAD, RISING, motion
 from identification.recording import Pendulum, Recording, RecordingError
 
 from .practical import logged, simulated
@@ -144,13 +144,13 @@ def test_strokes_alike_are_those_of_one_motion_either_way(practical_pair: tuple[
     found = motion(practical_pair[0])
     assert found is not None
     ends = np.isin(np.arange(len(found.table)), [0, len(found.table) - 1])
-    assert np.array_equal(found.alike, ends[:, None] == ends)
+    assert np.array_equal(found.matching, ends[:, None] == ends)
 
 
 def test_a_stroke_unlike_all_others_has_all_of_them(practical_pair: tuple[Recording, Recording]) -> None:
     found = motion(practical_pair[0])
     assert found is not None
-    alike = replace(found, table=found.table[:-1]).alike
+    alike = replace(found, table=found.table[:-1]).matching
     assert np.all(alike[0])
     assert not np.any(alike[1:, 0])
 
@@ -162,6 +162,6 @@ def test_strokes_of_two_amplitudes_are_not_alike(practical_pair: tuple[Recording
     angle = found.angle.copy()
     half = first[len(first) // 2]
     angle[half:] = angle[half] + 0.8 * (angle[half:] - angle[half])
-    alike = replace(found, angle=angle, table=found.table[1:-1]).alike
+    alike = replace(found, angle=angle, table=found.table[1:-1]).matching
     fewer = first >= half
     assert np.array_equal(alike, fewer[:, None] == fewer)

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from identification.estimate.result import UNITS_ROTARY
-from identification.estimate.tradeoff import least_pinned, tradeoffs
-from identification.estimate.uncertainty import Spread
+from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
+from identification.model.parameters import UNITS_ROTARY
+from identification.numerics.spread import Spread
 
 from .synthetic import TRUTH
 

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from identification.estimate.default import identify
-from identification.estimate.noise_floor import command_period, noise_floor
-from identification.estimate.result import Parameter
+from identification.estimate.equation_error.noise_floor import command_period, noise_floor
 from identification.estimate.transfer import moved, transfer
 from identification.prepare import prepare
 from identification.recording import Array, Dataset, Recording, RecordingError
+from identification.result import Parameter
 
 from .synthetic import TRUTH, sine
 

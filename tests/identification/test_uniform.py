@@ -5,7 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.estimate.uniform import UniformPoint, errors_percent, fit_uniform, uniform_points
+from identification.estimate.equation_error.uniform_motion import (
+    UniformPoint,
+    errors_percent,
+    fit_uniform,
+    uniform_points,
+)
 from identification.model.friction import load_coefficient, system_friction
 from identification.model.nominal import NOMINAL
 from identification.recording import Bench, Recording

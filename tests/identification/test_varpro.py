@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from identification.estimate.default import solve_stages
-from identification.estimate.regression import loaded_stage, model_torque, unloaded_stage
-from identification.estimate.varpro import Design, bounded_least_squares, solve
+from identification.estimate.equation_error.regression import loaded_stage, model_torque, unloaded_stage
+from identification.estimate.equation_error.variable_projection import solve
+from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 from identification.prepare import prepare
 from identification.recording import Model, Recording
 

@@ -15,8 +15,8 @@ from markupsafe import escape
 import rig.diagnose
 from identification.corrected.model import CorrectedModel
 from identification.diagnosis.result import Diagnosis, Shift
-from identification.estimate.result import Fit, Identification, Parameter
 from identification.recording import Dataset, RecordingError
+from identification.result import Fit, Identification, Parameter
 from rig.bench import load_bench
 from rig.cli import status
 from rig.diagnose import as_json, diagnose_source

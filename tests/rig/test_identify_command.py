@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.estimate.paper import identify_paper
+from identification.estimate.paper_method.paper import identify_paper
 from rig.cli import status
 from rig.identify import METHODS
 

@@ -10,9 +10,9 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.estimate.ladder import climb
-from identification.estimate.result import Identification
 from identification.estimate.transfer import transfer
 from identification.model.ladder import LADDER
+from identification.result import Identification
 from rig.simulate import simulate_source
 from rig.sources import load_source
 

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification.estimate.result import Convergence, Fit, Identification, Parameter
 from identification.recording import Bench, Recording
+from identification.result import Convergence, Fit, Identification, Parameter
 from rig.places import write_json
 from rig.results import Provenance, finite, identification_record
 

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.estimate.result import Fit, Identification, Parameter
+from identification.result import Fit, Identification, Parameter
 from rig.parameter_table import note, parameter_notes, parameter_table
 from rig.tables import interval, number, percent, table
 

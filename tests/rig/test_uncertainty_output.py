@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from identification.estimate.result import (
+from identification.result import (
     Fit,
     Identification,
     MeasuredNoise,

@@ -36,7 +36,7 @@ from identification.diagnosis.result import (
 )
 from identification.diagnosis.search import LEVEL
 from identification.diagnosis.wording import finding, title
-from identification.estimate.uncertainty import CONFIDENCE
+from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
 
 ADEQUATE = 0.9

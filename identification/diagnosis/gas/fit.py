@@ -11,9 +11,9 @@ import numpy as np
 from identification.diagnosis.gas.burns import Burn, generator
 from identification.diagnosis.gas.constants import CONSTANTS, PRESSURE, PROPELLANT, VOLUME, beliefs
 from identification.diagnosis.gas.terms import GasEffect, effect_at
-from identification.estimate.levenberg import minimise
 from identification.model import gas_kernel as kernel
 from identification.model.gas_generator import constants
+from identification.numerics.levenberg_marquardt import minimise
 from identification.recording import Array
 from identification.signals import BoolArray
 

@@ -16,7 +16,8 @@ from identification.diagnosis.gas.terms import GAS_TERMS, GasEffect, GasTerm
 from identification.diagnosis.generic import edges
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.stack import Candidate, Stack
-from identification.estimate.uncertainty import BLOCK_CORRELATION_TIMES, correlation_samples
+from identification.estimate.equation_error.block_sandwich import BLOCK_CORRELATION_TIMES
+from identification.numerics.spread import correlation_samples
 from identification.recording import Array
 
 PRESSURE = "pressure"

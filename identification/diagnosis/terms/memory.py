@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identification.compiled import compiled
+from identification.numerics.compiled import compiled
 from identification.recording import Array
 
 SAME_STEP = 1e-6

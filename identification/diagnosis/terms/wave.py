@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from identification.compiled import compiled
+from identification.numerics.compiled import compiled
 from identification.recording import Array
 
 _PER_HALF_TURN = 1.0 / math.pi

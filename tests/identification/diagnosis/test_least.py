@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.diagnosis.least import least_squares
+from identification.numerics.least_squares import least_squares
 
 ROWS = np.linspace(0.0, 1.0, 400)
 

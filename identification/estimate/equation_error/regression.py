@@ -1,0 +1,239 @@
+"""Unloaded and loaded fit by equation error: eq. 16 (M7) and eq. 15 (M8)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.model.friction import stribeck_shape
+from identification.model.ladder import LADDER, bears_load, rises
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design
+from identification.prepare import Prepared
+from identification.recording import Model, RecordingError
+
+HIGHEST_SHARE = 1.0 / 3.0
+"""Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be told from a line."""
+LEAST_MOTION = 40
+"""Samples in motion, over all recordings of a stage, below which nothing is fitted."""
+LOWEST_SHARE = 1e-3
+"""Least Stribeck speed tried over the greatest speed seen."""
+
+
+def stacked(prepared: Sequence[Prepared], values: Sequence[Array]) -> Array:
+    """Stack the used samples of one array per recording, shape (n,)."""
+    return np.concatenate([v[p.used] for p, v in zip(prepared, values, strict=True)])
+
+
+def require_motion(prepared: Sequence[Prepared]) -> None:
+    """Check that a stage has something to be fitted to.
+
+    Raises:
+        RecordingError: Hardly a sample moves, or the drive's torque is zero wherever one does.
+    """
+    moving = [p.used & (p.velocity != 0.0) for p in prepared]
+    count = sum(int(np.sum(rows)) for rows in moving)
+    names = ", ".join(p.recording.name for p in prepared)
+    if count < LEAST_MOTION:
+        raise RecordingError(
+            f"{names}: {count} samples in motion and resolved at {prepared[0].bandwidth_Hz:.3g} Hz; at least "
+            f"{LEAST_MOTION} are needed: move it further, longer, or ask for another bandwidth"
+        )
+    if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
+        raise RecordingError(f"{names}: the drive's torque is zero wherever it moves; check the column it is read from")
+
+
+def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
+    """Return the falling Stribeck term through the recording's filter, shape (n,)."""
+    return p.filter(stribeck_shape(p.raw_velocity, omega_s, alpha))
+
+
+def filtered_sign(p: Prepared) -> Array:
+    """Return sgn(omega) through the recording's filter, shape (n,)."""
+    return p.filter(np.sign(p.raw_velocity))
+
+
+def gear_sign(p: Prepared) -> Array:
+    """Return |pendulum torque| sgn(omega) through the recording's filter, N m, shape (n,)."""
+    return p.filter(p.raw_load * np.sign(p.raw_velocity))
+
+
+def gear_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
+    """Return |pendulum torque| times the falling Stribeck term through the recording's filter, N m, shape (n,)."""
+    return p.filter(p.raw_load * stribeck_shape(p.raw_velocity, omega_s, alpha))
+
+
+def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
+    """Return modelled friction plus offset, eq. 9 + 13, through the recording's filter, N m, shape (n,).
+
+    Parameters that are absent count as zero.
+    """
+    q = parameters
+    sign = filtered_sign(p)
+    total = q.get("Mc", 0.0) * sign + q.get("sigma_2", 0.0) * p.velocity + q.get("offset", 0.0)
+    if q.get("Ms", 0.0) > q.get("Mc", 0.0) and q.get("omega_sf", 0.0) > 0.0:
+        total = total + (q["Ms"] - q["Mc"]) * filtered_shape(p, q["omega_sf"], alpha)
+    if np.any(p.moment != 0.0):
+        load = q.get("mu_c", 0.0) * sign + q.get("mu_2", 0.0) * p.velocity
+        if q.get("mu_s", 0.0) > q.get("mu_c", 0.0) and q.get("omega_sL", 0.0) > 0.0:
+            load = load + (q["mu_s"] - q["mu_c"]) * filtered_shape(p, q["omega_sL"], alpha)
+        total = total + p.moment * load
+    if "mu_gc" in q and np.any(p.raw_load != 0.0):
+        total = total + q["mu_gc"] * gear_sign(p)
+        if q.get("mu_gs", 0.0) > q["mu_gc"]:
+            total = total + (q["mu_gs"] - q["mu_gc"]) * gear_shape(p, q["omega_sf"], alpha)
+    return np.asarray(total)
+
+
+def model_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
+    """Return what eq. 15 says the torque should be, N m, shape (n,)."""
+    return friction_torque(p, parameters, alpha) + parameters.get("J", 0.0) * p.acceleration
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage: names of its coefficients, the name of its Stribeck speed, and how to build the linear problem.
+
+    The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be bounded by 0.
+
+    Attributes:
+        name: ``unloaded`` or ``loaded``.
+        coulomb: Mc or mu_c.
+        static: Ms or mu_s; None where friction does not rise toward rest.
+        speed: omega_sf or omega_sL; None likewise.
+        others: Names of the remaining coefficients.
+        prepared: Its recordings.
+        model: Declared terms, fixed values and alpha.
+        known: Parameters found before, held.
+    """
+
+    name: str
+    coulomb: str
+    static: str | None
+    speed: str | None
+    others: tuple[str, ...]
+    prepared: tuple[Prepared, ...]
+    model: Model
+    known: Mapping[str, float]
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the fitted coefficients in column order; ``rise`` stands for static less Coulomb.
+
+        ``gear_rise`` likewise for mu_gs less mu_gc.
+        """
+        fixed = self.model.fixed
+        names = [] if self.coulomb in fixed else [self.coulomb]
+        names += [] if self.static is None or self.static in fixed else ["rise"]
+        return tuple(names + [n for n in self.others if n not in fixed])
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the least and greatest value of each coefficient in column order.
+
+        Nothing but the offset is negative, and the rise is no greater than the greatest torque seen, as a shaft that
+        moved has overcome it: where no sample lies on the falling branch the data alone would not stop it.
+        """
+        low = np.array([-np.inf if name == "offset" else 0.0 for name in self.free])
+        high = np.full(len(self.free), np.inf)
+        if "rise" in self.free:
+            scales = [float(np.max(p.moment)) if self.name == "loaded" else 1.0 for p in self.prepared]
+            peaks = [float(np.max(np.abs(p.torque))) / s for p, s in zip(self.prepared, scales, strict=True)]
+            high[self.free.index("rise")] = max(*peaks, 1e-300)
+        if "gear_rise" in self.free:
+            peak = max(float(np.max(np.abs(p.torque))) for p in self.prepared)
+            load = max(float(np.max(p.raw_load)) for p in self.prepared)
+            high[self.free.index("gear_rise")] = peak / load if load > 0.0 else np.inf
+        return low, high
+
+    def speed_range(self) -> tuple[float, float]:
+        """Return the least and greatest Stribeck speed to try, rad/s; 1 twice where there is none."""
+        if self.speed is None:
+            return 1.0, 1.0
+        if self.speed in self.model.fixed:
+            held = float(self.model.fixed[self.speed])
+            return held, held
+        top = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in self.prepared)
+        return LOWEST_SHARE * top, HIGHEST_SHARE * top
+
+    def design(self, omega_s: float) -> Design:
+        """Return the linear problem at one Stribeck speed."""
+        alpha, fixed = self.model.alpha, self.model.fixed
+        columns: list[list[Array]] = [[] for _ in self.free]
+        targets: list[Array] = []
+        for p in self.prepared:
+            scale = p.moment if self.name == "loaded" else np.ones(len(p.time))
+            sign = scale * filtered_sign(p)
+            shape = scale * filtered_shape(p, omega_s, alpha)
+            basis = {
+                "sigma_2": p.velocity,
+                "mu_2": scale * p.velocity,
+                "J": p.acceleration,
+                "offset": np.ones(len(p.time)),
+                "rise": shape,
+                # With the static limit fixed, raising the Coulomb level takes as much off the rise.
+                self.coulomb: sign - shape if self.static in fixed else sign,
+            }
+            if "mu_gc" in self.free:
+                basis["mu_gc"] = gear_sign(p)
+            if "gear_rise" in self.free:
+                basis["gear_rise"] = gear_shape(p, omega_s, alpha)
+            target = p.torque - model_torque(p, self.known, alpha)
+            for name in self.others:
+                if name in fixed:
+                    target = target - fixed[name] * basis[name]
+            if self.coulomb in fixed:
+                base = sign - shape if self.static in fixed else sign
+                target = target - fixed[self.coulomb] * base
+            if self.static is not None and self.static in fixed:
+                target = target - fixed[self.static] * shape
+            targets.append(target[p.used])
+            for k, name in enumerate(self.free):
+                columns[k].append(basis[name][p.used])
+        stack = [np.concatenate(c) for c in columns]
+        target = np.concatenate(targets)
+        return Design(np.column_stack(stack) if stack else np.zeros((len(target), 0)), target, *self.bounds())
+
+    def named(self, omega_s: float, coefficients: Array) -> dict[str, float]:
+        """Return the stage's parameters by name."""
+        found = dict(zip(self.free, (float(c) for c in coefficients), strict=True))
+        rise, gear_rise = found.pop("rise", None), found.pop("gear_rise", None)
+        values = {**{n: float(v) for n, v in self.model.fixed.items() if n in self.names}, **found}
+        if self.speed is not None:
+            values[self.speed] = omega_s
+        if self.static is not None and rise is not None:
+            values[self.static] = values[self.coulomb] + rise
+        if gear_rise is not None:
+            values["mu_gs"] = values["mu_gc"] + gear_rise
+        return values
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the stage's parameters."""
+        falling = () if self.static is None or self.speed is None else (self.static, self.speed)
+        others = ("mu_gs" if name == "gear_rise" else name for name in self.others)
+        return (self.coulomb, *falling, *others)
+
+
+def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
+    """Eq. 16 on the declared rung: Mc, Ms, omega_sf, sigma_2, J; mu_gc, mu_gs and the offset where declared.
+
+    Raises:
+        RecordingError: The rung bears a load, and no recording has a pendulum.
+    """
+    terms = LADDER[model.friction]
+    if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
+        raise RecordingError(
+            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded recording to fit has "
+            "one; declare its `gravity`, or another friction"
+        )
+    gear = [{"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")]
+    others = ("sigma_2", "J", *gear, *(("offset",) if "offset" in model.terms else ()))
+    static, speed = ("Ms", "omega_sf") if rises(model.friction) else (None, None)
+    return Stage("unloaded", "Mc", static, speed, others, tuple(prepared), model, {})
+
+
+def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str, float]) -> Stage:
+    """Eq. 15 with the five system parameters held: mu_c, mu_s, omega_sL, mu_2."""
+    return Stage("loaded", "mu_c", "mu_s", "omega_sL", ("mu_2",), tuple(prepared), model, dict(known))

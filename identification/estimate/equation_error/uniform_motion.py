@@ -1,0 +1,139 @@
+"""The conventional method: friction as the motor's torque in uniform motion (eq. 14), a Stribeck curve through points.
+
+It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and slips, the mean
+torque is not the friction at the mean speed; the spread of the speed shows it, the mean does not.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.estimate.equation_error.variable_projection import solve
+from identification.model.friction import stribeck_shape, system_friction
+from identification.numerics.arrays import Array
+from identification.numerics.bounded_least_squares import Design
+from identification.recording import Recording
+
+LEAST_S = 0.4
+"""Shortest stretch of constant commanded speed that is used."""
+SETTLING_SHARE = 0.4
+"""Share of each stretch left out at its start, in which the joint comes to speed."""
+SMOOTHING_S = 0.02
+"""The speed is a mean over this time, for the spread; the encoder's steps are gone, slips are not."""
+UNIFORM = 0.2
+"""Greatest spread of the speed, rms over its mean, that still counts as uniform motion."""
+_SPEED_UNIT = 1e-9  # commanded speeds closer than this, in rad per sample, are the same
+_LEAST_SPEEDS = 4  # as many as there are parameters
+_DIGITS = 6  # of a speed in rad/s, by which two are told apart
+
+
+@dataclass(frozen=True)
+class UniformPoint:
+    """One stretch of constant commanded speed.
+
+    Attributes:
+        recording: Its name.
+        speed: Commanded, rad/s, with sign.
+        torque: Mean torque of the motor at the joint, N m.
+        spread: Rms deviation of the measured speed, over the commanded one.
+        moment: Contact moment F_P L1, N m.
+    """
+
+    recording: str
+    speed: float
+    torque: float
+    spread: float
+    moment: float
+
+    @property
+    def uniform(self) -> bool:
+        """Whether the joint moved uniformly there, as the method supposes."""
+        return self.spread <= UNIFORM
+
+    @property
+    def friction(self) -> float:
+        """What eq. 14 takes for the friction at that speed, in the direction of motion, N m."""
+        return self.torque if self.speed > 0.0 else -self.torque
+
+
+def uniform_points(recording: Recording) -> list[UniformPoint]:
+    """Return a point for each stretch of constant commanded speed.
+
+    Raises:
+        KeyError: The recording lacks command, angle, or both torque and current.
+    """
+    channels = recording.channels
+    steps = np.diff(channels["command"])
+    ends = np.flatnonzero(np.abs(np.diff(steps)) > _SPEED_UNIT) + 1
+    bounds = [0, *ends.tolist(), len(steps)]
+    period = recording.period
+    angle = channels["angle"]
+    torque = channels["torque"] if "torque" in channels else recording.bench.ampere_torque * channels["current"]
+    n = max(1, round(SMOOTHING_S / period))
+    found = []
+    for start, end in itertools.pairwise(bounds):
+        speed = float(np.mean(steps[start:end])) / period
+        if abs(speed) * period < _SPEED_UNIT or (end - start) * period < LEAST_S:
+            continue
+        first = start + round(SETTLING_SHARE * (end - start))
+        measured = (angle[first + n : end] - angle[first : end - n]) / (n * period)
+        found.append(
+            UniformPoint(
+                recording.name,
+                speed,
+                float(np.mean(torque[first:end])),
+                float(np.sqrt(np.mean((measured - speed) ** 2)) / abs(speed)),
+                recording.contact_force * (recording.bench.moment_arm or 0.0),
+            )
+        )
+    return found
+
+
+def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str, float]:
+    """Fit eq. 9 to the unloaded points and, after it, the bracket of eq. 12 to the loaded ones.
+
+    Returns:
+        Parameter name to value; a stage with fewer speeds than parameters is left out.
+    """
+    unloaded = [p for p in points if p.moment == 0.0]
+    loaded = [p for p in points if p.moment > 0.0]
+    if _distinct(unloaded) < _LEAST_SPEEDS:
+        return {}
+    found = _fit(_speeds(unloaded), np.array([p.friction for p in unloaded]), np.ones(len(unloaded)), alpha)
+    system = dict(zip(("Mc", "Ms", "omega_sf", "sigma_2"), found, strict=True))
+    if _distinct(loaded) < _LEAST_SPEEDS:
+        return system
+    rest = np.array([p.friction for p in loaded]) - system_friction(_speeds(loaded), system, alpha)
+    load = _fit(_speeds(loaded), rest, np.array([p.moment for p in loaded]), alpha)
+    return {**system, **dict(zip(("mu_c", "mu_s", "omega_sL", "mu_2"), load, strict=True))}
+
+
+def errors_percent(found: Mapping[str, float], truth: Mapping[str, float]) -> dict[str, float]:
+    """Return the error of each parameter found, percent of the true value."""
+    return {name: 100.0 * (value / truth[name] - 1.0) for name, value in found.items()}
+
+
+def _distinct(points: Sequence[UniformPoint]) -> int:
+    return len({round(abs(p.speed), _DIGITS) for p in points})
+
+
+def _speeds(points: Sequence[UniformPoint]) -> Array:
+    return np.array([abs(p.speed) for p in points])
+
+
+def _fit(speed: Array, friction: Array, scale: Array, alpha: float) -> tuple[float, float, float, float]:
+    """Return Coulomb, static, Stribeck speed and viscous of a curve through points; ``scale`` is 1 or the moment."""
+    low = np.zeros(3)
+    high = np.array([np.inf, 2.0 * float(np.max(np.abs(friction / scale))), np.inf])
+
+    def design(omega_s: float) -> Design:
+        columns = np.column_stack([np.ones_like(speed), stribeck_shape(speed, omega_s, alpha), speed])
+        return Design(columns * scale[:, None], friction, low, high)
+
+    best = solve(design, 0.5 * float(np.min(speed)), 2.0 * float(np.max(speed)))
+    coulomb, rise, viscous = (float(c) for c in best.coefficients)
+    return coulomb, coulomb + rise, best.omega_s, viscous

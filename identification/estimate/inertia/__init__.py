@@ -1,0 +1,1 @@
+"""Estimating equation of the inertia (M27 to M32): half cycles, instruments, variance inflation."""

@@ -1,0 +1,141 @@
+"""Sensitivities over single motion segments, in recordings and in simulated replicates of them.
+
+Breakaway times differ a little between noises, so curves are aligned by the time since breakaway.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.filter.likelihood import Problem
+from identification.filter.segment_table import DIRECTION, FIRST, LAST
+from identification.filter.segments import Motion
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+
+
+@dataclass(frozen=True)
+class Replicate:
+    """One simulated replicate of an experiment.
+
+    Attributes:
+        problem: The simulated recordings, in the order of the real ones, at the simulated values.
+        sensitivities: d prediction errors over their deviations / d x there, of the real problem's free parameters.
+        residuals: Those errors over their deviations, shape (r,).
+        noise: Number of its noise; the same noise with its sign turned has the same number.
+    """
+
+    problem: Problem
+    sensitivities: BlockArrow
+    residuals: Array
+    noise: int
+
+    def inflated(self) -> tuple[BlockArrow, Array]:
+        """Return sensitivities and residuals with variance inflation (M13), as in the estimate."""
+        share = 1.0 / self.problem.inflation[self.problem.owners]
+        return self.sensitivities.scaled(share), self.residuals * share
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Sensitivities over one segment of a replicate.
+
+    Attributes:
+        values: In the parameters, then in the breakaway time, shape (n, p + 1).
+        onset: Breakaway, samples after its first.
+        noise: Noise of its replicate.
+    """
+
+    values: Array
+    onset: float
+    noise: int
+
+
+@dataclass(frozen=True)
+class ReplicatedSegment:
+    """A segment of a recording with its counterparts in replicates.
+
+    Attributes:
+        number: Number of the segment, over all recordings.
+        rows: Its residuals.
+        onset: Breakaway, samples after its first.
+        curves: Its counterparts, of those replicates that have one.
+    """
+
+    number: int
+    rows: slice
+    onset: float
+    curves: tuple[Curve, ...]
+
+    def mean(self, curves: Sequence[Curve]) -> tuple[Array, Array]:
+        """Return the mean of some curves, at least one, at its samples, (n, p + 1), and their number, (n, 1)."""
+        length = self.rows.stop - self.rows.start
+        return mean_curve([c.values for c in curves], [c.onset for c in curves], length, self.onset)
+
+
+def replicated_segments(problem: Problem, replicates: Sequence[Replicate]) -> Iterator[ReplicatedSegment]:
+    """Yield every segment of a problem with its counterparts in replicates."""
+    found_in = [_segments(r) for r in replicates]
+    row, number = 0, 0
+    for k, (m, begins) in enumerate(zip(problem.motions, problem.breakaway_times, strict=True)):
+        for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
+            end = row + int(bounds[LAST] - bounds[FIRST])
+            found = [curve for one in found_in if (curve := _same(one[k], bounds)) is not None]
+            yield ReplicatedSegment(number, slice(row, end), float(onset), tuple(found))
+            row, number = end, number + 1
+
+
+def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
+    """Return, by recording, the segments of a replicate: row of the table, and curve."""
+    problem, slopes = replicate.problem, replicate.sensitivities
+    curves = np.column_stack([slopes.parameters, slopes.own])
+    out, row = [], 0
+    for m, begins in zip(problem.motions, problem.breakaway_times, strict=True):
+        segments = []
+        for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
+            length = int(bounds[LAST] - bounds[FIRST])
+            segments.append((bounds, Curve(curves[row : row + length], float(onset), replicate.noise)))
+            row += length
+        out.append(segments)
+    return out
+
+
+def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
+    """Return the curve of the segment in the same direction over most of the same samples, None without one."""
+    best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
+    for other, curve in segments:
+        common = min(other[LAST], bounds[LAST]) - max(other[FIRST], bounds[FIRST])
+        if other[DIRECTION] == bounds[DIRECTION] and common > least:
+            best, least = curve, common
+    return best
+
+
+def onsets_of(m: Motion, begins: Array) -> Array:
+    """Return the breakaway of each segment, in samples after its first, shape (m,)."""
+    first = m.table[:, FIRST].astype(np.int64)
+    return np.asarray((begins - m.time[first]) / m.recording.period)
+
+
+def mean_curve(curves: Sequence[Array], onsets: Sequence[float], length: int, onset: float) -> tuple[Array, Array]:
+    """Return the mean of curves shifted to one ``onset``, shape (length, p), and their number, (length, 1).
+
+    Args:
+        curves: At least one, each of its own length.
+        onsets: Breakaway of each, samples after its first.
+        length: Length of the mean.
+        onset: Breakaway of the mean.
+    """
+    total, seen = np.zeros((length, curves[0].shape[1])), np.zeros((length, 1))
+    for curve, begun in zip(curves, onsets, strict=True):
+        ahead = int(np.floor(begun - onset))
+        first, last = max(0, -ahead), min(length, len(curve) - 1 - ahead)
+        if first >= last:
+            continue
+        share = (np.arange(first, last) + begun - onset - np.arange(first + ahead, last + ahead))[:, None]
+        before, after = curve[first + ahead : last + ahead], curve[first + ahead + 1 : last + ahead + 1]
+        total[first:last] += (1.0 - share) * before + share * after
+        seen[first:last] += 1.0
+    return total / np.maximum(seen, 1.0), seen

@@ -1,0 +1,99 @@
+"""The estimating equation of the inertia, all other unknowns eliminated (M30 to M32).
+
+The instrument is made orthogonal to those of all other unknowns, so that their errors enter in second order.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia.instruments import instruments, replicate_instruments
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.model.parameters import INERTIA
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import huber_weight
+
+
+@dataclass(frozen=True)
+class Equation:
+    """The linearised equation, per residual.
+
+    Attributes:
+        influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
+        parts: Decrease by each residual, through itself and through its part in other instruments, shape (r,).
+    """
+
+    influence: Array
+    parts: Array
+
+
+def influence_on_inertia(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
+    """Return the decrease of the logarithm of the inertia per unit of each residual (M30), shape (r,)."""
+    return z.along(_mixture(problem, z, jacobian, residual))
+
+
+def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
+    """Return the mixture of instruments that only the inertia changes, by one with its logarithm, shape (p + m,)."""
+    j = problem.free.index(INERTIA)
+    power = z.product()
+    others = np.delete(power, j, axis=0)
+    taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
+    alone = np.insert(-taken, j, 1.0)
+    return alone / float(z.along(alone) @ (jacobian.parameters[:, j] * huber_weight(residual, HUBER_THRESHOLD)))
+
+
+def equation(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
+    """Return the inertia's equation for instruments that are independent of the residuals."""
+    influence = influence_on_inertia(problem, z, jacobian, residual)
+    return Equation(influence, influence * residual * huber_weight(residual, HUBER_THRESHOLD))
+
+
+def equation_of_half_cycles(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
+    """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of segments.
+
+    A segment enters by its residuals, and by its sensitivities, which are in the instruments of other segments
+    (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
+    """
+    j = problem.free.index(INERTIA)
+    first = equation(problem, z, jacobian, residual)
+    weighted = residual * huber_weight(residual, HUBER_THRESHOLD)
+    columns = np.zeros_like(jacobian.parameters)
+    columns[:, j] = weighted
+    carrier = replace(jacobian, parameters=columns, own=np.zeros_like(weighted))
+    mixed = _mixture(problem, z, jacobian, residual)
+    second = jacobian.along(mixed) * instruments(problem, carrier).parameters[:, j]
+    second[len(second) - problem.breakaways :] = 0.0
+    return replace(first, parts=first.parts + second)
+
+
+def least_variance(one: Equation, other: Equation) -> Equation:
+    """Return the mean of two equations for one unknown with the least variance (M32), both weights not negative."""
+    a, b = one.influence, other.influence
+    away = a - b
+    share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
+    return Equation(b + share * away, other.parts + share * (one.parts - other.parts))
+
+
+def combined_equation(
+    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array, replicates: Sequence[Replicate]
+) -> Equation:
+    """Return the combination of least variance of the equations by half cycles and by replicates (M32).
+
+    Args:
+        problem: At its start.
+        z: Its instruments by matching half cycles.
+        jacobian: d residuals / d x there.
+        residual: There.
+        replicates: Empty for half cycles alone.
+    """
+    half_cycles = equation_of_half_cycles(problem, z, jacobian, residual)
+    if not replicates:
+        return half_cycles
+    other = replicate_instruments(problem, z, replicates)
+    return least_variance(half_cycles, equation(problem, other, jacobian, residual))

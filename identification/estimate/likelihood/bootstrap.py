@@ -1,0 +1,131 @@
+"""Bootstrap: estimates from motion segments drawn with replacement.
+
+It assumes only that segments err independently, and so checks intervals that rest on a noise model (Efron and
+Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the estimating equations with every segment
+counted as often as it was drawn; weights, noise levels and the inertia's instrument are those of the estimate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from identification.estimate.inertia.inertia_equation import influence_on_inertia
+from identification.estimate.inertia.instruments import instruments
+from identification.estimate.likelihood.stages import Refined
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.levenberg_marquardt import huber_weight
+from identification.numerics.spread import CONFIDENCE
+from identification.result import Resampled
+
+_ROUNDS = 6
+_SETTLED = 0.1
+"""Step, over the standard deviation, below which a draw is solved."""
+_LONGEST = 3.0
+"""Longest step of a round, over the standard deviation."""
+
+
+def bootstrap(
+    refined: Refined,
+    units: Mapping[str, str],
+    draws: int,
+    rng: np.random.Generator,
+    progress: Callable[[float], None] = lambda _share: None,
+) -> tuple[Resampled, ...]:
+    """Return the spread of every parameter over draws of the segments of each recording.
+
+    Args:
+        refined: The estimate.
+        units: Parameter name to unit.
+        draws: Number of draws.
+        rng: Draws the segments.
+        progress: Called with the share done.
+
+    Returns:
+        One per name; bounds are None where fewer than half of the draws were solved.
+    """
+    problem = refined.joint
+    equations = _Equations(problem, _deviations(refined))
+    values: dict[str, list[float]] = {name: [] for name in refined.names}
+    for k in range(draws):
+        found = equations.solve(_counts(problem, rng))
+        if found is not None:
+            for name, value in unpack(problem.parameters(found), refined.names).items():
+                values[name].append(value)
+        progress((k + 1) / draws)
+    tails = (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE)
+    out = []
+    for name in refined.names:
+        low, high = np.quantile(values[name], tails).tolist() if 2 * len(values[name]) > draws else (None, None)
+        out.append(Resampled(name, units[name], low, high, draws, len(values[name])))
+    return tuple(out)
+
+
+def _counts(problem: Problem, rng: np.random.Generator) -> Array:
+    """Return how often each segment is drawn, within its recording, shape (m,)."""
+    sizes = [len(m.table) for m in problem.motions]
+    return np.concatenate([rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]).astype(np.float64)
+
+
+def _deviations(refined: Refined) -> Array:
+    """Return the standard deviation of every free parameter, in the free vector's units, shape (p,)."""
+    by_place = dict(zip((INDEX[n] for n in refined.names), np.sqrt(np.diag(refined.covariance)), strict=True))
+    start = refined.joint.start
+    return np.array([by_place[k] / (start[k] if k in LOGARITHMIC else 1.0) for k in refined.joint.free])
+
+
+class _Equations:
+    """Estimating equations about the estimate: least squares for all but the inertia, its own equation for that."""
+
+    def __init__(self, problem: Problem, deviations: Array) -> None:
+        self.problem = problem
+        self.deviations = deviations
+        problem.hold_weights()
+        self.origin = problem.origin()
+        residual = problem.residuals(self.origin)
+        jacobian = problem.jacobian(self.origin, residual)
+        self.begun = (residual, jacobian)
+        self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
+        self.influence = np.zeros(0)
+        if self.inertia is not None:
+            z = instruments(problem, jacobian)
+            self.influence = influence_on_inertia(problem, z, jacobian, residual)
+        # The search may have ended a little beside the solution; draws are compared with the solution.
+        self.rest = self.sums(residual, jacobian, np.ones(problem.breakaways))[0]
+        self.rest[len(deviations) :] = 0.0
+
+    def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
+        """Return the equations and their derivatives, shape (x,) and (x, x), for these counts of segments."""
+        weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
+        side = jacobian
+        if self.inertia is not None:
+            columns = jacobian.parameters.copy()
+            columns[:, self.inertia] = self.influence
+            side = replace(jacobian, parameters=columns)
+        return side.back(weight * residual), side.product(weight, jacobian)
+
+    def solve(self, counts: Array) -> Array | None:
+        """Return the free vector that solves them for these counts; None where the search does not settle."""
+        x = self.origin.copy()
+        residual, jacobian = self.begun
+        for _ in range(_ROUNDS):
+            value, slope = self.sums(residual, jacobian, counts)
+            scale = np.sqrt(np.maximum(np.abs(np.diag(slope)), 1e-300))
+            step = (
+                -(np.linalg.pinv(slope / np.outer(scale, scale), rcond=1e-10) @ ((value - self.rest) / scale)) / scale
+            )
+            size = float(np.max(np.abs(step[: len(self.deviations)]) / self.deviations))
+            x = x + min(1.0, _LONGEST / max(size, 1e-300)) * step
+            if size < _SETTLED:
+                return x
+            residual = self.problem.residuals(x)
+            if not np.all(np.isfinite(residual)):
+                return None
+            jacobian = self.problem.jacobian(x, residual)
+        return None

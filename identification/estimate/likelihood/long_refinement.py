@@ -1,0 +1,114 @@
+"""Maximum likelihood in bounded memory: passes over any number of pieces (M44).
+
+The objective splits into motion segments that share nothing but the parameters. Each piece has its breakaway times
+optimised with the parameters held, is reduced to its normal equations and dropped; after each pass the parameters take
+one Gauss-Newton step. The first piece of each recording, refined in memory, gives the start, the noise and the inertia.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from identification.estimate.likelihood.refinement import refine_recordings
+from identification.estimate.likelihood.stages import Refined
+from identification.estimate.uncertainty.covariance import rise_to_static
+from identification.filter.breakaway_times import ROUNDS, Reduced, optimise_breakaway_times, reduce
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.segments import motion
+from identification.model.parameters import INDEX, LOGARITHMIC, pack, unpack
+from identification.numerics.arrays import Array
+from identification.numerics.least_squares import equilibrated
+from identification.recording import Model, Recording
+
+PASSES = 3
+SETTLED = 0.2
+"""Rms over the parameters of a step, in standard errors, at which the passes end."""
+
+
+def refine_pieces(
+    heads: Sequence[Recording],
+    pieces: Sequence[Recording],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    model: Model,
+    progress: Callable[[float], None],
+    correlated: bool = False,
+) -> Refined | str:
+    """Return the refined estimate over all pieces, or a text that says why prediction errors do not apply.
+
+    Args:
+        heads: The pieces for the start, one or more of each load condition.
+        pieces: All pieces, heads among them.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        progress: Called with the share of the passes done, at most.
+        correlated: Whether the torque noise has a correlated part.
+    """
+    start = refine_recordings(heads, values, names, model, correlated)
+    if isinstance(start, str):
+        return start
+    # Least squares are biased in the inertia (noise of the loop counts as motion); it keeps the heads' value.
+    names = [n for n in start.names if n != "J"]
+    free = [INDEX[n] for n in names]
+    vector = pack(start.values, model.alpha)
+    begins: dict[int, list[Array]] = {}
+    evaluations = start.evaluations
+    for number in range(PASSES):
+        found: list[Reduced] = []
+        for k, piece in enumerate(pieces):
+            moving = motion(piece)
+            if moving is None:
+                continue
+            problem = Problem([moving], vector, free, model, start.noise)
+            problem.breakaway_times = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
+            optimise_breakaway_times(problem, HUBER_THRESHOLD, ROUNDS if number == 0 else 1)
+            begins[k] = problem.breakaway_times
+            found.append(reduce(problem, HUBER_THRESHOLD))
+            evaluations += problem.evaluations
+            progress((number + (k + 1) / len(pieces)) / PASSES)
+        normal = np.sum([r.normal for r in found], axis=0)
+        gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
+        step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
+        x = problem.origin()
+        x[: len(free)] += step
+        vector = problem.parameters(x)
+        if step @ normal @ step < len(free) * SETTLED**2:
+            break
+    achieved, floor = start.covariance.copy(), start.floor.copy()
+    order = np.ix_(*2 * [[start.names.index(n) for n in names]])
+    achieved[order], floor[order] = _covariances(found, names, vector)
+    squares, count = sum(r.squares for r in found), sum(r.count for r in found)
+    return replace(
+        start,
+        values={**start.values, **unpack(vector, [n for n in INDEX if n in start.values])},
+        covariance=achieved,
+        floor=floor,
+        innovation_rms=float(np.sqrt(squares / count)),
+        whiteness=sum(r.neighbours for r in found) / squares,
+        evaluations=evaluations,
+        iterations=start.iterations + number + 1,
+        breakaways=sum(len(r.scores) for r in found),
+    )
+
+
+def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> tuple[Array, Array]:
+    """Return the covariance of the named parameters, the larger of information and sandwich, and its bound."""
+    normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
+    scores = np.concatenate([r.scores for r in found])
+    bread = np.linalg.pinv(normal, hermitian=True)
+    scaled = scores / scale
+    clusters = max(len(scores), 2)
+    sandwich = bread @ (scaled.T @ scaled) @ bread * clusters / max(clusters - len(names), 1)
+    mean_square = sum(r.squares for r in found) / sum(r.count for r in found)
+    plain = bread * max(mean_square, 1.0)
+    widen = np.sqrt(np.maximum(np.diag(sandwich) / np.diag(plain), 1.0))
+    units = np.array([vector[INDEX[n]] if INDEX[n] in LOGARITHMIC else 1.0 for n in names])
+    turn = rise_to_static(names)
+    full = plain * np.outer(widen * units / scale, widen * units / scale)
+    bound = bread * np.outer(units / scale, units / scale)
+    return np.asarray(turn @ full @ turn.T), np.asarray(turn @ bound @ turn.T)

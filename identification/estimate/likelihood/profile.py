@@ -1,0 +1,244 @@
+"""Profile likelihood of every parameter: deviance with one parameter moved and the others optimised.
+
+All other parameters and all breakaway times are optimised at each point. The estimate does not maximise a likelihood,
+because the inertia solves an estimating equation (M31). Two things therefore differ from a plain profile:
+
+- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared estimating equation
+  over its variance (a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
+- It is scaled so that its curvature agrees with the interval (Chandler and Bate, Biometrika 94 (2007) 167). A profile
+  adds the shape: asymmetry, flat ends, a second minimum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+from scipy import stats
+
+from identification.estimate.inertia.inertia_equation import influence_on_inertia
+from identification.estimate.inertia.instruments import instruments
+from identification.estimate.likelihood.stages import Refined
+from identification.estimate.uncertainty.covariance import rise_to_static
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC, unpack
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import Eliminated
+from identification.numerics.levenberg_marquardt import huber_cost, huber_weight
+from identification.numerics.spread import CONFIDENCE
+from identification.result import Profile
+
+REACH = (0.8, 1.6, 2.4, 3.2)
+"""Points to either side of the estimate, in standard deviations."""
+LEVEL = float(stats.chi2.ppf(CONFIDENCE, 1))
+"""Deviance at the ends of the 90 % range."""
+_GAIN = 0.003
+"""Half deviance below which no further step is taken."""
+_ROUNDS = 6
+_HALVINGS = 4
+_DEGREE = 4
+
+
+class _Criterion:
+    """Half the deviance (M45) above its minimum at the inertia of the estimate.
+
+    ``curve`` is the part that depends on the change of log J alone.
+    """
+
+    def __init__(self, problem: Problem) -> None:
+        self.problem = problem
+        problem.hold_weights()
+        self.x = problem.origin()
+        self.count = len(problem.free)
+        self.inertia = problem.free.index(INERTIA) if INERTIA in problem.free else None
+        self.curve = np.polynomial.Polynomial([0.0])
+        self._cost = 0.0
+        held = np.zeros(self.count)
+        if self.inertia is not None:
+            held[self.inertia] = 1.0
+        self.x, self.residual, self._cost = self.descend(self.x, held)
+
+    def value(self, x: Array, residual: Array) -> float:
+        return huber_cost(residual, HUBER_THRESHOLD) - self._cost + float(self.curve(self._shift(x)))
+
+    def _shift(self, x: Array) -> float:
+        return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
+
+    def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
+        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that of the cost alone."""
+        cost = self.problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, HUBER_THRESHOLD))
+        matrix, gradient = cost.matrix.copy(), cost.scores.sum(axis=0)
+        if self.inertia is not None:
+            matrix[self.inertia, self.inertia] += self.curve.deriv(2)(self._shift(x))
+            gradient[self.inertia] += self.curve.deriv(1)(self._shift(x))
+        return matrix, gradient, cost
+
+    def descend(self, x: Array, along: Array) -> tuple[Array, Array, float]:
+        """Minimise from ``x`` with ``along`` @ parameters held; return the point, its residuals and its value.
+
+        Nothing is held where ``along`` is all zeros.
+        """
+        residual = self.problem.residuals(x)
+        value = self.value(x, residual)
+        for _ in range(_ROUNDS):
+            matrix, gradient, cost = self.normal(x, residual)
+            step = _held_step(matrix, gradient, along)
+            if 0.5 * float(cost.pull @ (cost.pull / cost.held) - gradient @ step) < _GAIN:
+                break
+            whole = np.concatenate([step, cost.own_step(step)])
+            for k in range(_HALVINGS):
+                there = x + 0.5**k * whole
+                tried = self.problem.residuals(there)
+                least = self.value(there, tried)
+                if least < value:
+                    x, residual, value = there, tried, least
+                    break
+            else:
+                break
+        return x, residual, value
+
+
+def profiles(
+    refined: Refined, units: Mapping[str, str], progress: Callable[[float], None] = lambda _share: None
+) -> tuple[Profile, ...]:
+    """Return the profile of every parameter of a refined estimate.
+
+    Args:
+        refined: The estimate.
+        units: Parameter name to unit.
+        progress: Called with the share done.
+    """
+    problem = refined.joint
+    criterion = _Criterion(problem)
+    names = refined.names
+    deviations = dict(zip(names, np.sqrt(np.diag(refined.covariance)), strict=True))
+    logarithmic = {n for n in names if INDEX[n] in LOGARITHMIC}
+    directions = dict(zip(names, _directions(problem, names), strict=True))
+    found: dict[str, tuple[Array, Array, float]] = {}
+    if "J" in names:
+        found["J"] = (*_inertia(criterion, directions["J"], deviations["J"] / refined.values["J"]), 1.0)
+    start, _, _ = criterion.normal(criterion.x, criterion.residual)
+    for k, name in enumerate(names):
+        if name not in found:
+            sigma = deviations[name] / (refined.values[name] if name in logarithmic else 1.0)
+            shape = _tangent(start, directions[name])
+            scale = float(shape @ start @ shape) ** -1 / sigma**2
+            found[name] = (*_walk(criterion, directions[name], shape, sigma), scale)
+        progress((k + 1) / len(names))
+    out = []
+    least = unpack(problem.parameters(criterion.x), names)
+    for name in names:
+        steps, deviance, scale = found[name]
+        here = least[name]
+        values = here * np.exp(steps) if name in logarithmic else here + steps
+        low, high = crossings(values, scale * deviance)
+        out.append(Profile(name, units[name], values, scale * deviance, low, high, scale))
+    return tuple(out)
+
+
+def crossings(values: Array, deviance: Array) -> tuple[float | None, float | None]:
+    """Return where the deviance passes :data:`LEVEL` on either side of its minimum; None where it does not.
+
+    Its root is interpolated, which is a straight line where the likelihood is a parabola.
+    """
+    root, level = np.sqrt(np.maximum(deviance, 0.0)), LEVEL**0.5
+    middle = int(np.argmin(deviance))
+    ends: list[float | None] = []
+    for way in (-1, 1):
+        side = slice(middle, None, way)
+        above = np.flatnonzero(root[side] >= level)
+        if not above.size:
+            ends.append(None)
+            continue
+        k = int(above[0])
+        (a, b), (x, y) = root[side][k - 1 : k + 1], values[side][k - 1 : k + 1]
+        ends.append(float(x + (y - x) * (level - a) / (b - a)))
+    return ends[0], ends[1]
+
+
+def _directions(problem: Problem, names: tuple[str, ...]) -> Array:
+    """Return each named parameter as a row of weights of the free vector, shape (p, p)."""
+    order = [problem.free.index(INDEX[n]) for n in names]
+    out = np.zeros((len(names), len(names)))
+    out[:, order] = rise_to_static(names)
+    return out
+
+
+def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
+    """Return values of ``along`` @ parameters, rising, and the deviance at each, outwards from the estimate.
+
+    Args:
+        criterion: About the estimate.
+        along: Weights of the parameters; their sum is held.
+        shape: Change of the parameters per unit of it, shape (p,).
+        sigma: Its standard deviation.
+    """
+    steps, deviance = [0.0], [0.0]
+    for way in (-1.0, 1.0):
+        x, at = criterion.x.copy(), 0.0
+        for reach in REACH:
+            goal = way * reach * sigma
+            x = x.copy()
+            x[: criterion.count] += shape * (goal - at)
+            x, _, value = criterion.descend(x, along)
+            at = goal
+            steps.append(goal)
+            deviance.append(2.0 * value)
+    order = np.argsort(steps)
+    return np.array(steps)[order], np.array(deviance)[order]
+
+
+def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
+    """Return steps of log J and the deviance Q; the criterion keeps Q/2 less the least cost at each J.
+
+    The equation is the error of J with the other parameters at their least squares: its slope is -1 where the problem
+    is linear.
+    """
+    problem, x = criterion.problem, criterion.x
+    jacobian = problem.jacobian(x, criterion.residual)
+    influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, criterion.residual)
+    shape = _tangent(criterion.normal(x, criterion.residual)[0], along)
+
+    def equation(residual: Array) -> float:
+        return float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD)))
+
+    origin = equation(criterion.residual)
+    steps, costs, errors = [0.0], [0.0], [0.0]
+    for way in (-1.0, 1.0):
+        there, at = x.copy(), 0.0
+        for reach in REACH:
+            goal = way * reach * sigma
+            there = there.copy()
+            there[: criterion.count] += shape * (goal - at)
+            there, residual, cost = criterion.descend(there, along)
+            at = goal
+            steps.append(goal)
+            costs.append(cost)
+            errors.append(equation(residual) - origin)
+    order = np.argsort(steps)
+    t, least, deviance = np.array(steps)[order], np.array(costs)[order], (np.array(errors)[order] / sigma) ** 2
+    powers = (t / sigma)[:, None] ** np.arange(1, _DEGREE + 1)
+    coefficients = np.linalg.lstsq(powers, 0.5 * deviance - least, rcond=None)[0]
+    criterion.curve = np.polynomial.Polynomial([0.0, *(coefficients / sigma ** np.arange(1, _DEGREE + 1))])
+    return t, deviance
+
+
+def _tangent(normal: Array, along: Array) -> Array:
+    """Return the change of the parameters per unit of ``along`` @ parameters, the others optimised."""
+    follow = _inverse(normal) @ along
+    return np.asarray(follow / (along @ follow))
+
+
+def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
+    """Return the Newton step that holds ``along`` @ parameters."""
+    inverse = _inverse(matrix)
+    back = inverse @ along
+    free = inverse @ gradient
+    held = float(along @ back)
+    return np.asarray((back * ((along @ free) / held) if held > 0.0 else 0.0) - free)
+
+
+def _inverse(matrix: Array) -> Array:
+    scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+    return np.asarray(np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale))

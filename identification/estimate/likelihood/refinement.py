@@ -1,0 +1,203 @@
+"""The estimate from given recordings: prediction errors where accepted, else the equation error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identification.estimate.equation_error.block_sandwich import block_sandwich
+from identification.estimate.likelihood import stages as staged
+from identification.estimate.likelihood.acceptance import try_refinements
+from identification.estimate.likelihood.replicates import Bias, likelihood_bias
+from identification.estimate.likelihood.stages import Refined
+from identification.estimate.uncertainty.covariance import covariances, named_covariances
+from identification.estimate.uncertainty.parameter_table import typical_error
+from identification.filter.breakaway_times import search_breakaway_times
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.filter.segments import motion
+from identification.model.ladder import NOMINAL
+from identification.model.parameters import STRIBECK_TERMS, pack, unpack
+from identification.numerics.arrays import Array
+from identification.numerics.spread import Spread
+from identification.prepare import Prepared
+from identification.recording import Model, Recording
+from identification.result import Convergence, MeasuredNoise, Starts
+
+
+@dataclass(frozen=True)
+class Found:
+    """The estimate.
+
+    Attributes:
+        values: Name to value.
+        spread: Covariance of the fitted ones.
+        floors: Name to half width at the Cramer-Rao bound; empty without refinement.
+        taken: The refinement, where it is accepted.
+        starts: Ends of its searches, accepted or not.
+        stages: How the search went.
+        warnings: Why it was refused.
+    """
+
+    values: dict[str, float]
+    spread: Spread
+    floors: Mapping[str, float] = field(default_factory=dict)
+    taken: Refined | None = None
+    starts: tuple[Starts, ...] = ()
+    stages: tuple[Convergence, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def refine(
+    recordings: Sequence[Recording],
+    active: Sequence[Prepared],
+    values: dict[str, float],
+    names: Sequence[str],
+    model: Model,
+    bandwidth_Hz: float,
+) -> Found:
+    """Refine equation-error values by prediction errors, test them, and correct their bias.
+
+    Args:
+        recordings: To fit.
+        active: The same, prepared for the equation error.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        bandwidth_Hz: Bandwidth of the equation error.
+    """
+    plain = Found(values, block_sandwich(active, values, names, model.alpha))
+    refined, fault = try_refinements(
+        lambda correlated: refine_recordings(recordings, values, names, model, correlated),
+        lambda v: typical_error(active, v, model.alpha),
+        values,
+    )
+    stages = () if refined is None else (joint_convergence(refined),)
+    if refined is None or fault:
+        starts = () if refined is None else refined.starts
+        kept = f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}"
+        return replace(plain, starts=starts, stages=stages, warnings=(kept,))
+    bias = likelihood_bias(refined.joint, refined.names)
+    found = Found(
+        dict(refined.values),
+        spread_of(refined),
+        floors_of(refined.names, refined.floor),
+        refined,
+        refined.starts,
+        stages,
+    )
+    if bias is None:
+        return found
+    found = _unbiased(found, bias)
+    return _with_instruments(found, refined.joint, bias) if bias.replicates else found
+
+
+def _unbiased(found: Found, bias: Bias) -> Found:
+    """Subtract the bias (M36) and add its variance (M42); no correction that leaves the parameter range."""
+    values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
+    rises = all(values[static] >= values[coulomb] for coulomb, static, _ in STRIBECK_TERMS if static in values)
+    positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
+    if not (rises and positive):
+        return found
+    covariance = found.spread.covariance + _left_open(bias, found.spread.names)
+    return replace(found, values=values, spread=replace(found.spread, covariance=covariance))
+
+
+def _left_open(bias: Bias, names: Sequence[str]) -> Array:
+    return np.diag([bias.variances[name] for name in names])
+
+
+def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
+    """Solve the inertia's equation with instruments of replicates too (M32); the others follow. Floors are theirs.
+
+    It is solved at the bias-corrected values, as replicates solve it at their true values: errors of the others enter
+    in second order, which counts at several standard deviations.
+    """
+    names, there = found.spread.names, copy(joint)
+    there.start = pack(found.values, joint.alpha)
+    search_breakaway_times(there, HUBER_THRESHOLD)
+    solved = covariances(there, bias.replicates)
+    x = there.origin()
+    x[: len(solved.step)] += solved.step
+    values = {**found.values, **unpack(there.parameters(x), names)}
+    achieved, floor = named_covariances(solved, there, names)
+    spread = replace(found.spread, covariance=achieved + _left_open(bias, names))
+    return replace(found, values=values, spread=spread, floors=floors_of(names, floor))
+
+
+def refine_recordings(
+    recordings: Sequence[Recording],
+    values: Mapping[str, float],
+    names: Sequence[str],
+    model: Model,
+    correlated: bool = False,
+) -> Refined | str:
+    """Return the refined estimate, or a text that says why prediction errors do not apply.
+
+    Args:
+        recordings: To fit.
+        values: Equation-error values of all parameters.
+        names: Parameters to fit.
+        model: Declared terms and fixed values.
+        correlated: Whether the torque noise has a correlated part.
+    """
+    if not names:
+        return "every parameter is fixed"
+    if model.friction != NOMINAL:
+        return f"they know the {NOMINAL} friction only, and {model.friction} is declared"
+    if not {"Ms", "omega_sf"} <= set(names) | set(model.fixed):
+        return "no rise of friction toward rest was found to refine"
+    motions = {id(r): motion(r) for r in recordings}
+    for r in recordings:
+        if motions[id(r)] is None:
+            return (
+                f"prediction errors need even sampling, a quantised encoder, measured torque and two breakaways from "
+                f"rest, and {r.name} lacks one of them"
+            )
+    found = [m for m in motions.values() if m is not None]
+    unloaded = [m for m in found if m.recording.stage == "unloaded"]
+    loaded = [m for m in found if m.recording.stage == "loaded"]
+    if not values["J"] > 0.0:
+        return "the equation error finds no inertia to start from"
+    if not unloaded:
+        return "there is no unloaded recording to start from"
+    if loaded and not {"mu_s", "omega_sL"} <= set(names) | set(model.fixed):
+        # At the bandwidth of the equation error a rise may not show, and in the breakaways it does.
+        values = {**values, "omega_sL": model.fixed.get("omega_sL", values["omega_sf"])}
+    try:
+        return staged.refine_stages(unloaded, loaded, values, model, correlated)
+    except np.linalg.LinAlgError:
+        return "these recordings do not pin the parameters of the prediction error"
+
+
+def spread_of(refined: Refined) -> Spread:
+    """Return the covariance of refined values."""
+    return Spread(refined.names, refined.covariance, math.inf)
+
+
+def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
+    """Return the noise of a refined estimate, torque in ``unit``."""
+    noise, steps = refined.noise, [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions]
+    return MeasuredNoise(noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit)
+
+
+def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
+    """Return name to the half width of a 90 % interval at the Cramer-Rao bound ``floor``, shape (p, p)."""
+    exact = Spread(names, floor, math.inf)
+    return {name: exact.half_width(name) for name in names}
+
+
+def joint_convergence(refined: Refined) -> Convergence:
+    """Return how the joint fit went."""
+    return Convergence(
+        stage="joint",
+        method="prediction error",
+        evaluations=refined.evaluations,
+        generations=refined.iterations,
+        cost=refined.innovation_rms,
+        cost_unit="of the noise",
+    )

@@ -1,0 +1,285 @@
+"""Bias of the maximum-likelihood estimate, measured by simulating the experiment at the estimate (M33 to M36).
+
+Just after a breakaway friction falls steeply, and the filter, which is linear about its prediction, overestimates how
+much noise speeds the onset up; within the period of a breakaway the torque is no straight line. The maximum of the
+likelihood is therefore biased, most where static friction is high. Replicates are simulated under the recorded commands
+and the drive loop that the recordings show; the mean of one scoring step from the simulated values is the bias
+(parametric bootstrap; indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each
+noise is used twice, the second time with its sign turned, so that odd terms cancel.
+
+The sensitivities of replicates are instruments too, and products of two of them give the Cramer-Rao bound.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, field, replace
+from itertools import islice
+
+import numpy as np
+
+from identification.estimate.inertia.estimating_equations import segment_inflation
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.filter.breakaway_times import search_breakaway_times
+from identification.filter.likelihood import Problem, static_limit
+from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
+from identification.filter.segments import Motion, motion
+from identification.model.parameters import INERTIA, LOAD_PARAMETERS, OFFSET, SYSTEM_PARAMETERS, unpack
+from identification.numerics.arrays import Array
+from identification.recording import Model
+from identification.simulate.drive_loop import drive_loop
+from identification.simulate.servo_loop import Loop, Response, respond
+
+PAIRS, MOST_PAIRS = 3, 6
+"""Noises, each used with both signs: at first, and at most where the bias is uncertain."""
+_UNCERTAIN = 0.15
+"""Error of the bias, in standard errors of the estimate, up to which no more noises are taken."""
+_TRIED, _ENOUGH = 9, 2
+"""Pairs tried at most, and least number of pairs, where replicates fail because the filter loses the joint."""
+_LARGE, _TURNS = 2.0, 3
+"""Bias, in standard errors, above which the simulation is repeated at corrected values, and times at most."""
+_UNSEEN = 0.5
+"""Logged share of the noise variance where the recordings do not show it (M34)."""
+_DRAW = 1000
+"""Seed of the noise for the drive's answer to noise."""
+_HEADROOM = 2.0
+"""The drive's greatest torque over the greatest in the recordings."""
+_FARTHEST = 20.0
+"""Step, in standard deviations, above which the filter has lost the joint and the replicate is dropped."""
+
+
+@dataclass(frozen=True)
+class Bias:
+    """Bias of the likelihood.
+
+    Attributes:
+        shifts: Name to bias, SI.
+        variances: Name to the variance of the bias, from the number of replicates.
+        replicates: The replicates.
+    """
+
+    shifts: Mapping[str, float]
+    variances: Mapping[str, float]
+    replicates: tuple[Replicate, ...] = field(default=(), compare=False, repr=False)
+
+
+def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
+    """Return the bias of the likelihood at a problem's start (M35); none for the inertia.
+
+    None where the experiment cannot be simulated: the recordings do not show the drive's loop, a load is not made by a
+    weight, or the filter does not follow the replicates.
+
+    Args:
+        joint: At the estimate; it is not changed.
+        names: Of the fitted parameters.
+    """
+    loop = _loop(joint.motions)
+    if loop is None or OFFSET in joint.free:
+        return None
+    share = logged_share(joint, loop)
+    start, found = joint.start, None
+    replicates: tuple[Replicate, ...] = ()
+    for turn in range(1, _TURNS + 1):
+        there = copy(joint)
+        there.start = start
+        noises = iter(range(_TRIED))
+        pairs = list(islice(_pairs(there, loop, share, noises), PAIRS))
+        if len(pairs) < _ENOUGH:
+            break
+        mean = np.mean(_even(pairs), axis=0)
+        last = turn == _TURNS or float(np.max(np.abs(mean) / _deviation(pairs))) < _LARGE
+        while last and len(pairs) < MOST_PAIRS and _uncertain(pairs):
+            more = next(_pairs(there, loop, share, noises), None)
+            if more is None:
+                break
+            pairs.append(more)
+        found = _even(pairs)
+        replicates = tuple(r.replicate for pair in pairs for r in pair)
+        if last:
+            break
+        # The bias at the true values is that at the corrected estimate.
+        start = joint.parameters(_away(joint, mean))
+    if found is None:
+        return None
+    moved = np.array([_named(joint, pair, names) for pair in found])
+    mean, spread = _named(joint, np.mean(found, axis=0), names), np.var(moved, axis=0, ddof=1) / len(moved)
+    return Bias(
+        dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)), replicates
+    )
+
+
+def logged_share(joint: Problem, loop: Loop) -> float:
+    """Return the share of the torque noise's variance that is in the logged torque and not in the true one (M34).
+
+    A drive's current loop follows the noise of its own sensor within its bandwidth: that part moves the joint and is
+    not logged. Scatter of the logged torque beyond the drive's answer to it is noise of the measurement. Where that
+    answer exceeds the noise, half is taken.
+
+    Args:
+        joint: At the estimate; it is not changed.
+        loop: The drive.
+    """
+    noise = joint.noise.torque
+    if not noise > 0.0:
+        return _UNSEEN
+    rng = np.random.default_rng(_DRAW)
+    answers = [_response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque for m in joint.motions]
+    answer = torque_noise([replace(m, torque=torque) for m, torque in zip(joint.motions, answers, strict=True)])
+    if answer > noise:
+        return _UNSEEN
+    return float(np.clip((torque_noise(joint.motions) ** 2 - answer**2) / noise**2, 0.0, 1.0))
+
+
+@dataclass(frozen=True)
+class _Scored:
+    """A replicate and one scoring step of the likelihood from the simulated values.
+
+    Attributes:
+        step: Shape (p,).
+        deviation: Standard deviation of it; infinite, with no step, for the inertia, shape (p,).
+        replicate: The replicate.
+    """
+
+    step: Array
+    deviation: Array
+    replicate: Replicate
+
+
+_Pair = tuple[_Scored, _Scored]
+"""Replicates with one noise, and with its sign turned."""
+
+
+def _pairs(there: Problem, loop: Loop, share: float, noises: Iterator[int]) -> Iterator[_Pair]:
+    """Yield pairs of replicates that both succeed, until the noises are used up.
+
+    Args:
+        there: The problem of the experiment, at the simulated values.
+        loop: The drive.
+        share: Logged share of the noise variance.
+        noises: Their seeds.
+    """
+    for noise in noises:
+        one, other = (_step(there, loop, share, noise, sign) for sign in (1.0, -1.0))
+        if one is not None and other is not None:
+            yield one, other
+
+
+def _even(pairs: Sequence[_Pair]) -> Array:
+    """Return each pair's mean step, in which odd terms of the noise cancel, shape (n, p)."""
+    return np.array([0.5 * (one.step + other.step) for one, other in pairs])
+
+
+def _deviation(pairs: Sequence[_Pair]) -> Array:
+    """Return the median standard deviation of a step, shape (p,)."""
+    return np.asarray(np.median([r.deviation for pair in pairs for r in pair], axis=0))
+
+
+def _uncertain(pairs: Sequence[_Pair]) -> bool:
+    """Return whether the bias of some parameter is uncertain beside the standard error of the estimate."""
+    error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
+    return bool(np.max(error / _deviation(pairs)) > _UNCERTAIN)
+
+
+def _away(joint: Problem, step: Array) -> Array:
+    """Return the free vector that lies a step of the parameters before the problem's start."""
+    there = joint.origin()
+    there[: len(step)] -= step
+    return there
+
+
+def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
+    """Return the change of named parameters in a step that ends at the start, in their own units, shape (p,)."""
+    before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.start))
+    return np.array([here[n] - before[n] for n in names])
+
+
+def _loop(motions: Sequence[Motion]) -> Loop | None:
+    """Return the drive's loop, where recordings show it and their loads can be simulated."""
+    recordings = [m.recording for m in motions]
+    plain = all(r.pendulum is None and not r.hot_fire and "command" in r.channels for r in recordings)
+    if not plain:
+        return None
+    limit = _HEADROOM * max(float(np.max(np.abs(m.torque))) for m in motions)
+    return drive_loop(recordings, limit, _step_of_encoder(motions[0]))
+
+
+def _step_of_encoder(m: Motion) -> float:
+    return math.sqrt(12.0 * m.angle_variance)
+
+
+def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
+    """Simulate a replicate and return its scoring step; None where the filter does not follow."""
+    rng = np.random.default_rng(seed)
+    motions = [_replicate(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions]
+    seen = [m for m in motions if m is not None]
+    if len(seen) < len(motions):
+        return None
+    problem = Problem(seen, joint.start, [], Model(), joint.noise)
+    problem.free = tuple(k for k in joint.free if k != INERTIA)
+    problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m)) for m in seen]
+    search_breakaway_times(problem, HUBER_THRESHOLD)
+    problem.inflation = segment_inflation(problem)
+    problem.free = joint.free
+    return _scored(problem, seed)
+
+
+def _scored(problem: Problem, noise: int) -> _Scored | None:
+    """Return the parameters' part of a scoring step (M23) over them and breakaway times, the inertia held.
+
+    Args:
+        problem: Of the replicate.
+        noise: Seed of its noise.
+    """
+    x, count = problem.origin(), len(problem.free)
+    errors, deviations = problem.predictions(x)
+    every, widening = problem.derivatives(x, errors, deviations)
+    inflation = problem.inflation[problem.owners]
+    replicate = Replicate(problem, every.scaled(inflation), errors / deviations * inflation, noise)
+    held = [j for j, k in enumerate(problem.free) if k == INERTIA]
+    jacobian = every
+    for j in held:
+        jacobian, widening = jacobian.without(j), widening.without(j)
+    residual = np.clip(errors / deviations, -HUBER_THRESHOLD, HUBER_THRESHOLD)
+    score = jacobian.back(residual) + widening.back(1.0 - residual**2)
+    known = jacobian.product() + 2.0 * widening.product()
+    sought = count - len(held)
+    try:
+        inverse = np.linalg.inv(known)
+    except np.linalg.LinAlgError:
+        return None
+    step, deviation = -(inverse @ score)[:sought], np.sqrt(np.diag(inverse)[:sought])
+    if np.any(np.abs(step) > _FARTHEST * deviation):
+        return None
+    for j in held:
+        step, deviation = np.insert(step, j, 0.0), np.insert(deviation, j, np.inf)
+    return _Scored(step, deviation, replicate)
+
+
+def _drawn(joint: Problem, m: Motion, rng: np.random.Generator, sign: float, share: float) -> Array:
+    """Return the torque noise that moves the joint, and that of the log, N m, shape (2, n)."""
+    rows = joint.noise.drawn(rng, (2, len(m.time)), m.recording.period, sign)
+    return rows * np.sqrt([[1.0 - share], [share]])
+
+
+def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Response:
+    """Return the simulated response to a recording's command at the problem's values."""
+    r = m.recording
+    values = unpack(joint.start, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
+    values["J"] += m.extra_inertia
+    command = np.asarray(r.channels["command"], dtype=np.float64)
+    return respond(command, r.period, values, float(np.median(m.moment)), joint.alpha, loop, disturbance)
+
+
+def _replicate(joint: Problem, m: Motion, loop: Loop, noise: Array) -> Motion | None:
+    """Return the replicate of a recording at the problem's values, with noise of shape (2, n)."""
+    r = m.recording
+    response = _response(joint, m, loop, noise[0])
+    step = _step_of_encoder(m)
+    channels = {
+        "time": r.period * np.arange(len(response.angle)),
+        "angle": np.floor(response.angle / step) * step,
+        "torque": response.torque + noise[1],
+    }
+    return motion(replace(r, channels=channels, averaged=frozenset({"torque"}), notes=()))

@@ -1,0 +1,31 @@
+"""The searches of ``rig identify --compare``, each on a :class:`StageProblem`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from identification.estimate.equation_error import variable_projection as projection
+from identification.estimate.paper_method.stage_problem import StageProblem
+from identification.numerics.arrays import Array
+from identification.numerics.optimisers import cma_es, differential_evolution, genetic_algorithm, multi_start
+
+Optimiser = Callable[[StageProblem, np.random.Generator], Array]
+"""Problem and random generator to the best point found, in the unit cube."""
+
+
+def variable_projection(problem: StageProblem, rng: np.random.Generator) -> Array:
+    """Search the Stribeck speed alone, as the default method does; the other coordinates are linear."""
+    solution = projection.solve(problem.design, problem.low[2], problem.high[2])
+    return problem.unlinear(solution.omega_s, solution.coefficients)
+
+
+OPTIMISERS: Mapping[str, Optimiser] = {
+    "variable projection": variable_projection,
+    "genetic algorithm": genetic_algorithm,
+    "differential evolution": differential_evolution,
+    "CMA-ES": cma_es,
+    "multi-start least squares": multi_start,
+}
+"""Name to search; the first is the one that the default method uses."""

@@ -1,0 +1,247 @@
+"""The paper's method (Sec. 4): the equation error of eq. 15/16, minimised in two stages by a genetic algorithm.
+
+Stage 1 takes the unloaded recordings and searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 takes the loaded ones,
+holds those five and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum e(k)^2), targets 0.01 and 0.015 N m,
+population 40, at most 1000 generations (Sec. 4.2).
+
+Settled here, because the paper does not say: friction opposes motion, so eq. 13 and 15 carry sgn(omega); samples at
+rest are left out, for there friction balances the drive and gives an inequality, not an equation; the search box comes
+from the size of the recorded signals (:func:`search_box`). The method gives no intervals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.estimate.equation_error.regression import require_motion
+from identification.estimate.paper_method.torque_misfit import TorqueMisfit
+from identification.estimate.uncertainty.parameter_table import fit_of, trace_of, units_of
+from identification.model.friction import system_friction
+from identification.model.ladder import NOMINAL
+from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.numerics.arrays import Array
+from identification.numerics.genetic_algorithm import GeneticAlgorithm
+from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.recording import Dataset, Model, RecordingError
+from identification.result import Convergence, Identification, Parameter
+
+TARGETS: Mapping[str, float] = {"unloaded": 0.01, "loaded": 0.015}
+"""Fitness at which the search stops early, N m (Sec. 4.2.1, 4.2.2)."""
+POPULATION = 40
+GENERATIONS = 1000
+_AT_BOUND = 1e-3  # of the width of the box
+
+STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
+"""Parameters that each stage searches: Coulomb, static, Stribeck speed, viscous, and without load J."""
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class StageSamples:
+    """The equations of one stage, rest excluded; every array has shape (n,)."""
+
+    torque: Array
+    velocity: Array
+    acceleration: Array
+    load: Array
+
+
+def identify_paper(
+    dataset: Dataset,
+    *,
+    bandwidth_Hz: float | None = None,
+    rng: np.random.Generator,
+    progress: Progress | None = None,
+    generations: int = GENERATIONS,
+) -> Identification:
+    """Identify a dataset by the paper's method.
+
+    Args:
+        dataset: Recordings of one bench.
+        bandwidth_Hz: Of the filter that all signals pass; None chooses the least of what those to fit bear.
+        rng: Source of all randomness.
+        progress: Called with the stage and the share of its generations that is done.
+        generations: Limit per stage.
+
+    Raises:
+        RecordingError: No unloaded recording to fit, or one in which nothing moves.
+    """
+    if bandwidth_Hz is None:
+        bandwidth_Hz = min((default_bandwidth(r) for r in dataset.part("fit")), default=None)
+    prepared = [prepare(recording, bandwidth_Hz) for recording in dataset.recordings]
+    alpha = dataset.model.alpha
+    warnings = _left_out(dataset.model)
+    search = _Search(dataset, generations, rng, progress)
+    known: dict[str, float] = {}
+    parameters: dict[str, Parameter] = {}
+    stages: list[Convergence] = []
+    for stage in STAGES:
+        chosen = [p for p in prepared if p.recording.role == "fit" and p.recording.stage == stage]
+        if stage == "loaded" and not chosen:
+            continue
+        if not chosen:
+            raise RecordingError(
+                "no unloaded recording with role fit; the paper's method starts from one (stage: unloaded)"
+            )
+        found, estimates, convergence = search.solve(stage, chosen, known)
+        known |= found
+        parameters |= estimates
+        stages += convergence
+    fitted = [p for p in prepared if p.recording.role == "fit"]
+    validate = [p for p in prepared if p.recording.role == "validate"]
+    return Identification(
+        method="paper",
+        motion=dataset.recordings[0].bench.motion,
+        alpha=alpha,
+        parameters=parameters,
+        fit=fit_of(fitted, known, alpha, validate),
+        stages=tuple(stages),
+        fitted=dict(known),
+        warnings=warnings,
+        traces=tuple(trace_of(p, known, alpha) for p in prepared),
+        fits_by_recording={p.recording.name: fit_of([p], known, alpha) for p in prepared},
+        evaluations=sum(s.evaluations for s in stages),
+    )
+
+
+def _left_out(model: Model) -> tuple[str, ...]:
+    """Say which declared terms the paper's method has not.
+
+    Raises:
+        RecordingError: Another friction is declared than the paper's.
+    """
+    if model.friction != NOMINAL:
+        raise RecordingError(
+            f"the paper's method knows the {NOMINAL} friction only; use the default method for {model.friction}"
+        )
+    if not model.terms:
+        return ()
+    return (f"the paper's method has no term for {', '.join(model.terms)}; use the default method to fit it",)
+
+
+@dataclass(frozen=True)
+class _Search:
+    """What both stages share."""
+
+    dataset: Dataset
+    generations: int
+    rng: np.random.Generator
+    progress: Progress | None
+
+    def solve(
+        self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
+    ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
+        """Return one stage's values, estimates, and how its search went (nothing where all are held)."""
+        names, fixed = STAGES[stage], self.dataset.model.fixed
+        units = units_of(prepared)
+        held = {name: fixed[name] for name in names if name in fixed}
+        kept = {n: Parameter(n, units[n], value, reason="held by the campaign") for n, value in held.items()}
+        if len(held) == len(names):
+            return held, kept, []
+        samples = collect(stage, prepared, known, self.dataset.model.alpha)
+        box = {name: bounds for name, bounds in search_box(samples, names).items() if name not in held}
+        done = self._run(stage, samples, box, held)
+        found = {name: float(history[-1]) for name, history in done.parameter_history.items()}
+        estimates = {n: _parameter(n, found[n], units[n], box[n], samples, done.cost) for n in box}
+        both = kept | estimates
+        return held | found, {name: both[name] for name in names}, [done]
+
+    def _run(
+        self,
+        stage: str,
+        samples: StageSamples,
+        box: Mapping[str, tuple[float, float]],
+        held: Mapping[str, float],
+    ) -> Convergence:
+        """Run the genetic algorithm on one stage and keep what it had after every generation."""
+        alpha = self.dataset.model.alpha
+        misfit = TorqueMisfit(samples.torque, samples.velocity, samples.acceleration, samples.load, alpha)
+        low, high = zip(*box.values(), strict=True)
+        algorithm = GeneticAlgorithm(low, high, population=POPULATION, generations=self.generations, rng=self.rng)
+        target = TARGETS[stage]
+        costs: list[float] = []
+        history: list[Array] = []
+        constant = {name: np.full(POPULATION, value) for name, value in ({"J": 0.0} | dict(held)).items()}
+        while not algorithm.stop and algorithm.best_cost > target:
+            columns = constant | dict(zip(box, algorithm.ask().T, strict=True))
+            c, s, w_s, v = (columns[name] for name in STAGES[stage][:4])
+            algorithm.tell(misfit.norms(c, s, w_s, v, columns["J"]))
+            costs.append(algorithm.best_cost)
+            history.append(algorithm.best)
+            if self.progress is not None:
+                self.progress(stage, algorithm.generation / self.generations)
+        return Convergence(
+            stage=stage,
+            method=f"genetic algorithm over {misfit.samples} samples",
+            evaluations=POPULATION * algorithm.generation,
+            generations=algorithm.generation,
+            cost=algorithm.best_cost,
+            cost_unit=torque_unit(self.dataset.recordings[0]),
+            target=target,
+            reached=algorithm.best_cost <= target,
+            cost_history=np.array(costs),
+            parameter_history=dict(zip(box, np.array(history).T, strict=True)),
+        )
+
+
+def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
+    """Return the search box, from the size of the signals alone.
+
+    Dry friction up to twice the largest torque per load (breakaway may fall between samples), viscous friction and
+    inertia up to what would explain that torque at the largest speed and acceleration, the Stribeck speed from 1/500
+    of the largest speed up to it.
+    """
+    torque = float(np.max(np.abs(samples.torque / samples.load)))
+    speed = float(np.max(np.abs(samples.velocity)))
+    coulomb, static, stribeck, viscous, *inertia = names
+    box = {
+        coulomb: (0.0, 2.0 * torque),
+        static: (0.0, 2.0 * torque),
+        stribeck: (speed / 500.0, speed),
+        viscous: (0.0, torque / speed),
+    }
+    for name in inertia:
+        box[name] = (0.0, torque / float(np.max(np.abs(samples.acceleration))))
+    return box
+
+
+def collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float) -> StageSamples:
+    """Return the equations of one stage; what earlier stages found is moved to the left side.
+
+    Raises:
+        RecordingError: Too little motion, or no load where there should be one.
+    """
+    require_motion(prepared)
+    parts = []
+    for p in prepared:
+        rows = np.flatnonzero(p.used & (p.velocity != 0.0))
+        torque, load = p.torque[rows], np.ones(len(rows))
+        if stage == "loaded":
+            torque = torque - system_friction(p.velocity[rows], known, alpha) - known["J"] * p.acceleration[rows]
+            load = p.moment[rows]
+        parts.append((torque, p.velocity[rows], p.acceleration[rows], load))
+    samples = StageSamples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    if not np.all(samples.load > 0.0):
+        names = ", ".join(p.recording.name for p in prepared)
+        raise RecordingError(f"{names}: loaded, but the contact force is not above 0 N throughout; give weight_mass")
+    return samples
+
+
+def _parameter(
+    name: str, value: float, unit: str, bounds: tuple[float, float], samples: StageSamples, cost: float
+) -> Parameter:
+    """Return one parameter; J is not identifiable where its torque is smaller than what the fit leaves over."""
+    inertial = value * float(np.linalg.norm(samples.acceleration))
+    if name == "J" and inertial < cost:
+        reason = (
+            f"its torque, {inertial:.3g} (norm over the samples), drowns in the misfit of {cost:.3g}; "
+            "excite with higher acceleration"
+        )
+        return Parameter(name, unit, None, identifiable=False, reason=reason)
+    low, high = bounds
+    near = min(value - low, high - value) < _AT_BOUND * (high - low)
+    return Parameter(name, unit, value, at_bound=near, reason="at the edge of the search box" if near else "")

@@ -1,0 +1,171 @@
+"""Covariance of the refined estimate, its Cramer-Rao bound, and the last step of the inertia (M38 to M41)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.estimate.inertia.half_cycles import Replicate
+from identification.estimate.inertia.inertia_equation import combined_equation
+from identification.estimate.inertia.instruments import instruments
+from identification.estimate.uncertainty.cramer_rao import (
+    bound,
+    matching_means,
+    replicate_bound,
+    replicate_information,
+)
+from identification.filter.likelihood import Problem
+from identification.filter.noise_level import HUBER_THRESHOLD
+from identification.model.parameters import INDEX, INERTIA, LOGARITHMIC
+from identification.numerics.arrays import Array
+from identification.numerics.block_arrow import BlockArrow
+from identification.numerics.least_squares import equilibrated
+from identification.numerics.levenberg_marquardt import huber_weight
+
+_PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
+"""Weight of the prior scatter, in segments: without replicates, and of replicates (M41)."""
+_FARTHEST = 1.0
+"""Change of a logarithm beyond which a parameter does not follow the inertia: it is not identifiable, as a Stribeck
+speed below all sampled speeds, and the linearisation does not hold there."""
+
+
+@dataclass(frozen=True)
+class Covariances:
+    """Covariance of the free parameters as estimated, and its bound, in their own units, shape (p, p).
+
+    Attributes:
+        achieved: With the inertia at the solution of its equation.
+        floor: The bound.
+        step: Step of the free parameters to that solution, the others following the inertia, shape (p,).
+    """
+
+    achieved: Array
+    floor: Array
+    step: Array
+
+
+def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covariances:
+    """Return the achieved covariance of the free parameters and its floor at the problem's start.
+
+    The inertia has the variance of its estimating equation, and the others follow it (M39). Each parameter is scaled by
+    the scatter of its scores from segment to segment (M40, M41; Liang and Zeger, Biometrika 73 (1986) 13); that of the
+    inertia is never lowered.
+
+    Args:
+        problem: At the estimate.
+        replicates: Of its experiment there, for the bound, the prior of the scatter, and instruments of the inertia.
+    """
+    x = problem.origin()
+    problem.hold_weights()
+    residual = problem.residuals(x)
+    jacobian = problem.jacobian(x, residual)
+    z = instruments(problem, jacobian)
+    count = len(problem.free)
+    least = bound(matching_means(jacobian, z, problem.matching_count))[:count, :count]
+    reached, floor = _replicate_bounds(problem, jacobian, replicates) or (least, least)
+    units = np.array([problem.start[k] if k in LOGARITHMIC else 1.0 for k in problem.free])
+    scale = np.outer(units, units)
+    step = np.zeros(count)
+    if INERTIA not in problem.free:
+        spread, achieved = _spread(jacobian, residual, [r.inflated() for r in replicates]), reached
+    else:
+        j = problem.free.index(INERTIA)
+        equation = combined_equation(problem, z, jacobian, residual, replicates)
+        influence, weighted = equation.influence, residual * huber_weight(residual, HUBER_THRESHOLD)
+        step = -float(influence @ weighted) * least[:, j] / least[j, j]
+        step[[k in LOGARITHMIC and abs(s) > _FARTHEST for k, s in zip(problem.free, step, strict=True)]] = 0.0
+        variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
+        achieved = _beside_inertia(reached, j, variance)
+        inflated = [(slopes.without(j), errors) for slopes, errors in (r.inflated() for r in replicates)]
+        spread = _spread(jacobian.without(j), residual, inflated)
+        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
+        spread = np.insert(spread, j, max(float(scatter), 1.0))
+    return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
+
+
+def _replicate_bounds(
+    problem: Problem, jacobian: BlockArrow, replicates: Sequence[Replicate]
+) -> tuple[Array, Array] | None:
+    """Return the bound with variance inflation, and without, (p, p) each; None where replicates give none.
+
+    Inflation is a choice of the estimator and no part of the floor (M38).
+    """
+    if not replicates:
+        return None
+    uninflated = jacobian.scaled(problem.inflation[problem.owners])
+    matching = matching_means(uninflated, instruments(problem, uninflated), problem.matching_count)
+    information = replicate_information(problem, matching, replicates)
+    inflated, plain = (
+        replicate_bound(information / f[:, None, None] ** 2) for f in (problem.inflation, np.ones(len(information)))
+    )
+    return None if inflated is None or plain is None else (inflated, plain)
+
+
+def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
+    """Return the covariance of least squares with the ``j``-th parameter, the inertia, of this variance (M39)."""
+    others = [k for k in range(len(floor)) if k != j]
+    known = np.ix_(others, others)
+    follow = floor[others, j] / floor[j, j]
+    out = np.empty_like(floor)
+    out[known] = floor[known] + np.outer(follow, follow) * (variance - floor[j, j])
+    out[others, j] = out[j, others] = follow * variance
+    out[j, j] = variance
+    return out
+
+
+def _spread(jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]) -> Array:
+    """Return the scatter of scores between segments over that of the noise model, as deviations, shape (p,) (M41).
+
+    A recording has few segments, so the ratio is drawn toward its mean over replicates, or toward one without any. It
+    may be below one: the drive's loop compensates part of the current noise within a segment.
+
+    Args:
+        jacobian: Of the residuals.
+        residual: Shape (r,).
+        replicates: Jacobian and residuals of each.
+    """
+    ratio, segments = _scatter(jacobian, residual)
+    prior, worth = np.ones_like(ratio), _PRIOR
+    if replicates:
+        prior, worth = np.mean([_scatter(*r)[0] for r in replicates], axis=0), _REPLICATE_PRIOR
+    return np.asarray(np.sqrt((worth * prior + segments * ratio) / (worth + segments)))
+
+
+def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
+    """Return the ratio of clustered to plain variance of each parameter, and the number of segments behind it (M40).
+
+    Both of shape (p,). Scores are taken about their mean, so that an estimate beside the least-squares one does not
+    count as scatter.
+    """
+    weight = huber_weight(residual, HUBER_THRESHOLD)
+    normal, scale = equilibrated(jacobian.product(weight))
+    # A segment may hold no information on its own breakaway time.
+    inverse = np.linalg.pinv(normal, hermitian=True) / scale[:, None]
+    influence = jacobian.along(inverse[:, : jacobian.parameters.shape[1]])
+    plain, sums = np.zeros((2, jacobian.blocks, influence.shape[1]))
+    np.add.at(plain, jacobian.owners, influence**2)
+    np.add.at(sums, jacobian.owners, influence * (residual * weight)[:, None])
+    total = np.maximum(np.sum(plain, axis=0), 1e-300)
+    sums -= plain / total * np.sum(sums, axis=0)
+    segments = total**2 / np.maximum(np.sum(plain**2, axis=0), 1e-300)
+    ratio = np.sum(sums**2, axis=0) / total * segments / np.maximum(segments - 1.0, 1.0)
+    return ratio, segments
+
+
+def named_covariances(found: Covariances, joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:
+    """Return achieved covariance and floor in the order of ``names``, for static limits in place of rises, (p, p)."""
+    order = [joint.free.index(INDEX[n]) for n in names]
+    turn = rise_to_static(names)
+    achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
+    return achieved, floor
+
+
+def rise_to_static(names: Sequence[str]) -> Array:
+    """Return the map from (Coulomb level, rise) to (Coulomb level, static limit), shape (p, p)."""
+    turn = np.eye(len(names))
+    for coulomb, static in (("Mc", "Ms"), ("mu_c", "mu_s")):
+        if coulomb in names and static in names:
+            turn[names.index(static), names.index(coulomb)] = 1.0
+    return turn

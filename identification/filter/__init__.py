@@ -1,0 +1,1 @@
+"""Recordings and model to prediction errors: motion segments, Kalman filter, noise, likelihood, breakaway times."""

@@ -1,0 +1,254 @@
+"""One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured torque (M14 to M21).
+
+The measured torque is a noisy mean over each period and the encoder is quantised, so neither an output error (which
+drifts with the torque noise) nor an equation error (which differentiates the encoder) is the right residual. The filter
+has the state (angle, speed), with J domega/dt = torque - friction(omega) + noise and y = angle + noise; where the
+torque noise has a correlated part, that is a third state, a first-order process that is held over each period. The
+normalised innovations are white when the model is right, and their sum of squares is the likelihood (Ljung, System
+Identification, 2nd ed., 7.3 and 10.5).
+
+A motion segment that starts from rest starts at the angle of rest with speed zero, at its breakaway time. Repeated
+readings at rest do not reduce the error of the angle below the quantisation error.
+"""
+
+from __future__ import annotations
+
+import math
+
+from identification.filter.segment_table import DIRECTION, FIRST, LAST, TORQUE_RATE
+from identification.model.friction import expected_friction
+from identification.model.parameters import INERTIA, OFFSET
+from identification.numerics.arrays import Array
+from identification.numerics.compiled import compiled, inlined
+
+# Noise of one evaluation: of the torque, its white part, N m rms; of the angle, rad^2; of the torque, its correlated
+# part, N m rms, and the time over which that is correlated, s; of the angle, the part that stays the same while the
+# shaft rests, rad^2.
+WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
+
+_LEAST_SPEED = 1e-7
+_SLIP = 0.7
+"""Mean square of the excess of a random walk held at zero or above over a free one, under a drift that rises through
+zero, in natural units (M21); simulated in the tests."""
+
+
+State = tuple[float, float, float, float, float, float, float, float, float]
+"""Angle, speed, and their covariance: variance of the angle, covariance, variance of the speed. Then the correlated
+torque noise, and its covariance with the angle, with the speed, and its variance, which is zero without such noise."""
+
+
+@inlined
+def _predict(
+    state: State,
+    start: float,
+    stop: float,
+    middle: float,
+    torque: float,
+    slope: float,
+    moment: float,
+    inertia: float,
+    side: float,
+    noise_rate: float,
+    steps: float,
+    p: Array,
+) -> State:
+    """Return the state propagated from ``start`` to ``stop`` (M16, M17).
+
+    The speed by the linearly implicit trapezoidal rule in ``steps`` steps.
+    """
+    angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
+    h = (stop - start) / steps
+    now, inverse = start, 1.0 / inertia
+    for _ in range(int(steps)):
+        speed = max(side * omega, _LEAST_SPEED)
+        force, grade = expected_friction(speed, p22, moment, p)
+        u = side * (torque + slope * (now + 0.5 * h - middle) - p[OFFSET] + hidden)
+        half = -0.5 * h * inverse * grade
+        share = 1.0 / max(1.0 - half, 0.5)
+        after = speed + h * (u - force) * inverse * share
+        missing = max(_LEAST_SPEED - after, 0.0)
+        after += missing
+        growth = min((1.0 + half) * share, 3.0)
+        angle += side * h * 0.5 * (speed + after)
+        omega = side * after
+        b = 0.5 * h * (1.0 + growth)
+        q = noise_rate * h
+        p11 += 2.0 * b * p12 + b * b * p22 + q * h * h / 3.0
+        p12 = growth * (p12 + b * p22) + 0.5 * q * h
+        p22 = growth * growth * p22 + q + missing * missing
+        if p33 > 0.0:
+            c = h * inverse * share
+            a = 0.5 * h * c
+            along = p13 + b * p23 + a * p33
+            p11 += 2.0 * a * (p13 + b * p23) + a * a * p33
+            p12 += growth * a * p23 + c * along
+            p22 += c * (2.0 * growth * p23 + c * p33)
+            p13 = along
+            p23 = growth * p23 + c * p33
+        now += h
+    return angle, omega, p11, p12, p22, hidden, p13, p23, p33
+
+
+@inlined
+def _reading_at_rest(here: float, p11: float, error: float, angle_noise: float, staying: float) -> tuple[float, float]:
+    """Return the angle of rest and its variance after one more reading with this ``error`` (M20).
+
+    The part ``staying`` of the reading's variance ``angle_noise`` is the same for all readings at rest, so that further
+    readings reduce only the rest of it.
+    """
+    unknown = p11 - staying
+    if unknown > 0.0:
+        share = unknown / (unknown + angle_noise - staying)
+        here += share * error
+        p11 -= share * unknown
+    return here, p11
+
+
+@inlined
+def _corrected(state: State, error: float, variance: float, new: float, unsure: float, side: float) -> State:
+    """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps its sign ``side``.
+
+    ``new`` is the share of the period since the breakaway; it makes the filter smooth in the breakaway time. ``unsure``
+    is added to the variance of the speed.
+    """
+    angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
+    g1 = p11 / variance
+    g2 = p12 / variance
+    less = new * (2.0 - new)
+    angle += new * g1 * error
+    omega += new * g2 * error
+    missing = max(_LEAST_SPEED - side * omega, 0.0)
+    omega += side * missing
+    p22 += missing * missing - less * g2 * p12 + unsure
+    if p33 > 0.0:
+        g3 = p13 / variance
+        hidden += new * g3 * error
+        p33 -= less * g3 * p13
+        p23 -= less * g3 * p12
+        p13 *= 1.0 - less * g1
+    return (
+        angle,
+        omega,
+        p11 * (1.0 - less * g1),
+        p12 * (1.0 - less * g1),
+        p22,
+        hidden,
+        p13,
+        p23,
+        p33,
+    )
+
+
+@compiled
+def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
+    """Return the mean square speed that noise causes before the mean torque reaches the static limit, (rad/s)^2 (M21).
+
+    At rest friction balances any torque backwards, so that noise moves the joint forward only: a random walk held at
+    zero from below, under the drift ``rise`` t / ``inertia`` (``rise`` in N m/s) that passes zero at the limit. Walk
+    and drift are of one size over the time (noise^2 period / rise^2)^(1/3).
+    """
+    diffusion = noise * noise * period
+    alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
+    return _SLIP * diffusion * alike / (inertia * inertia)
+
+
+@compiled
+def innovations(
+    segments: Array,
+    breakaway_times: Array,
+    time: Array,
+    angle: Array,
+    torque: Array,
+    slope: Array,
+    moment: Array,
+    extra_inertia: float,
+    noise: Array,
+    steps: Array,
+    unsure: Array,
+    p: Array,
+    out: Array,
+    spread: Array,
+    speeds: Array,
+    hiddens: Array,
+) -> None:
+    """Fill ``out`` with the innovations of every segment and ``spread`` with their deviations (M18); also the states.
+
+    Args:
+        segments: Table of motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
+        breakaway_times: Breakaway time of each segment, s, shape (m,).
+        time: s, shape (n,).
+        angle: Joint angle, rad, shape (n,).
+        torque: Mean torque over the period that ends at each sample, N m, shape (n,).
+        slope: Its slope within that period, N m/s, shape (n,).
+        moment: F_P L1, N m, shape (n,).
+        extra_inertia: Known inertia added to J, kg m^2.
+        noise: Places ``WHITE`` to ``STAYING`` above, shape (5,). The torque noise is divided by the inertia on trial:
+            the true torque is unknown, and taking the measured one for it would bias J.
+        steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
+            innovations are smooth in the parameters.
+        unsure: Variance added to the speed's at each sample, (rad/s)^2, shape (n,).
+        p: Vector of :mod:`identification.model.parameters`.
+        out: Innovations, rad, shape (n,); samples outside segments are left alone.
+        spread: Their standard deviations, rad, shape (n,).
+        speeds: Filtered speed, rad/s, shape (n,).
+        hiddens: Filtered correlated torque noise, N m, shape (n,); left alone without such noise.
+    """
+    inertia = p[INERTIA] + extra_inertia
+    correlated = noise[CORRELATED] > 0.0
+    for j in range(len(segments)):
+        first = int(segments[j, FIRST])
+        last = int(segments[j, LAST])
+        side = float(segments[j, DIRECTION])
+        if segments[j, TORQUE_RATE] > 0:
+            begin = breakaway_times[j]
+            omega = side * _LEAST_SPEED
+            p22 = _slip_variance(noise[WHITE], time[first] - time[first - 1], segments[j, TORQUE_RATE], inertia)
+        else:
+            begin = time[first - 1]
+            omega = speeds[first - 1]
+            p22 = omega * omega
+        here, p11, p12 = angle[first - 1], noise[ANGLE], 0.0
+        hidden, p13, p23, p33 = 0.0, 0.0, 0.0, noise[CORRELATED] * noise[CORRELATED]
+        for k in range(first, last):
+            start = max(begin, time[k - 1])
+            if start < time[k]:
+                period = time[k] - time[k - 1]
+                rate = noise[WHITE] * noise[WHITE] * period / (inertia * inertia)
+                middle = 0.5 * (time[k] + time[k - 1])
+                if correlated:
+                    kept = math.exp(-period / noise[CORRELATION_TIME])
+                    hidden, p13, p23 = kept * hidden, kept * p13, kept * p23
+                    p33 = kept * kept * p33 + (1.0 - kept * kept) * noise[CORRELATED] * noise[CORRELATED]
+                here, omega, p11, p12, p22, hidden, p13, p23, p33 = _predict(
+                    (here, omega, p11, p12, p22, hidden, p13, p23, p33),
+                    start,
+                    time[k],
+                    middle,
+                    torque[k],
+                    slope[k],
+                    moment[k],
+                    inertia,
+                    side,
+                    rate,
+                    steps[k],
+                    p,
+                )
+            variance = p11 + noise[ANGLE]
+            error = angle[k] - here
+            out[k] = error
+            spread[k] = math.sqrt(variance)
+            if start >= time[k]:
+                here, p11 = _reading_at_rest(here, p11, error, noise[ANGLE], noise[STAYING])
+                speeds[k] = omega
+                continue
+            here, omega, p11, p12, p22, hidden, p13, p23, p33 = _corrected(
+                (here, omega, p11, p12, p22, hidden, p13, p23, p33),
+                error,
+                variance,
+                (time[k] - start) / (time[k] - time[k - 1]),
+                unsure[k],
+                side,
+            )
+            speeds[k] = omega
+            if correlated:
+                hiddens[k] = hidden

@@ -1,0 +1,47 @@
+"""The noise model of torque and angle (M25)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import signal
+
+from identification.numerics.arrays import Array
+
+
+@dataclass(frozen=True)
+class Noise:
+    """White and correlated noise of the measured torque, and noise of the angle.
+
+    Attributes:
+        torque: White part of the torque noise, N m rms over a period.
+        angle: Noise of the angle beyond the quantisation of its encoder, rad rms.
+        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero without one.
+        correlation_s: Time over which its autocorrelation falls to 1/e, s.
+    """
+
+    torque: float
+    angle: float = 0.0
+    correlated: float = 0.0
+    correlation_s: float = 0.0
+
+    @property
+    def whole_torque(self) -> float:
+        """Standard deviation of both parts of the torque noise, N m."""
+        return math.hypot(self.torque, self.correlated)
+
+    def louder(self, factor: float) -> Noise:
+        """Return the same noise with the white part of the torque noise multiplied by a factor."""
+        return replace(self, torque=factor * self.torque)
+
+    def drawn(self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float) -> Array:
+        """Return independent rows of torque noise times ``share``, N m, one sample every ``period`` s."""
+        white = np.asarray(share * self.torque * rng.standard_normal(shape), dtype=np.float64)
+        if self.correlated == 0.0:
+            return white
+        pole = math.exp(-period / self.correlation_s)
+        shocks = share * self.correlated * rng.standard_normal(shape)
+        shocks[:, 1:] *= math.sqrt(1.0 - pole * pole)
+        return np.asarray(white + signal.lfilter([1.0], [1.0, -pole], shocks, axis=1), dtype=np.float64)

@@ -1,0 +1,254 @@
+"""Motion segments of a recording, from one rest to the next, and what the filter needs of them (M5, M11)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.contact_force import contact_moment
+from identification.even_sampling import evened
+from identification.filter.segment_table import DIRECTION, FIRST, LAST, TORQUE_RATE
+from identification.numerics.arrays import Array, BoolArray
+from identification.prepare import drive_torque, joint_angle, resting
+from identification.recording import Recording
+from identification.signals import quantum
+
+LEAD = 12
+"""Samples before the first visible motion at which a segment starts."""
+TAIL = 20
+"""Samples before the next rest at which a segment ends, because the filter cannot know that the joint will stop."""
+LEAST_COUNTS = 20.0
+"""Encoder steps that a segment moves at least."""
+FINE_STEPS = 8.0
+"""Integration steps per sample near rest, where friction falls steeply."""
+STEPS = 4.0
+"""Integration steps per sample elsewhere: under a slow sine friction falls over all of its speeds."""
+ONSET_STEPS = 32.0
+"""Integration steps per sample right after a breakaway, where friction's fall multiplies the error of every step."""
+FINE_SAMPLES = 30
+RISING = 20
+"""Samples before the first visible motion over which the torque's rate of rise is taken."""
+LEAST_RISE = 0.1
+"""Least rate of rise of a segment, over the median of the recording: noise hides a smaller one."""
+STALLED = 0.01
+"""Share of the greatest speed below which a segment almost stops."""
+UNSURE = 0.1
+"""Deviation added to the speed there, over the greatest speed."""
+ALIKE = 0.1
+"""Greatest distance of two matching half cycles at any time, over the longer of them (M11)."""
+INSTANTS = 64
+"""Instants at which half cycles are compared."""
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A recording as the filter takes it. Arrays have shape (n,), at the joint, SI.
+
+    Attributes:
+        recording: The recording.
+        time: s.
+        angle: rad, as the encoder counted.
+        torque: Mean torque over the period that ends at each sample, N m.
+        slope: Its slope within that period, N m/s.
+        moment: Mean F_P L1 over that period, N m.
+        table: Motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
+        seen: First sample of each segment that has visibly moved, shape (m,).
+        steps: Integration steps per sample.
+        unsure: Variance added to the speed's at each sample, (rad/s)^2.
+        inside: Whether a sample is inside a segment.
+        extra_inertia: Known inertia added to J, kg m^2.
+        angle_variance: Variance of the quantisation error of the angle, rad^2.
+    """
+
+    recording: Recording
+    time: Array
+    angle: Array
+    torque: Array
+    slope: Array
+    moment: Array
+    table: Array
+    seen: Array
+    steps: Array
+    unsure: Array
+    inside: BoolArray
+    extra_inertia: float
+    angle_variance: float
+
+    def torque_at(self, when: Array) -> Array:
+        """Return the torque at any time, linear between the centres of the periods it was averaged over, N m."""
+        return np.interp(when, self.time - 0.5 * self.recording.period, self.torque)
+
+    @property
+    def breakaway_moment(self) -> Array:
+        """F_P L1 at the start of each segment, N m, shape (m,)."""
+        return self.moment[self.seen.astype(np.int64)]
+
+    @property
+    def matching(self) -> BoolArray:
+        """Whether two segments are matching half cycles (M11), in either direction, shape (m, m); true on the diagonal.
+
+        A segment without a match matches all segments of its recording.
+        """
+        first, last = self.table[:, [FIRST, LAST]].astype(np.int64).T
+        since = np.linspace(0.0, float(np.max(last - first)), INSTANTS).astype(np.int64)
+        half_cycles = self.angle[np.minimum(first[:, None] + since, last[:, None] - 1)] - self.angle[first, None]
+        half_cycles *= self.table[:, DIRECTION, None]
+        reach = np.max(np.abs(half_cycles), axis=1)
+        matching = np.empty((len(first), len(first)), dtype=bool)
+        for j, half_cycle in enumerate(half_cycles):
+            matching[j] = np.max(np.abs(half_cycles - half_cycle), axis=1) <= ALIKE * np.maximum(reach, reach[j])
+        matching[np.sum(matching, axis=1) < 2] = True
+        return matching
+
+    def static_crossing(self, static: Array | float) -> Array:
+        """Return when the torque of each segment first reaches ``static``, at visible motion at the latest, s, (m,).
+
+        ``static`` is one level for all, N m, or one for each, shape (m,).
+        """
+        half = 0.5 * self.recording.period
+        out = np.empty(len(self.table))
+        levels = np.broadcast_to(static, out.shape)
+        for j, (first, _, side, _) in enumerate(self.table):
+            window = slice(int(first) - 1, int(self.seen[j]) + 2)
+            when = self.time[window] - half
+            excess = side * self.torque[window] - levels[j]
+            above = np.flatnonzero(excess >= 0.0)
+            if above.size == 0:
+                out[j] = when[1 + int(np.argmax(excess[1:]))]
+            elif above[0] == 0:
+                out[j] = when[0]
+            else:
+                k = int(above[0])
+                out[j] = when[k - 1] + (when[k] - when[k - 1]) * excess[k - 1] / (excess[k - 1] - excess[k])
+        return np.minimum(out, self.time[self.seen.astype(np.int64)])
+
+    def peak_torque(self) -> float:
+        """Return the median over segments of the greatest torque before visible motion, N m."""
+        peaks = [
+            np.max(side * self.torque[int(first) : int(seen) + 1])
+            for (first, _, side, _), seen in zip(self.table, self.seen, strict=True)
+        ]
+        return float(np.median(peaks))
+
+
+def motion(recording: Recording) -> Motion | None:
+    """Return the motion segments of a recording that start from rest, or None where the filter does not apply.
+
+    It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque or current and at
+    least two segments. Single samples may be missing or late; segments with longer gaps are left out.
+    """
+    if not ({"torque", "current"} & recording.channels.keys()):
+        return None
+    even = evened(recording)
+    if even is None:
+        return None
+    recording, holes = even
+    angle = joint_angle(recording)
+    step = 0.0 if angle is None else quantum(angle)
+    if angle is None or step == 0.0:
+        return None
+    velocity = np.gradient(np.convolve(angle, np.ones(5) / 5.0, mode="same"), recording.time)
+    at = recording.time
+    measured = {"torque", "current"} & recording.averaged
+    torque = drive_torque(recording, at - 0.5 * recording.period if measured else at, velocity)
+    if not measured:
+        torque = 0.5 * (torque + np.concatenate((torque[:1], torque[:-1])))
+    extra = 0.0
+    if recording.pendulum is not None:
+        extra = recording.pendulum.inertia
+        torque = torque + recording.pendulum.torque(angle, recording.bench.gravity)
+    table, seen = _table(angle, step, holes)
+    if len(table) < 2:
+        return None
+    table[:, TORQUE_RATE] = _rises(at, torque, table, seen)
+    steps = np.full(len(at), STEPS)
+    inside = np.zeros(len(at), dtype=bool)
+    for first, last, _, _ in table.astype(np.int64):
+        inside[first:last] = True
+        steps[max(first, last - FINE_SAMPLES) : last] = FINE_STEPS
+    slow = np.abs(velocity) < 0.3 * float(np.max(np.abs(velocity)))
+    steps[slow] = FINE_STEPS
+    for first in table[:, FIRST].astype(np.int64):
+        steps[first : first + LEAD + FINE_SAMPLES] = ONSET_STEPS
+    moment = contact_moment(recording, at, angle)
+    return Motion(
+        recording=recording,
+        time=at,
+        angle=angle,
+        torque=np.ascontiguousarray(torque),
+        slope=np.gradient(torque, at),
+        moment=0.5 * (moment + np.concatenate((moment[:1], moment[:-1]))),
+        table=table,
+        seen=seen,
+        steps=steps,
+        unsure=_unsure(at, angle, step, velocity, table, seen),
+        inside=inside,
+        extra_inertia=extra,
+        angle_variance=step * step / 12.0,
+    )
+
+
+def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array) -> Array:
+    """Return the variance added to the speed's where a segment almost stops, (rad/s)^2, shape (n,).
+
+    Whether the joint stops there or moves on depends on the noise, which the fall of friction multiplies. A filter that
+    is linear about its prediction would be too certain, and one such segment would outweigh all others.
+    """
+    period = float(np.median(np.diff(time)))
+    fastest = float(np.quantile(np.abs(velocity), 0.99))
+    width = max(3, math.ceil(step / (STALLED * fastest * period)))
+    out = np.zeros(len(time))
+    for (_, last, side, _), visible in zip(table, seen.astype(np.int64), strict=True):
+        moved = side * (angle[visible + width : int(last)] - angle[visible : int(last) - width])
+        for k in np.flatnonzero(moved < STALLED * fastest * width * period):
+            out[visible + k : visible + k + width + 1] = (UNSURE * fastest) ** 2
+    return out
+
+
+def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
+    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite where none rises."""
+    out = np.empty(len(table))
+    for j, (side, last) in enumerate(zip(table[:, DIRECTION], seen.astype(np.int64), strict=True)):
+        window = slice(max(last + 1 - RISING, 0), last + 1)
+        out[j] = side * np.polyfit(time[window] - time[last], torque[window], 1)[0]
+    typical = float(np.median(out))
+    return np.maximum(out, LEAST_RISE * typical) if typical > 0.0 else np.full(len(out), np.inf)
+
+
+def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
+    """Return the table of segments that start from rest and have no gaps, and the first sample that visibly moved.
+
+    The torque's rate of rise is left at one.
+    """
+    rest = resting(angle)
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], (~rest).astype(np.int64), [0]))))
+    rows: list[tuple[float, float, float, float]] = []
+    seen: list[int] = []
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        end = min(int(stop), len(angle) - 1)
+        travel = angle[end] - angle[max(start - 1, 0)]
+        last = int(stop) - TAIL if stop < len(angle) else int(stop)
+        begin = max(int(start) - LEAD, 1)
+        while begin < start and not rest[begin]:
+            begin += 1
+        if np.any(holes[begin : int(stop)]):
+            continue
+        if start == 0 or begin >= start or abs(travel) < LEAST_COUNTS * step or last - begin < LEAD:
+            continue
+        visible = int(start)
+        while abs(angle[visible] - angle[start - 1]) < 1.5 * step:
+            visible += 1
+        if last <= visible + 2 or _reverses(angle[visible:last], np.sign(travel), step):
+            continue
+        rows.append((begin + 1, last, float(np.sign(travel)), 1.0))
+        seen.append(visible)
+    columns = TORQUE_RATE + 1
+    return np.array(rows, dtype=np.float64).reshape(-1, columns), np.array(seen, dtype=np.float64)
+
+
+def _reverses(angle: Array, side: float, step: float) -> bool:
+    """Return whether a segment turns back by more than the noise of its encoder without coming to rest."""
+    forward = side * angle
+    return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)

@@ -1,0 +1,101 @@
+"""The parameters of the nominal model: names, units, and places in the vector that compiled kernels take.
+
+The vector holds rises where tables hold static levels (dM = Ms - Mc, dmu = mu_s - mu_c), because a search bounds and
+regresses rises.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from identification.numerics.arrays import Array
+
+SYSTEM_PARAMETERS = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
+"""Found by the unloaded fit (eq. 16)."""
+LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
+"""Found by the loaded fit (eq. 15)."""
+GEAR_PARAMETERS = ("mu_gc", "mu_gs")
+"""Found by the unloaded fit where friction grows with a pendulum's torque."""
+STRIBECK_TERMS = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
+"""Coulomb level, static level and Stribeck speed of each part of friction that may rise toward rest."""
+
+UNITS_ROTARY: Mapping[str, str] = {
+    "J": "kg m^2",
+    "Mc": "N m",
+    "Ms": "N m",
+    "omega_sf": "rad/s",
+    "sigma_2": "N m s/rad",
+    "mu_c": "1",
+    "mu_s": "1",
+    "omega_sL": "rad/s",
+    "mu_2": "s/rad",
+    "mu_gc": "1",
+    "mu_gs": "1",
+    "offset": "N m",
+}
+UNITS_LINEAR: Mapping[str, str] = {
+    **UNITS_ROTARY,
+    "J": "kg",
+    "Mc": "N",
+    "Ms": "N",
+    "omega_sf": "m/s",
+    "sigma_2": "N s/m",
+    "omega_sL": "m/s",
+    "mu_2": "s/m",
+    "offset": "N",
+}
+
+MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)
+MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET = range(5, 10)
+MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, SIZE = range(10, 16)
+"""Places in the vector. ``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) are of a declared pendulum, ``ALPHA`` is the
+Stribeck exponent."""
+INDEX: Mapping[str, int] = {
+    "Mc": MC,
+    "Ms": SYSTEM_RISE,
+    "omega_sf": OMEGA_SF,
+    "sigma_2": SIGMA_2,
+    "J": INERTIA,
+    "mu_c": MU_C,
+    "mu_s": LOAD_RISE,
+    "omega_sL": OMEGA_SL,
+    "mu_2": MU_2,
+    "offset": OFFSET,
+}
+"""Fitted parameters by name; a static level stands at the place of its rise."""
+COULOMB_OF: Mapping[str, int] = {"Ms": MC, "mu_s": MU_C}
+"""Static level to the place of its Coulomb level."""
+LOGARITHMIC = (OMEGA_SF, OMEGA_SL, INERTIA)
+"""Positive parameters, searched by their logarithm."""
+
+
+def pack(values: Mapping[str, float], alpha: float) -> Array:
+    """Return the vector of named parameters, shape (SIZE,).
+
+    Absent parameters have no effect; a static level below its Coulomb level counts as that.
+
+    Args:
+        values: Parameter name to value, SI.
+        alpha: Stribeck exponent.
+    """
+    p = np.zeros(SIZE)
+    p[OMEGA_SF] = p[OMEGA_SL] = 1.0
+    for name, k in INDEX.items():
+        if name in values:
+            p[k] = values[name]
+    p[MU_GC] = values.get("mu_gc", 0.0)
+    for (coulomb, static, _), k in zip(STRIBECK_TERMS, (SYSTEM_RISE, LOAD_RISE, GEAR_RISE), strict=True):
+        p[k] = max(values.get(static, 0.0) - values.get(coulomb, 0.0), 0.0)
+    p[ALPHA] = alpha
+    return p
+
+
+def unpack(p: Array, names: Sequence[str]) -> dict[str, float]:
+    """Return the named parameters of a vector, SI."""
+    values = {name: float(p[INDEX[name]]) for name in names}
+    for static, coulomb in COULOMB_OF.items():
+        if static in values:
+            values[static] = float(p[coulomb] + p[INDEX[static]])
+    return values

@@ -1,0 +1,40 @@
+"""Compilation of numeric kernels by numba, with the same options everywhere.
+
+The machine code is kept on disk for the next process: :mod:`identification.numerics.kernel_cache`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast
+
+from numba import njit
+
+from identification.numerics.kernel_cache import KernelCache
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def compiled(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a numeric kernel with numba and keep the machine code for the next process.
+
+    The kernel releases the interpreter lock, so it must touch nothing but its arguments.
+    """
+    return _kept(function, nogil=True, error_model="numpy")
+
+
+def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a kernel of long sums, whose terms may be added in any order: several at a time, and fused."""
+    return _kept(function, error_model="numpy", fastmath={"reassoc", "contract"})
+
+
+def inlined(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile a small kernel into every caller: a call would cost as much as the kernel."""
+    return cast(Callable[P, R], njit(inline="always", error_model="numpy")(function))
+
+
+def _kept(function: Callable[P, R], **options: Any) -> Callable[P, R]:
+    kernel = njit(**options)(function)
+    kernel._cache = KernelCache(kernel.py_func)
+    return cast(Callable[P, R], kernel)

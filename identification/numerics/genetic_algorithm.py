@@ -1,0 +1,136 @@
+"""A real-coded genetic algorithm in ask/tell form, blind to what it optimises.
+
+The paper (Sec. 4.2) gives population 40, at most 1000 generations, Gaussian mutation and crossover fraction 0.8, which
+are options of the Genetic Algorithm and Direct Search Toolbox; what the paper does not give is taken from that
+toolbox's documented defaults:
+
+* fitness scaling by rank: the expectation of the individual of rank r is proportional to 1/sqrt(r);
+* stochastic uniform selection (Baker, 1987): equal steps along the line of expectations from one random start;
+* two elite individuals pass unchanged;
+* scattered crossover: every gene comes from either parent with probability 1/2;
+* Gaussian mutation of every gene with standard deviation scale (1 - shrink g/G) (high - low) at generation g of G;
+* the first generation is uniform in the box.
+
+Two choices are this module's own: a gene that mutation throws out of the box is reflected back into it (clipping would
+pile the population up on the bounds), and there is no stall limit, so that the search runs for all its generations.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from identification.numerics.arrays import Array
+
+
+class GeneticAlgorithm:
+    """Minimise a cost over a box: ``costs = f(ga.ask()); ga.tell(costs)`` until ``ga.stop``.
+
+    Args:
+        low: Lower bounds, shape (d,).
+        high: Upper bounds, shape (d,); above ``low``.
+        population: Individuals per generation.
+        crossover_fraction: Share of the non-elite children made by crossover; the others are mutants.
+        elite: Individuals that survive unchanged.
+        mutation_scale: Standard deviation of the first generation's mutation over the width of the box.
+        mutation_shrink: Share of that deviation lost, linearly, by the last generation.
+        generations: Generations after which ``stop`` is true; the first, random one counts.
+        rng: Source of all randomness.
+
+    Raises:
+        ValueError: Bounds or settings that make no search.
+    """
+
+    def __init__(
+        self,
+        low: ArrayLike,
+        high: ArrayLike,
+        *,
+        population: int = 40,
+        crossover_fraction: float = 0.8,
+        elite: int = 2,
+        mutation_scale: float = 1.0,
+        mutation_shrink: float = 1.0,
+        generations: int = 1000,
+        rng: np.random.Generator,
+    ) -> None:
+        self.low = np.array(low, dtype=float)
+        self.high = np.array(high, dtype=float)
+        if self.low.ndim != 1 or self.low.shape != self.high.shape or self.low.size == 0:
+            raise ValueError(f"bounds have shapes {self.low.shape} and {self.high.shape}; give two of one shape (d,)")
+        if not np.all(np.isfinite(self.low) & np.isfinite(self.high) & (self.low < self.high)):
+            raise ValueError(f"lower bounds {self.low} must be finite and below the upper bounds {self.high}")
+        if not 0 <= elite < population or not 0.0 <= crossover_fraction <= 1.0 or generations < 1:
+            raise ValueError(
+                f"population {population}, elite {elite}, crossover fraction {crossover_fraction}, generations "
+                f"{generations}: need 0 <= elite < population, a fraction in 0..1 and at least 1 generation"
+            )
+        self.generations = generations
+        self.generation = 0
+        self.best = np.full(self.low.size, np.nan)
+        self.best_cost = np.inf
+        self._elite = elite
+        self._crossed = round(crossover_fraction * (population - elite))
+        self._mutants = population - elite - self._crossed
+        self._scale = mutation_scale
+        self._shrink = mutation_shrink
+        self._rng = rng
+        self._genes = rng.uniform(self.low, self.high, (population, self.low.size))
+
+    @property
+    def stop(self) -> bool:
+        """Whether all generations are spent."""
+        return self.generation >= self.generations
+
+    def ask(self) -> Array:
+        """Return the individuals to be judged, shape (population, d)."""
+        return self._genes.copy()
+
+    def tell(self, costs: ArrayLike) -> None:
+        """Take the costs of the individuals last asked for, and breed the next generation.
+
+        Args:
+            costs: Shape (population,); infinite marks an individual that cannot be judged.
+
+        Raises:
+            ValueError: Wrong shape, or NaN.
+        """
+        judged = np.asarray(costs, dtype=float)
+        if judged.shape != (len(self._genes),):
+            raise ValueError(f"costs have shape {judged.shape}; expected ({len(self._genes)},)")
+        if np.isnan(judged).any():
+            raise ValueError("a cost is NaN; give inf for an individual that cannot be judged")
+        order = np.argsort(judged, kind="stable")
+        if judged[order[0]] < self.best_cost:
+            self.best_cost = float(judged[order[0]])
+            self.best = self._genes[order[0]].copy()
+        self.generation += 1
+        self._genes = self._breed(self._genes[order])
+
+    def _breed(self, ranked: Array) -> Array:
+        """Return the next generation from this one, best first."""
+        parents = ranked[_select(len(ranked), 2 * self._crossed + self._mutants, self._rng)]
+        mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
+        inherit = self._rng.random(mothers.shape) < 0.5
+        children = np.where(inherit, mothers, fathers)
+        deviation = self._scale * (1.0 - self._shrink * self.generation / self.generations) * (self.high - self.low)
+        originals = parents[2 * self._crossed :]
+        mutants = originals + deviation * self._rng.standard_normal(originals.shape)
+        return np.vstack([ranked[: self._elite], children, _reflect(mutants, self.low, self.high)])
+
+
+def _select(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+    """Return ``wanted`` shuffled ranks by stochastic uniform selection on rank-scaled fitness."""
+    expectation = 1.0 / np.sqrt(np.arange(1, count + 1))
+    line = np.cumsum(expectation) / expectation.sum()
+    line[-1] = 1.0
+    marks = (rng.random() + np.arange(wanted)) / max(wanted, 1)
+    chosen = np.searchsorted(line, marks, side="right").astype(np.intp)
+    return rng.permutation(chosen)
+
+
+def _reflect(genes: Array, low: Array, high: Array) -> Array:
+    """Fold genes back into the box, as often as it takes."""
+    width = high - low
+    folded = np.mod(genes - low, 2.0 * width)
+    return np.clip(low + np.minimum(folded, 2.0 * width - folded), low, high)

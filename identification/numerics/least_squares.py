@@ -1,0 +1,39 @@
+"""Linear least squares of many rows and few columns, and the scaling of normal equations."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.numerics.arrays import Array
+
+LEAST_EIGENVALUE_RATIO = 1e-8
+"""Least over greatest eigenvalue of the columns' correlations from which on the normal equations are used."""
+
+
+def least_squares(columns: Array, target: Array, rcond: float = 1e-10) -> Array:
+    """Return the least-squares coefficients of columns, shape (n, k), for a target, shape (n,).
+
+    Well-conditioned columns use the normal equations with one step of iterative refinement, at a tenth of the time of a
+    singular value decomposition and as exactly. Other columns use that decomposition, without the singular values below
+    ``rcond`` times the greatest.
+    """
+    inner = columns.T @ columns
+    length = np.sqrt(np.diag(inner))
+    if not len(length) or np.any(length == 0.0):
+        return np.asarray(np.linalg.lstsq(columns, target, rcond=rcond)[0])
+    values, vectors = np.linalg.eigh(inner / np.outer(length, length))
+    if not values[0] > LEAST_EIGENVALUE_RATIO * values[-1]:
+        return np.asarray(np.linalg.lstsq(columns, target, rcond=rcond)[0])
+    inverse = (vectors / values) @ vectors.T / np.outer(length, length)
+    found = inverse @ (columns.T @ target)
+    return np.asarray(found + inverse @ (columns.T @ (target - columns @ found)))
+
+
+def equilibrated(normal: Array) -> tuple[Array, Array]:
+    """Return a normal matrix scaled to a diagonal of ones, shape (p, p), and the scale of its columns, shape (p,).
+
+    The units of the parameters spread its elements over many decades. A parameter without effect keeps its zero.
+    """
+    scale = np.sqrt(np.diag(normal))
+    scale[scale == 0.0] = 1.0
+    return normal / np.outer(scale, scale), scale

@@ -1,0 +1,87 @@
+"""Searches over the unit cube, each from a start that does not depend on the answer.
+
+Each search may take :data:`BUDGET` evaluations and stops earlier by its own rule. It sees nothing but costs or
+residuals.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from cmaes import CMA
+from scipy import optimize
+
+from identification.numerics.arrays import Array
+from identification.numerics.genetic_algorithm import GeneticAlgorithm
+
+POPULATION, GENERATIONS = 40, 1000
+"""Of the genetic algorithm (paper, Sec. 4.2)."""
+BUDGET = POPULATION * GENERATIONS
+"""Evaluations at most."""
+STARTS = 20
+"""Random starts of the least squares."""
+_FIRST_SIGMA = 0.3  # of the box, as the CMA-ES tutorial advises (Hansen, arXiv:1604.00772)
+
+
+class BoxProblem(Protocol):
+    """A cost over the unit cube."""
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates, d."""
+
+    def costs(self, x: Array, /) -> Array:
+        """Return the cost of every row of ``x``, shape (p, d), as shape (p,)."""
+
+    def residuals(self, x: Array, /) -> Array:
+        """Return the residuals at ``x``, shape (d,); the cost is the root of their sum of squares."""
+
+
+def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
+    """The genetic algorithm of the paper (Sec. 4.2), with its settings."""
+    zeros, ones = np.zeros(problem.size), np.ones(problem.size)
+    search = GeneticAlgorithm(zeros, ones, population=POPULATION, generations=GENERATIONS, rng=rng)
+    while not search.stop:
+        search.tell(problem.costs(search.ask()))
+    return search.best
+
+
+def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Array:
+    """SciPy's, with its own settings (best1bin, 15 per coordinate, tolerance 0.01) and no polish."""
+    found = optimize.differential_evolution(
+        lambda x: problem.costs(x.T),
+        optimize.Bounds(np.zeros(problem.size), np.ones(problem.size)),
+        vectorized=True,
+        updating="deferred",
+        polish=False,
+        maxiter=BUDGET // (15 * problem.size) - 1,
+        rng=rng,
+    )
+    return np.asarray(found.x)
+
+
+def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
+    """CMA-ES of the ``cmaes`` library with its own settings, from the centre of the box."""
+    bounds = np.column_stack([np.zeros(problem.size), np.ones(problem.size)])
+    search = CMA(np.full(problem.size, 0.5), _FIRST_SIGMA, bounds=bounds, seed=int(rng.integers(1 << 31)))
+    best, least, spent = np.full(problem.size, 0.5), np.inf, 0
+    while not search.should_stop() and spent < BUDGET:
+        points = np.array([search.ask() for _ in range(search.population_size)])
+        costs = problem.costs(points)
+        spent += len(points)
+        k = int(np.argmin(costs))
+        if costs[k] < least:
+            best, least = points[k], float(costs[k])
+        search.tell([(point, float(cost)) for point, cost in zip(points, costs, strict=True)])
+    return best
+
+
+def multi_start(problem: BoxProblem, rng: np.random.Generator) -> Array:
+    """Bounded trust-region least squares of SciPy from random starts in the box; the best of them counts."""
+    best, least = np.full(problem.size, 0.5), np.inf
+    for start in rng.uniform(0.0, 1.0, (STARTS, problem.size)):
+        found = optimize.least_squares(problem.residuals, start, bounds=(0.0, 1.0))
+        if found.cost < least:
+            best, least = found.x, float(found.cost)
+    return best

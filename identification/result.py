@@ -1,0 +1,257 @@
+"""What an estimator returns: values with their credentials, and everything a report shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from identification.numerics.arrays import Array
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One estimate with its 90 % interval.
+
+    ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then says why, in words.
+    ``floor`` is the half width that the Cramer-Rao bound allows the interval; None where it was not computed.
+    """
+
+    name: str
+    unit: str
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    identifiable: bool = True
+    at_bound: bool = False
+    reason: str = ""
+    floor: float | None = None
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Torque error at the stated bandwidth. Relative is the norm of the residual over the norm of the torque."""
+
+    unit: str
+    bandwidth_Hz: float
+    train_rms: float
+    train_relative: float
+    validate_rms: float | None = None
+    validate_relative: float | None = None
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """How one stage's search went.
+
+    Attributes:
+        stage: ``unloaded``, ``loaded`` or ``joint``.
+        method: Name of the optimiser.
+        evaluations: Residual evaluations spent.
+        generations: Generations or iterations spent.
+        cost: Final cost, in ``cost_unit``.
+        target: Cost at which the search stops early, or None.
+        reached: Whether the target was met (None without one).
+        cost_history: Best cost after each generation, shape (g,).
+        parameter_history: Name to best value after each generation, shape (g,).
+    """
+
+    stage: str
+    method: str
+    evaluations: int
+    generations: int
+    cost: float
+    cost_unit: str
+    target: float | None = None
+    reached: bool | None = None
+    cost_history: Array | None = None
+    parameter_history: Mapping[str, Array] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Starts:
+    """Where the starts of one search ended.
+
+    Attributes:
+        stage: ``unloaded`` or ``loaded``.
+        cost: What was compared, in words.
+        ends: Final cost of each start, in the order they were tried.
+        reached: Cost up to which a start has reached the best end.
+        absolute: Whether ``reached`` is a fixed limit, at which the search ends, and not one above the least end.
+    """
+
+    stage: str
+    cost: str
+    ends: tuple[float, ...]
+    reached: float
+    absolute: bool = False
+
+    @property
+    def best(self) -> int:
+        """How many starts reached the best end."""
+        return sum(end <= self.reached for end in self.ends)
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Profile likelihood of one parameter, all others optimised at each point.
+
+    Attributes:
+        name: Of the parameter.
+        unit: Of ``values``.
+        values: Held, rising, shape (n,).
+        deviance: -2 log likelihood there above the estimate's, shape (n,).
+        low: Lower end of the 90 % range; None where the deviance does not get there within ``values``.
+        high: Upper end, alike.
+        scale: What the likelihood's own deviance was multiplied by, so that it bears out the interval.
+    """
+
+    name: str
+    unit: str
+    values: Array
+    deviance: Array
+    low: float | None
+    high: float | None
+    scale: float
+
+    def moved(self, by: float) -> Profile:
+        """Return the same about an estimate that was moved."""
+        low, high = (None if end is None else end + by for end in (self.low, self.high))
+        return replace(self, values=self.values + by, low=low, high=high)
+
+
+@dataclass(frozen=True)
+class Tradeoff:
+    """Two parameters that the recordings hardly tell apart, and what of them they do pin.
+
+    Attributes:
+        names: Both.
+        correlation: Of their estimates.
+        statement: In words, with the combination that is pinned.
+    """
+
+    names: tuple[str, str]
+    correlation: float
+    statement: str
+
+
+@dataclass(frozen=True)
+class Trace:
+    """The signals of one recording as the fit saw them, all at the stated bandwidth, shape (n,)."""
+
+    recording: str
+    role: str
+    stage: str
+    time: Array
+    angle: Array
+    velocity: Array
+    torque: Array
+    torque_model: Array
+    friction: Array
+    used: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Spread of one parameter over bootstrap draws of the stretches of motion.
+
+    Attributes:
+        name: Of the parameter.
+        unit: Its unit.
+        low: Lower end of the central 90 % of the draws; None where too few were solved.
+        high: Upper end.
+        draws: How many were made.
+        solved: How many of them could be solved.
+    """
+
+    name: str
+    unit: str
+    low: float | None
+    high: float | None
+    draws: int
+    solved: int
+
+    def moved(self, by: float) -> Resampled:
+        """Return the same about an estimate that was moved."""
+        low, high = (None if end is None else end + by for end in (self.low, self.high))
+        return replace(self, low=low, high=high)
+
+
+@dataclass(frozen=True)
+class MeasuredNoise:
+    """Noise of the measurement, as the prediction errors ask for it.
+
+    Attributes:
+        torque: White part of the measured torque's, over one period, rms in ``unit``.
+        correlated: Its correlated part, a first-order process; zero where none was needed.
+        correlation_s: Time over which that is correlated, s.
+        angle_rad: Of the joint angle, beyond its quantisation, rms.
+        encoder_step_rad: Of its quantisation, at the joint.
+        unit: Of the torque.
+    """
+
+    torque: float
+    correlated: float
+    correlation_s: float
+    angle_rad: float
+    encoder_step_rad: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Identification:
+    """Result of one identification of one dataset by one method.
+
+    Attributes:
+        method: Name of the estimator.
+        motion: ``rotary`` or ``linear``.
+        alpha: Stribeck exponent.
+        parameters: Name to estimate with its credentials.
+        fit: Error over all recordings.
+        stages: How each search went.
+        warnings: What to know about the result, in words.
+        traces: Signals of every recording.
+        fits_by_recording: Error of every recording.
+        evaluations: Residual evaluations spent.
+        seconds: Wall-clock time spent.
+        fitted: Name to the value the fit ended with, those that are not identifiable by themselves included: what a
+            simulation of the fitted model needs.
+        friction: Rung of :data:`identification.model.ladder.LADDER`.
+        starts: Where the starts of each search ended; empty where there was one start only.
+        tradeoffs: Pairs that the recordings hardly tell apart.
+        least_pinned: In words, what combination of parameters the recordings pin least.
+        noise: Of the measurement; None where no prediction errors were taken.
+        profiles: Profile likelihoods, where asked for.
+        resampled: Spread over bootstrap draws, where asked for.
+    """
+
+    method: str
+    motion: str
+    alpha: float
+    parameters: Mapping[str, Parameter]
+    fit: Fit
+    stages: tuple[Convergence, ...]
+    warnings: tuple[str, ...] = ()
+    traces: tuple[Trace, ...] = ()
+    fits_by_recording: Mapping[str, Fit] = field(default_factory=dict)
+    evaluations: int = 0
+    seconds: float = 0.0
+    fitted: Mapping[str, float] = field(default_factory=dict)
+    friction: str = "stribeck"
+    starts: tuple[Starts, ...] = ()
+    tradeoffs: tuple[Tradeoff, ...] = ()
+    least_pinned: str = ""
+    noise: MeasuredNoise | None = None
+    profiles: tuple[Profile, ...] = ()
+    resampled: tuple[Resampled, ...] = ()
+
+    @property
+    def torque_unit(self) -> str:
+        """Unit of the traces' torques, which is not the fit's where that is in volts."""
+        return self.parameters["Mc"].unit
+
+    def values(self) -> dict[str, float]:
+        """Return name to value of the identifiable parameters."""
+        return {name: p.value for name, p in self.parameters.items() if p.value is not None}

@@ -1,0 +1,109 @@
+"""The drive's loop, estimated from recordings (M33).
+
+A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e from its target. The
+logged command reaches the loop some cycles late: whole cycles are searched, and the command and its derivatives are
+regressors for the rest of a cycle. Encoder steps and the loop's own delay would lower Kv, so the regression uses means
+over a few samples, with the joint's angle at the delay that fits best.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from identification.numerics.arrays import Array
+from identification.recording import Recording
+from identification.simulate.servo_loop import Loop, usual_loop
+
+_MEAN = 4
+"""Samples over which both sides are averaged."""
+_LATENESSES = range(7)
+"""Cycles by which a command may be late."""
+_DELAYS_S = tuple(2e-4 * k for k in range(8))
+"""Delay between the joint's motion and the loop's response."""
+_MISFIT = 0.15
+"""Greatest rms of the regression's residual, over that of the torque's changes, at which the loop is known."""
+_GAINS = 3
+
+
+def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: float) -> Loop | None:
+    """Return the loop of the drive; None where the recordings do not log it, or do not fit it.
+
+    Args:
+        recordings: Of one bench; those without command, motor angle and current are left out.
+        torque_limit: N m.
+        count: Joint angle of one step of the encoder that the drive follows, rad.
+    """
+    usable = [r for r in recordings if {"command", "motor_angle", "current"} <= r.channels.keys()]
+    if not usable:
+        return None
+    middle = _DELAYS_S[len(_DELAYS_S) // 2]
+    late = min(_LATENESSES, key=lambda cycles: _fit(usable, cycles, middle)[1])
+    fits = [_fit(usable, late, delay) for delay in _DELAYS_S]
+    best = min(range(len(fits)), key=lambda k: fits[k][1])
+    gains, misfit = fits[best]
+    if misfit > _MISFIT or np.any(gains <= 0.0):
+        return None
+    velocity, total, product = float(gains[0]), float(gains[1] / gains[0]), float(gains[2] / gains[0])
+    # Kp and Ki enter alike; where noise leaves them no real values, equal ones come nearest.
+    half = 0.5 * total
+    apart = math.sqrt(max(half * half - product, 0.0))
+    usual = usual_loop(1.0, torque_limit, count)
+    # Of the delay, what the filter on the speed does not explain is the torque's own.
+    lag = max(_least(_DELAYS_S, [m for _, m in fits], best) - 1.0 / (2.0 * math.pi * usual.filter_Hz), 0.0)
+    return Loop(half + apart, velocity, half - apart, usual.filter_Hz, torque_limit, count, lag)
+
+
+def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
+    """Return where a parabola through the least of evenly spaced misfits, squared, and its neighbours is least."""
+    if not 0 < best < len(places) - 1:
+        return places[best]
+    before, here, after = (m * m for m in misfits[best - 1 : best + 2])
+    bend = before - 2.0 * here + after
+    return places[best] + (0.5 * (before - after) / bend if bend > 0.0 else 0.0) * (places[1] - places[0])
+
+
+def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Array, float]:
+    """Return the gains of e', e and its integral, and the relative misfit.
+
+    Args:
+        recordings: At least one.
+        late: Cycles by which the command reaches the loop late.
+        delay: Of what the loop makes of the shaft's motion, s.
+    """
+    rows, torques = [], []
+    for number, recording in enumerate(recordings):
+        own, torque = _regressors(recording, late, delay)
+        others = np.zeros((len(torque), len(recordings)))
+        others[:, number] = 1.0
+        rows.append(np.column_stack([own, others]))
+        torques.append(torque)
+    design, torque = np.concatenate(rows), np.concatenate(torques)
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0.0] = 1.0
+    solution = np.linalg.lstsq(design / scale, torque, rcond=None)[0]
+    left = torque - design / scale @ solution
+    return (solution / scale)[:_GAINS], float(np.std(left) / max(float(np.std(torque)), 1e-12))
+
+
+def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, Array]:
+    """Return the regressors, gains first, shape (n, 6), and the torque at the joint, N m, shape (n,)."""
+    time, period, channels = recording.time, recording.period, recording.channels
+    angle = np.interp(time - delay, time, channels["motor_angle"]) / recording.bench.gear_ratio
+    command = np.concatenate([np.full(late, channels["command"][0]), channels["command"]])[: len(time)]
+    away = command - angle
+    middle = 0.5 * (away[1:] + away[:-1])
+    pace = np.diff(command) / period
+    columns = [
+        np.diff(away) / period,
+        middle,
+        np.cumsum(middle) * period,
+        pace,
+        0.5 * (command[1:] + command[:-1]),
+        np.gradient(pace, period),
+    ]
+    torque = recording.bench.ampere_torque * channels["current"][1:]
+    share = np.full(_MEAN, 1.0 / _MEAN)
+    return np.column_stack([np.convolve(c, share, "valid") for c in columns]), np.convolve(torque, share, "valid")
