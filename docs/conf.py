@@ -23,6 +23,10 @@ html_theme = "furo"
 html_title = "loadrig"
 html_static_path = ["static"]
 html_css_files = ["tables.css"]
+html_theme_options = {
+    "light_css_variables": {"content-padding": "2em"},
+    "top_of_page_buttons": [],
+}
 html_show_sphinx = False
 
 _OUTSIDE = re.compile(r"\[([^\]]*)\]\((?:\.\./)+(?:README|CHANGELOG)\.md[^)]*\)")

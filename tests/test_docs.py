@@ -22,7 +22,7 @@ NARROW_PAGES = sorted(
 """Pages whose prose keeps to :data:`WIDE` columns."""
 _PATH = re.compile(r"`((?:rig|drivers|identification|tests|benchmarks|docs)/[\w/.-]+)`")
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
-_FENCE = re.compile(r"^```.*?^```$", re.MULTILINE | re.DOTALL)
+_FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`]+)`")
 _NUMBER = re.compile(r"\bM(\d+)\b")
 _TAG = re.compile(r"\\tag\{M(\d+)\}")

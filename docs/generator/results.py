@@ -14,9 +14,11 @@ from pathlib import Path
 from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
-from identification.estimate.result import MeasuredNoise
+from identification.result import MeasuredNoise
 from rig.descriptions import meanings
 from rig.inject import Finding
+from rig.predicted_load import PredictedPeak
+from rig.readings import Readings
 from rig.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 
 TABLE = Path(__file__).with_suffix(".txt")
@@ -53,6 +55,7 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.predict:error_record",
     ),
     "rig check --json": ("rig.commands.check:examine", "rig.calibration:calibration_records"),
+    "rig run --dry-run --json": ("rig.dry_run:dry_run_record",),
     "rig jog --json": ("rig.commands.jog:_record",),
     "rig run --faults: faults.json": (),
     "rig effects --json": ("rig.effects:effects_record", "rig.effects:_entry_record"),
@@ -74,16 +77,20 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
 """Section of the table to the functions whose dictionaries are written."""
 _RECORDS: Mapping[str, tuple[type, ...]] = {
     "rig identify: identify.json": (MeasuredNoise,),
-    "rig check --json": (Identity, ServoLimits),
+    "rig check --json": (Identity, Readings, ServoLimits),
+    "rig run --dry-run --json": (PredictedPeak,),
     "rig run --faults: faults.json": (Finding,),
 }
 """Section to the records that are written field by field."""
 _INTERNAL = frozenset({"transmission", "voltage", "right"})
 """Keys of dictionaries that stay inside these functions."""
 _COMPUTED: Mapping[str, frozenset[str]] = {
-    "rig identify: identify.json": frozenset({"corrections", "compared", "ladder", "transfer", "comparison"}),
+    "rig identify: identify.json": frozenset(
+        {"corrections", "compared", "ladder", "transfer", "comparison", "partial"}
+    ),
+    "rig diagnose: diagnose.json": frozenset({"partial"}),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
-    "rig check --json": frozenset({"servo", "encoder", "pressure", "limits"}),
+    "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),
     "rig prove: prove.json": frozenset({"rigs"}),
 }
