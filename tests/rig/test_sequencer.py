@@ -359,18 +359,23 @@ def test_lateness_and_losses_are_counted(runner: Any, fake_bench: Any) -> None:
     assert timing["answer"]["p50_us"] == pytest.approx(500.0)
 
 
-def test_lateness_against_real_time_is_counted_and_trips_nothing(runner: Any, fake_bench: Any) -> None:
-    """The simulated bench waits for the host, so that a busy computer is no danger there; it is told all the same."""
+@pytest.mark.parametrize(("late_ms", "ending"), [(25, Ending.DONE), (26, Ending.FAILED)])
+def test_lateness_against_real_time_is_judged_as_that_of_a_real_bench(
+    runner: Any, fake_bench: Any, late_ms: int, ending: Ending
+) -> None:
+    """The simulated bench waits for the host; this computer's lateness, limit 25 ms, ends the run all the same."""
     pacer = Pacer()
     bench = fake_bench(pacer=pacer)
 
     def busy() -> None:
-        pacer.now += 40_000_000
+        pacer.now += (late_ms + 1) * 1_000_000
 
     bench.faults["exchange", 700] = busy
     folder, outcome = runner(bench)
-    assert outcome.ending is Ending.DONE
+    assert outcome.ending is ending
     timing = folder.record.parts[0].timing
-    assert timing["missed_syncs"] == 39
-    assert timing["lateness"]["worst_us"] == pytest.approx(39_000.0)
+    assert timing["missed_syncs"] == late_ms
+    assert timing["lateness"]["worst_us"] == pytest.approx(late_ms * 1e3)
     assert folder.record.overruns == 1
+    if ending is Ending.FAILED:
+        assert "lateness of the control cycle 0.026 s is beyond its limit 0.025 s" in outcome.message
