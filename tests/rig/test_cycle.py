@@ -291,7 +291,7 @@ def test_other_limits_hold_from_then_on() -> None:
     bench = Bench()
     cycle = begun(bench)
     cycle.use(dataclasses.replace(LIMITS, speed=0.5))
-    with pytest.raises(TripError, match="joint speed 0.7 rad/s"):
+    with pytest.raises(TripError, match=r"joint speed 0\.7 rad/s"):
         cycle.follow([0.1], 0, "empty")
 
 
@@ -418,6 +418,15 @@ def test_a_prompt_before_the_watching_is_no_lateness_of_this_computer() -> None:
     assert (cycle.timing.missed_syncs, cycle.overruns) == (3, 1)
     assert cycle.timing.lateness.worst_ns == 3_000_000
     assert np.diff(pacer.deadlines[-2:]) == 1_000_000
+
+
+def test_before_it_begins_the_age_of_a_sample_counts_from_the_start() -> None:
+    bench = Bench()
+    cycle = make(bench)
+    bench.changes["fresh"] = False
+    after(0.5, bench)()
+    cycle.watch()
+    assert cycle.timing.oldest_s == pytest.approx(0.5)
 
 
 def test_before_it_begins_nothing_is_followed() -> None:
@@ -598,7 +607,7 @@ def test_this_computers_lateness_is_judged() -> None:
 
 def test_the_pressure_is_judged() -> None:
     limits = dataclasses.replace(LIMITS, gas=GasLimits(2e5, 1e6, 0.0, lambda angle: 0.0))
-    with pytest.raises(TripError, match="chamber pressure 3e.05 Pa"):
+    with pytest.raises(TripError, match=r"chamber pressure 3e.05 Pa"):
         begun(Bench(pressure=True), limits=limits)
 
 
