@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
@@ -105,7 +106,7 @@ class Cia402Servo(Servo):
         scales = self._scales
         scales.check(self._channel)
         milliseconds = round(cycle_s * 1e3)
-        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
+        if milliseconds < 1 or not math.isclose(milliseconds * 1e-3, cycle_s, rel_tol=0.0, abs_tol=1e-9):
             raise ConfigurationError(f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)")
         channel = self._channel
         servo_limits.store(channel, (0x60C2, 1), milliseconds)
@@ -272,7 +273,7 @@ class Cia402Servo(Servo):
         self._channel.insist(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
-        deadline = self._clock.now_ns() + round(self._timeout_s * NS)
+        deadline = self._clock.now_ns() + self._timeout_s * NS
         while not reached(state := self.state()):
             if self._clock.now_ns() >= deadline:
                 raise StateError(
@@ -283,7 +284,7 @@ class Cia402Servo(Servo):
     def _cycles(self) -> Iterator[bool]:
         # Exchanges at the cycle's pace; yields whether there is time left.
         due = self._clock.now_ns()
-        deadline = due + round(self._timeout_s * NS)
+        deadline = due + self._timeout_s * NS
         while True:
             due += self._cycle_ns
             self._clock.sleep_until_ns(due)
