@@ -30,7 +30,7 @@ STATUS: Final[tuple[tuple[int, int, S], ...]] = (
 """Statusword mask and value of each state."""
 
 _BY_BITS: Final[Mapping[int, S]] = {
-    word: state for word in range(0x70) for mask, value, state in STATUS if word & 0x6F == word and word & mask == value
+    word: state for word in range(0x70) for mask, value, state in STATUS if word & mask == value
 }
 
 

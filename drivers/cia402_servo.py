@@ -354,7 +354,7 @@ class Cia402Servo(Servo):
         self._channel.insist(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
-        deadline = self._clock.now_ns() + round(self._timeout_s * NS)
+        deadline = self._clock.now_ns() + self._timeout_s * NS
         while not reached(state := self.state()):
             if self._clock.now_ns() >= deadline:
                 raise StateError(
@@ -365,7 +365,7 @@ class Cia402Servo(Servo):
     def _cycles(self) -> Iterator[bool]:
         # Exchanges at the cycle's pace; yields whether there is time left.
         due = self._clock.now_ns()
-        deadline = due + round(self._timeout_s * NS)
+        deadline = due + self._timeout_s * NS
         while True:
             due += self._cycle_ns
             self._clock.sleep_until_ns(due)

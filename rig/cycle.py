@@ -130,10 +130,10 @@ class Cycle:
         self._period_ns = cycle_ns
         self._latch = Latch()
         self._start_ns = self._clock.now_ns()
-        self._next_ns = self._fresh_ns = self._powered_ns = self._start_ns
-        self._deadline_ns: int | None = None
+        self._fresh_ns = self._powered_ns = self._start_ns
+        self._time_limit_s: float | None = None
         self._age_s = self._late_s = self._target = 0.0
-        self._pacer_offset_ns = 0
+        self._start_grid(self._start_ns)
         self.count = 0
         self.overruns = 0
         self.stale = 0
@@ -178,7 +178,7 @@ class Cycle:
         """
         self.resume()
         self._powered_ns = self._next_ns
-        self._deadline_ns = None if time_limit_s is None else self._next_ns + round(time_limit_s * NS)
+        self._time_limit_s = time_limit_s
         self._servo.set_target(target)
         sample = self._exchange(target, 0)
         trip = self._latch.reset(sample, self._age_s, self._late_s, self._limits)
@@ -187,9 +187,8 @@ class Cycle:
 
     def resume(self) -> None:
         """Go on after work that took longer than a cycle and is no sign of lateness."""
-        self._next_ns = self._fresh_ns = self._clock.now_ns()
-        if self._pacer is not None:
-            self._pacer_offset_ns = self._pacer.now_ns() - self._next_ns
+        self._fresh_ns = self._clock.now_ns()
+        self._start_grid(self._fresh_ns)
 
     def follow(
         self,
@@ -217,14 +216,13 @@ class Cycle:
         """
         stop, judge, limits = self._stop, self._latch.judge, self._limits
         set_target = self._servo.set_target
-        deadline_ns = self._deadline_ns
+        time_limit_s = self._time_limit_s
         sample: Sample | None = None
         since = 0
         for target in targets:
-            if stop.pressed:
-                stop.check()
-            if deadline_ns is not None and self._next_ns > deadline_ns:
-                self._check_time(deadline_ns)
+            stop.check()
+            if time_limit_s is not None:
+                self._check_time(time_limit_s)
             set_target(target)
             if compensate is not None:
                 self._servo.set_torque_offset(compensate(sample))
@@ -247,14 +245,22 @@ class Cycle:
         Raises:
             DeviceError: A device or the bus failed.
         """
-        self._next_ns = max(self._next_ns, self._clock.now_ns())
+        now_ns = self._clock.now_ns()
+        if now_ns > self._next_ns:
+            # After a pause, which is no lateness.
+            self._start_grid(now_ns)
         # A recording that cannot be written is no reason to leave the drive alone while it brakes.
         with suppress(StorageError):
             self._exchange(self._target, 0)
 
-    def _check_time(self, deadline_ns: int) -> None:
-        elapsed_s, limit_s = ((at - self._powered_ns) / NS for at in (self._next_ns, deadline_ns))
-        trip = check_stage_time(elapsed_s, limit_s, self.next_s)
+    def _start_grid(self, now_ns: int) -> None:
+        """Have the next cycle start now, by the real clock as well."""
+        self._next_ns = now_ns
+        if self._pacer is not None:
+            self._pacer_offset_ns = self._pacer.now_ns() - now_ns
+
+    def _check_time(self, limit_s: float) -> None:
+        trip = check_stage_time((self._next_ns - self._powered_ns) / NS, limit_s, self.next_s)
         if trip is not None:
             raise TripError(trip)
 
@@ -301,9 +307,10 @@ class Cycle:
         )
         if fresh:
             self._fresh_ns = begin_ns
-            self._age_s = 0.0
         else:
-            self._lost(begin_ns, servo.fresh, encoder.fresh)
+            self._lost(servo.fresh, encoder.fresh)
+        self._age_s = (begin_ns - self._fresh_ns) * 1e-9
+        timing.oldest_s = max(timing.oldest_s, self._age_s)
         timing.answer.note(clock.now_ns() - begin_ns)
         self.count += 1
         self._next_ns = begin_ns + self._period_ns
@@ -327,9 +334,7 @@ class Cycle:
         self.overruns += 1
         self.timing.missed_syncs += late_ns // self._period_ns
 
-    def _lost(self, begin_ns: int, servo_fresh: bool, encoder_fresh: bool) -> None:
+    def _lost(self, servo_fresh: bool, encoder_fresh: bool) -> None:
         self.stale += 1
         self.timing.lost_servo += not servo_fresh
         self.timing.lost_encoder += not encoder_fresh
-        self._age_s = (begin_ns - self._fresh_ns) * 1e-9
-        self.timing.oldest_s = max(self.timing.oldest_s, self._age_s)

@@ -63,7 +63,6 @@ class Guard:
         self._armed = False
         self._taken = False
         self._heard = b""
-        self._fed_ns = 0
 
     def open_port(self) -> BytePort:
         """Open the port.
@@ -105,7 +104,6 @@ class Guard:
         """
         if self._taken:
             self._await_report(0.0)
-            return
         if not self._armed:
             return
         now = time.monotonic_ns()
@@ -190,9 +188,9 @@ class Guard:
         """
         assert self._process is not None
         descriptor = _pipe(self._process.stdout).fileno()
-        deadline = time.monotonic_ns() + round(patience_s * NS)
+        deadline_ns = time.monotonic_ns() + patience_s * NS
         while words not in self._heard:
-            left_s = max(deadline - time.monotonic_ns(), 0) / NS
+            left_s = max(deadline_ns - time.monotonic_ns(), 0) / NS
             if not select.select([descriptor], [], [], left_s)[0]:
                 return None
             data = os.read(descriptor, _CHUNK)

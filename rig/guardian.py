@@ -20,6 +20,7 @@ import select
 import signal
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import Enum
@@ -243,11 +244,9 @@ def main() -> int:
 
 def _speak(descriptor: int, words: bytes) -> None:
     """Say something to the other program; its pipe is empty but for a few words, and so takes them."""
-    try:
+    # Where it is gone, the end of the input will say so.
+    with suppress(OSError):
         os.write(descriptor, words)
-    except OSError:
-        # It is gone; the end of the input will say so.
-        return
 
 
 if __name__ == "__main__":

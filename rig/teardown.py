@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
+from drivers.clock import NS
 from drivers.errors import DeviceError
 from drivers.interfaces import Servo, ServoLimits, ServoState
 from rig.errors import StorageError
@@ -74,8 +75,8 @@ class _Steps:
         self.problems: list[str] = []
         self.unforeseen: list[BaseException] = []
 
-    def attempt(self, step: Callable[[], object]) -> bool:
-        """Run one step; returns whether it ended without an exception."""
+    def attempt(self, step: Callable[[], object]) -> None:
+        """Run one step, and note what it raises."""
         try:
             step()
         except KeyboardInterrupt:
@@ -85,15 +86,12 @@ class _Steps:
         except BaseException as error:  # noqa: BLE001 a defect must not keep the power on; the caller raises it
             self.problems.append(f"unforeseen {words_of(error)}")
             self.unforeseen.append(error)
-        else:
-            return True
-        return False
 
     def state(self, servo: Servo) -> ServoState | None:
         """Read the drive's state; None where that fails."""
         found: list[ServoState] = []
         self.attempt(lambda: found.append(servo.state()))
-        return found[0] if found else None
+        return next(iter(found), None)
 
 
 def make_safe(
@@ -152,7 +150,7 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
 
 def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]) -> None:
     """Keep the bus alive until the drive has braked, or for the time-out, or until the operator cannot wait."""
-    for cycle in range(round(BRAKING_TIMEOUT_S * 1e9 / cycle_ns)):
+    for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return
         if cycle % STATE_CYCLES == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:

@@ -26,8 +26,7 @@ class Histogram:
     def note(self, duration_ns: int) -> None:
         """Count one duration."""
         self.counts[bisect_left(_EDGES_NS, duration_ns)] += 1
-        if duration_ns > self.worst_ns:
-            self.worst_ns = duration_ns
+        self.worst_ns = max(self.worst_ns, duration_ns)
 
     def share_within_us(self, share: float) -> float | None:
         """Return the end of the first bin that, with those below, holds ``share`` of all; the worst beyond the last.

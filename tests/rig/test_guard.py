@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+import json
 import os
-from collections.abc import Iterator
+import select
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +19,13 @@ from drivers.units import ServoScales
 from rig.guard import Guard
 from rig.guardian import READY, TOOK_OVER
 
+DE_ENERGISED = b"the drive is de-energised (read back: switch on disabled)\n"
+NAME = "EPOS4 at /dev/some"
+SCALES = ServoScales(4096, 100.0, 15.0, 0.45, sign=-1)
+
 
 def _pipe() -> tuple[Any, Any]:
     reading, writing = os.pipe()
-    os.set_blocking(writing, False)
     return os.fdopen(reading, "rb", buffering=0), os.fdopen(writing, "wb", buffering=0)
 
 
@@ -30,113 +38,332 @@ class Guardian:
         self.hears, self.speaks = ours, theirs
         os.set_blocking(ours.fileno(), False)
         self.returncode: int | None = None
+        self.started: list[tuple[list[str], dict[str, Any]]] = []
+        self.waited: list[float] = []
+        self.stubborn = False
         self.speaks.write(READY)
 
     def heard(self) -> bytes:
         return self.hears.read() or b""
 
     def wait(self, timeout: float) -> int:
+        self.waited.append(timeout)
+        if self.stubborn:
+            raise subprocess.TimeoutExpired("guardian", timeout)
         return 0
 
 
+class Time:
+    """A clock, and a wait for input on it.
+
+    Attributes:
+        waits: Every wait, s.
+        meanwhile: Called at the start of each wait.
+    """
+
+    def __init__(self) -> None:
+        self.now_ns = 1_000_000_000
+        self.waits: list[float] = []
+        self.meanwhile: Callable[[], None] = lambda: None
+        self._select = select.select
+
+    def select(self, reading: list[int], writing: list[int], odd: list[int], wait_s: float) -> Any:
+        assert wait_s >= 0.0
+        self.waits.append(wait_s)
+        self.meanwhile()
+        ready = self._select(reading, writing, odd, 0.0)
+        if not ready[0]:
+            self.now_ns += round(wait_s * 1e9)
+        return ready
+
+    def wait(self, seconds: float) -> None:
+        self.now_ns += round(seconds * 1e9)
+
+
 @pytest.fixture
-def now(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    clock = [1_000_000_000]
-    monkeypatch.setattr("rig.guard.time.monotonic_ns", lambda: clock[0])
-    return clock
+def time(monkeypatch: pytest.MonkeyPatch) -> Time:
+    made = Time()
+    monkeypatch.setattr("rig.guard.time.monotonic_ns", lambda: made.now_ns)
+    monkeypatch.setattr("rig.guard.select.select", made.select)
+    return made
 
 
 @pytest.fixture
 def guardian(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guardian]:
     made = Guardian()
-    monkeypatch.setattr("rig.guard.subprocess.Popen", lambda *arguments, **options: made)
+
+    def start(words: list[str], **options: Any) -> Guardian:
+        made.started.append((words, options))
+        return made
+
+    monkeypatch.setattr("rig.guard.subprocess.Popen", start)
     yield made
     for pipe in (made.stdin, made.stdout, made.hears, made.speaks):
         pipe.close()
 
 
+class Port:
+    """An open port, of which only the descriptor is wanted."""
+
+    def __init__(self, *arguments: object) -> None:
+        self.arguments = arguments
+
+    def fileno(self) -> int:
+        return 33
+
+
 @pytest.fixture
-def guard(guardian: Guardian, now: list[int], tmp_path: Path) -> Guard:
-    made = Guard("/dev/some", 1_000_000, 1, tmp_path / "drive.eds", ServoScales(4096, 100.0, 15.0, 0.45))
-
-    class Port:
-        def fileno(self) -> int:
-            return 3
-
-    port: Any = Port()
-    made._port = port
+def guard(guardian: Guardian, time: Time, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Guard:
+    monkeypatch.setattr("rig.guard.PySerialPort", Port)
+    made = Guard("/dev/some", 1_000_000, 5, tmp_path / "drive.eds", SCALES)
+    made.open_port()
     return made
 
 
-def test_it_feeds_while_armed_and_not_more_often_than_needed(guard: Guard, guardian: Guardian, now: list[int]) -> None:
+def test_it_opens_the_port_of_the_bench(guard: Guard) -> None:
+    port: Any = guard.open_port()
+    assert port.arguments == ("/dev/some", 1_000_000)
+
+
+def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(guard: Guard, guardian: Guardian) -> None:
+    guard.keep([7, 9])
+    guard.arm(0.2)
+    [(words, options)] = guardian.started
+    assert words == [sys.executable, "-m", "rig.guardian", "33", "7", "9"]
+    assert options == {
+        "stdin": subprocess.PIPE,
+        "stdout": subprocess.PIPE,
+        "pass_fds": (33, 7, 9),
+        "start_new_session": True,
+        "bufsize": 0,
+    }
+    # The loop must never wait for the guardian to read.
+    assert not os.get_blocking(guardian.stdin.fileno())
+
+
+def test_without_a_lock_the_guardian_gets_the_port(guard: Guard, guardian: Guardian) -> None:
+    guard.arm(0.2)
+    [(words, options)] = guardian.started
+    assert words[3:] == ["33"]
+    assert options["pass_fds"] == (33,)
+
+
+def test_it_tells_the_drive_first_and_then_to_stand_by(
+    guard: Guard, guardian: Guardian, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    guard.record_in(Path("run"))
+    guard.arm(0.25)
+    drive, armed, rest = guardian.heard().split(b"\n")
+    assert json.loads(drive) == {
+        "drive": {
+            "name": NAME,
+            "node": 5,
+            "eds": str(tmp_path / "drive.eds"),
+            "scales": json.loads(json.dumps(dataclasses.asdict(SCALES))),
+        }
+    }
+    assert json.loads(armed) == {"armed": True, "limit_s": 0.25, "folder": str(tmp_path / "run")}
+    assert rest == b""
+
+
+def test_a_relative_eds_file_is_found_by_the_guardian_as_well(
+    guard: Guard, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, guardian: Guardian
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    other = Guard("/dev/some", 9600, 1, Path("here.eds"), SCALES)
+    other.open_port()
+    other.arm(0.2)
+    assert json.loads(guardian.heard().split(b"\n")[0])["drive"]["eds"] == str(tmp_path / "here.eds")
+
+
+def test_the_second_time_it_tells_the_guardian_that_it_has(guard: Guard, guardian: Guardian) -> None:
+    guard.arm(0.2)
+    guard.release()
+    guardian.heard()
+    guard.arm(0.3)
+    assert len(guardian.started) == 1
+    assert guardian.heard() == b'{"armed": true, "limit_s": 0.3}\n'
+
+
+def test_it_feeds_while_armed_and_not_more_often_than_needed(guard: Guard, guardian: Guardian, time: Time) -> None:
     guard.feed()
     guard.arm(0.2)
-    assert b'"armed": true, "limit_s": 0.2' in guardian.heard()
+    guardian.heard()
+    time.waits.clear()
     for _ in range(100):
-        now[0] += 1_000_000
+        time.now_ns += 1_000_000
         guard.feed()
     assert guardian.heard() == b"\n" * 5
+    assert time.waits == [0.0] * 5
     guard.release()
-    assert b'"armed": false' in guardian.heard()
-    now[0] += 10**9
+    assert guardian.heard() == b'{"armed": false}\n'
+    guard.release()
+    time.wait(1.0)
     guard.feed()
     assert guardian.heard() == b""
 
 
-def test_after_a_takeover_the_run_ends_and_the_drive_can_be_read_back(
-    guard: Guard, guardian: Guardian, now: list[int]
+@pytest.mark.parametrize(("silent_ns", "fed"), [(19_999_999, b""), (20_000_000, b"\n")])
+def test_it_feeds_every_twenty_milliseconds(
+    guard: Guard, guardian: Guardian, time: Time, silent_ns: int, fed: bytes
 ) -> None:
     guard.arm(0.2)
     guardian.heard()
-    now[0] += 2_000_000_000
-    guardian.speaks.write(TOOK_OVER + b"the drive is de-energised (read back: switch on disabled)\n")
-    with pytest.raises(
-        LinkError, match=r"did not run for 2\.00 s, and the guardian stopped: the drive is de-energised"
-    ):
+    time.now_ns += silent_ns
+    guard.feed()
+    assert guardian.heard() == fed
+
+
+def test_after_a_takeover_the_run_ends_and_the_drive_can_be_read_back(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    guardian.heard()
+    time.wait(2.0)
+    guardian.speaks.write(b"odd " + TOOK_OVER + DE_ENERGISED + b"more")
+    with pytest.raises(LinkError) as caught:
         guard.feed()
+    assert str(caught.value) == (
+        "the control loop did not run for 2.00 s, and the guardian stopped: "
+        "the drive is de-energised (read back: switch on disabled)"
+    )
     guard.feed()
     guard.release()
     assert guardian.heard() == b""
-
-
-def test_as_long_as_the_guardian_has_the_drive_the_line_is_not_used(
-    guard: Guard, guardian: Guardian, now: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rig.guard._TAKEOVER_S", 0.0)
+    # Armed again, what is said belongs to the new time.
     guard.arm(0.2)
-    now[0] += 2_000_000_000
-    guardian.speaks.write(TOOK_OVER)
-    for _ in range(3):
-        with pytest.raises(LinkError, match="is still trying to take the power off: switch the main supply off"):
-            guard.feed()
-    guardian.speaks.write(b"the drive is de-energised\n")
+    time.wait(1.0)
     guard.feed()
 
 
-def test_a_guardian_that_is_gone_ends_the_run(guard: Guard, guardian: Guardian, now: list[int]) -> None:
+def test_a_report_is_waited_for_three_seconds(guard: Guard, guardian: Guardian, time: Time) -> None:
+    guard.arm(0.2)
+    time.wait(1.0)
+    time.waits.clear()
+    guardian.speaks.write(TOOK_OVER + b"the drive")
+    with pytest.raises(LinkError) as caught:
+        guard.feed()
+    assert str(caught.value) == (
+        f"the guardian of {NAME} has taken over and is still trying to take the power off: switch the main supply off"
+    )
+    assert time.waits == [0.0, 3.0]
+    time.waits.clear()
+    for _ in range(3):
+        with pytest.raises(LinkError, match="is still trying to take the power off"):
+            guard.feed()
+    assert time.waits == [0.0] * 3
+    guardian.speaks.write(b" is off \xff\n")
+    guard.feed()
+    guard.feed()
+    assert time.waits == [0.0] * 4
+
+
+def test_a_report_that_comes_in_parts_is_put_together_within_the_same_time(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
+    guard.arm(0.2)
+    time.wait(1.0)
+    time.waits.clear()
+    parts = [TOOK_OVER, b"the drive ", b"is \xff off", b"\nx"]
+
+    def speak() -> None:
+        if parts:
+            guardian.speaks.write(parts.pop(0))
+            time.wait(0.5)
+
+    time.meanwhile = speak
+    with pytest.raises(LinkError, match="and the guardian stopped: the drive is \ufffd off"):
+        guard.feed()
+    assert time.waits == [0.0, 3.0, 2.5, 2.0]
+
+
+def test_a_report_that_comes_too_late_is_not_waited_for(guard: Guard, guardian: Guardian, time: Time) -> None:
+    guard.arm(0.2)
+    time.wait(1.0)
+    time.waits.clear()
+    guardian.speaks.write(TOOK_OVER)
+
+    def speak() -> None:
+        if len(time.waits) == 2:
+            guardian.speaks.write(b"the drive ")
+            time.wait(5.0)
+
+    time.meanwhile = speak
+    with pytest.raises(LinkError, match="is still trying"):
+        guard.feed()
+    assert time.waits == [0.0, 3.0, 0.0]
+
+
+def test_a_guardian_that_is_gone_ends_the_run(guard: Guard, guardian: Guardian, time: Time) -> None:
     guard.arm(0.2)
     guardian.speaks.close()
-    now[0] += 100_000_000
-    with pytest.raises(LinkError, match="the guardian of EPOS4 at /dev/some is gone"):
+    time.wait(0.1)
+    with pytest.raises(LinkError) as caught:
         guard.feed()
+    assert str(caught.value) == f"the guardian of {NAME} is gone; stop and run again"
 
 
-def test_a_guardian_that_does_not_listen_ends_the_run(guard: Guard, guardian: Guardian, now: list[int]) -> None:
+def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Guardian) -> None:
+    guard.arm(0.2)
+    guardian.hears.close()
+    with pytest.raises(LinkError) as caught:
+        guard.release()
+    assert str(caught.value) == f"the guardian of {NAME} is gone (Broken pipe); stop and run again"
+
+
+def test_a_guardian_that_does_not_listen_ends_the_run(guard: Guard, guardian: Guardian, time: Time) -> None:
     guard.arm(0.2)
     while True:
         try:
             os.write(guardian.stdin.fileno(), b"x" * 4096)
         except BlockingIOError:
             break
-    now[0] += 100_000_000
-    with pytest.raises(LinkError, match="does not listen"):
+    time.wait(0.1)
+    with pytest.raises(LinkError) as caught:
         guard.feed()
+    assert str(caught.value) == f"the guardian of {NAME} does not listen; stop and run again"
 
 
-def test_a_guardian_that_does_not_start_keeps_the_drive_off(
-    guard: Guard, guardian: Guardian, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_guardian_that_does_not_start_keeps_the_drive_off(guard: Guard, guardian: Guardian, time: Time) -> None:
     guardian.stdout.read(len(READY))
-    monkeypatch.setattr("rig.guard._START_S", 0.0)
-    with pytest.raises(LinkError, match="the drive is not enabled without it"):
+    with pytest.raises(LinkError) as caught:
         guard.arm(0.2)
+    assert str(caught.value) == (
+        f"the guardian of {NAME} did not start within 20 s; the drive is not enabled without it"
+    )
+    assert time.waits == [20.0]
+    assert guardian.heard().count(b"\n") == 1
+    # What was started is let go all the same.
+    guard.close()
+    assert guardian.waited == [2.0]
+
+
+def test_closing_lets_the_guardian_go(guard: Guard, guardian: Guardian) -> None:
+    guard.close()
+    assert guardian.waited == []
+    guard.arm(0.2)
+    guard.close()
+    assert guardian.stdin.closed
+    assert guardian.stdout.closed
+    assert guardian.waited == [2.0]
+    assert guardian.returncode is None
+    guard.close()
+    assert guardian.waited == [2.0]
+
+
+def test_a_guardian_that_still_tries_is_left_alone(guard: Guard, guardian: Guardian) -> None:
+    guard.arm(0.2)
+    guardian.stubborn = True
+    guard.close()
+    # As if it had ended, so that nobody warns of a child that is still running.
+    assert guardian.returncode == 0
+
+
+def test_a_port_that_is_not_open_cannot_be_guarded(tmp_path: Path) -> None:
+    guard = Guard("/dev/none", 1_000_000, 1, tmp_path / "drive.eds", SCALES)
+    with pytest.raises(LinkError) as caught:
+        guard.arm(0.2)
+    assert str(caught.value) == "EPOS4 at /dev/none is not open: call open() first"
+    guard.release()
+    guard.close()

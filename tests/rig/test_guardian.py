@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 from collections.abc import Iterator
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from drivers.clock import NS, SimulatedClock
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import State
-from drivers.units import ServoScales
-from rig.guard import Guard
-from rig.guardian import REPORT_FILE, Cause, Deed, Ward, report, stop, watch
+from rig.guardian import READY, REPORT_FILE, SILENCE_S, TOOK_OVER, Cause, Deed, Ward, report, stop, watch, words_of
 from rig.teardown import SafeState
 
 from ..drivers.serial_host import SerialHost, make_serial_host
@@ -116,11 +118,28 @@ def test_it_waits_for_ever_while_the_drive_is_off_and_for_the_limit_while_it_is_
     assert waits == [None, 0.3, 0.3, None]
 
 
-def test_it_remembers_the_drive_and_the_folder() -> None:
+def test_it_remembers_the_drive_the_folder_and_the_limit() -> None:
     ward = Ward()
-    heard([b'{"drive": {"name": "the drive"}}\n', ARMED, RELEASED], ward)
+    heard([b'{"drive": {"name": "the drive"}}\n', ARMED, b'{"limit_s": "0.5", "armed": 1}\n'], ward)
     assert ward.drive == {"name": "the drive"}
     assert ward.folder == Path("/somewhere")
+    assert ward.limit_s == 0.5
+    assert ward.armed is True
+    heard([RELEASED], ward)
+    assert (ward.drive, ward.folder, ward.limit_s) == ({"name": "the drive"}, Path("/somewhere"), 0.5)
+    assert ward.armed is False
+
+
+def test_without_a_limit_it_waits_a_fifth_of_a_second() -> None:
+    ward = Ward()
+    assert (ward.drive, ward.folder, ward.armed) == ({}, None, False)
+    assert ward.limit_s == SILENCE_S == 0.2
+
+
+def test_the_words_of_the_two_programs() -> None:
+    """Both sides must be of one version: the guard waits for these bytes."""
+    assert (READY, TOOK_OVER) == (b"ready\n", b"took over\n")
+    assert [cause.value for cause in Cause] == ["released", "gone", "silent"]
 
 
 def test_the_guard_stands_by_before_power_and_until_it_is_verified_off(host: SerialHost) -> None:
@@ -177,6 +196,55 @@ def test_it_goes_on_trying_while_the_line_is_dead(host: SerialHost) -> None:
     assert 8.0 < deed.seconds < 16.0
 
 
+class Stuck:
+    """A drive that brakes for ever, or that cannot be reached; notes when it is told what, s."""
+
+    def __init__(self, reachable: bool = True) -> None:
+        self.clock = SimulatedClock()
+        self.reachable = reachable
+        self.told: list[tuple[str, float]] = []
+
+    def _do(self, verb: str) -> None:
+        self.told.append((verb, self.clock.now_ns() / NS))
+        if not self.reachable:
+            raise LinkError("gone")
+
+    def quick_stop(self) -> None:
+        self._do("quick stop")
+
+    def disable(self) -> None:
+        self._do("disable")
+
+    def state(self) -> ServoState:
+        self._do("state")
+        return ServoState.SWITCH_ON_DISABLED if ("disable", 1.0) in self.told else ServoState.QUICK_STOP_ACTIVE
+
+
+def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
+    servo: Any = Stuck()
+    failures: list[SafeState] = []
+    deed = stop(servo, servo.clock, failed=failures.append)
+    assert [told for told in servo.told if told[0] != "state"] == [("quick stop", 0.0), ("disable", 1.0)]
+    assert (deed.safe.verified, deed.attempts, deed.seconds) == (True, 1, 1.0)
+    assert not failures
+
+
+def test_it_tries_five_times_a_second_for_a_minute_and_says_so_once() -> None:
+    servo: Any = Stuck(reachable=False)
+    failures: list[SafeState] = []
+    deed = stop(servo, servo.clock, failed=failures.append)
+    tries = [seconds for verb, seconds in servo.told if verb == "quick stop"]
+    assert tries[:3] == [0.0, 0.2, 0.4]
+    assert tries[-1] == 60.2
+    assert (deed.safe.verified, deed.safe.watched, deed.attempts, deed.seconds) == (False, False, 302, 60.2)
+    assert [failure.state for failure in failures] == ["unknown"]
+
+
+def test_nobody_has_to_be_told_of_a_failure() -> None:
+    servo: Any = Stuck(reachable=False)
+    assert stop(servo, servo.clock, patience_s=0.0).attempts == 2
+
+
 def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> None:
     LineFaults(moving(host).line, host.bench.clock).cut(None)
     deed = stop(host.servo, host.bench.clock, patience_s=5.0)
@@ -184,21 +252,49 @@ def test_its_patience_ends_and_it_says_so(host: SerialHost, tmp_path: Path) -> N
     words = report(deed, Ward({"name": "the drive"}, tmp_path), Cause.GONE)
     assert "could NOT be verified" in words
     assert "it has no watch of its own and may go on HOLDING UNDER POWER" in words
-    record = json.loads((tmp_path / REPORT_FILE).read_text())
-    assert record["safe"]["verified"] is False
-    assert record["message"] == words
+    assert json.loads((tmp_path / REPORT_FILE).read_text())["safe"]["verified"] is False
+
+
+OFF = Deed(SafeState(True, "switch on disabled", ("it",), watched=False), 3, 0.0512)
+
+
+def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
+    words = report(OFF, Ward({"name": "the drive"}, tmp_path, limit_s=0.25), Cause.SILENT)
+    text = (tmp_path / REPORT_FILE).read_text(encoding="utf-8")
+    record = json.loads(text)
+    assert text == json.dumps(record, indent=1) + "\n"
+    created = record.pop("created")
+    assert datetime.fromisoformat(created).utcoffset() == timedelta(0)
+    assert created[-10] == "."
+    assert record == {
+        "schema": "loadrig.guardian/1",
+        "cause": "silent",
+        "safe": {"verified": True, "state": "switch on disabled", "problems": ["it"], "watched": False},
+        "attempts": 3,
+        "seconds": 0.0512,
+        "message": words,
+    }
+
+
+@pytest.mark.parametrize(("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "did not run for 0.25 s")])
+def test_what_was_done_in_words(cause: Cause, why: str) -> None:
+    ward = Ward({"name": "the drive"}, limit_s=0.25)
+    words = (
+        f"guardian: the program that drove the drive {why}; "
+        "after 0.05 s the drive is de-energised (read back: switch on disabled)"
+    )
+    assert words_of(OFF, ward, cause) == report(OFF, ward, cause) == words
+
+
+def test_a_deed_cannot_be_changed() -> None:
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        OFF.attempts = 1  # type: ignore[misc]
 
 
 def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:
     deed = Deed(SafeState(True, "switch on disabled"), 1, 0.05)
     words = report(deed, Ward({"name": "the drive"}, tmp_path / "gone"), Cause.GONE)
-    assert "the program that drove the drive is gone; after 0.05 s the drive is de-energised" in words
-    assert "guardian.json cannot be written: No such file" in words
-
-
-def test_a_port_that_is_not_open_cannot_be_guarded(tmp_path: Path) -> None:
-    guard = Guard("/dev/none", 1_000_000, 1, tmp_path / "drive.eds", ServoScales(4096, 100.0, 15.0, 0.45))
-    with pytest.raises(LinkError, match="EPOS4 at /dev/none is not open"):
-        guard.arm(0.2)
-    guard.release()
-    guard.close()
+    assert words == (
+        "guardian: the program that drove the drive is gone; after 0.05 s the drive is de-energised "
+        "(read back: switch on disabled); guardian.json cannot be written: No such file or directory"
+    )

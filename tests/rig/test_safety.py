@@ -315,11 +315,19 @@ def test_a_good_sample_alone_does_not_close_it() -> None:
     assert latch.trip is trip
 
 
-@pytest.mark.parametrize(("changes", "age", "late"), [({"velocity": 9.0}, 0.0, 0.0), ({}, 1.0, 0.0), ({}, 0.0, 1.0)])
-def test_reset_needs_good_inputs(changes: dict[str, float], age: float, late: float) -> None:
+@pytest.mark.parametrize(
+    ("changes", "age", "late", "why"),
+    [
+        ({"velocity": 9.0}, 0.0, 0.0, Check.SPEED),
+        ({}, 1.0, 0.0, Check.SAMPLE_AGE),
+        ({}, 0.0, 1.0, Check.LATENESS),
+    ],
+)
+def test_reset_needs_good_inputs(changes: dict[str, float], age: float, late: float, why: Check) -> None:
     latch = asked()
     assert latch.reset(sample(**changes), age, late, LIMITS) is latch.trip
     assert latch.trip is not None
+    assert latch.trip.check is why
     # Asking was good for one reset: the next needs another.
     assert latch.reset(sample(), 0.0, 0.0, LIMITS) is not None
     latch.ask()
@@ -332,7 +340,9 @@ def test_the_latch_judges_age_and_lateness(age: float, late: float) -> None:
     latch = asked()
     latch.reset(sample(), 0.0, 0.0, LIMITS)
     assert latch.judge(sample(), 0.0, 0.0, LIMITS) is None
-    assert latch.judge(sample(), age, late, LIMITS) is not None
+    trip = latch.judge(sample(), age, late, LIMITS)
+    assert trip is not None
+    assert trip.check is (Check.SAMPLE_AGE if age else Check.LATENESS)
 
 
 def test_a_trip_is_not_cleared_by_a_reset_that_nobody_asked_for() -> None:

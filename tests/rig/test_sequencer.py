@@ -15,7 +15,6 @@ from drivers.interfaces import ServoState
 from rig.mcap_reader import read_run
 from rig.mcap_writer import McapWriter
 from rig.operator import AutomaticOperator
-from rig.phases import TRANSITIONS, Event, Phase, next_phase
 from rig.run import load_run, read_record
 from rig.sequencer import Ending
 from rig.stop_button import OperatorStopError, StopButton
@@ -42,15 +41,6 @@ def assert_safe_and_readable(runner: Any, bench: Any, folder: Any, outcome: Any)
     assert record.message == outcome.message
     assert record.de_energised is True
     assert len(log.samples["time"]) == record.cycles
-
-
-def test_every_illegal_transition_names_phase_and_event() -> None:
-    for phase, event in itertools.product(Phase, Event):
-        if (phase, event) in TRANSITIONS:
-            assert next_phase(phase, event) is TRANSITIONS[phase, event]
-        else:
-            with pytest.raises(ValueError, match=f"{phase.value}.*{event.value}"):
-                next_phase(phase, event)
 
 
 def test_a_whole_run(runner: Any, fake_bench: Any) -> None:
@@ -377,3 +367,5 @@ def test_lateness_against_real_time_is_counted_and_judged(
     assert timing["missed_syncs"] == busy_ms - 1
     assert timing["lateness"]["worst_us"] == pytest.approx(1000.0 * (busy_ms - 1))
     assert folder.record.overruns == 1
+    if ending is Ending.FAILED:
+        assert "lateness of the control cycle 0.026 s is beyond its limit 0.025 s" in outcome.message

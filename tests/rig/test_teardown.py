@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -121,6 +123,22 @@ def test_only_what_nobody_foresaw_is_handed_on() -> None:
     assert safe(Servo({"disable": KeyboardInterrupt})).unforeseen == ()
 
 
+def test_what_the_devices_and_the_disk_say_is_foreseen() -> None:
+    for error in (LinkError("gone"), StorageError("the disk is full")):
+        found = safe(Servo({"quick_stop": lambda error=error: error}))  # type: ignore[misc]
+        assert (found.problems, found.unforeseen) == ((str(error),), ())
+
+
+def test_an_exception_that_cannot_be_shown_is_named() -> None:
+    class Mute(Exception):
+        def __str__(self) -> str:
+            raise ValueError
+
+    found = safe(Servo({"quick_stop": Mute}))
+    assert found.problems == ("unforeseen Mute",)
+    assert found.verified
+
+
 def test_an_orderly_end_does_not_touch_a_drive_that_is_off() -> None:
     servo = Servo({})
     servo.power = OFF
@@ -130,7 +148,7 @@ def test_an_orderly_end_does_not_touch_a_drive_that_is_off() -> None:
 
 def test_an_orderly_end_takes_the_power_off_where_it_is_on() -> None:
     servo = Servo({})
-    assert safe(servo, brake=False).verified
+    assert safe(servo, brake=False) == SafeState(True, "switch on disabled")
     assert servo.order == ["state", "disable", "state"]
 
 
@@ -140,9 +158,7 @@ def test_a_drive_that_stays_on_is_told_twice_and_said_to_be_on() -> None:
     servo.quick_stop = lambda: servo.order.append("quick_stop")  # type: ignore[method-assign]
     found = safe(servo)
     assert servo.order == ["quick_stop", "state", "disable", "state", "disable", "state"]
-    assert not found.verified
-    assert "could NOT be verified" in found.message
-    assert "switch the main supply off" in found.message
+    assert found == SafeState(False, "operation enabled")
 
 
 def test_a_first_disable_that_was_interrupted_is_done_again() -> None:
@@ -170,7 +186,21 @@ def test_hurry_ends_the_braking_at_once() -> None:
 def test_braking_ends_after_its_time_out() -> None:
     servo = Servo({})
     safe(servo)
-    assert servo.order.count("watch") == 100
+    assert servo.order == ["quick_stop", *["state", *["watch"] * 20] * 5, "disable", "state"]
+
+
+def test_braking_ends_where_the_drive_is_found_to_have_stopped() -> None:
+    servo = Servo({})
+    watch = servo.watch
+
+    def stopped() -> None:
+        watch()
+        if servo.order.count("watch") == 30:
+            servo.power = OFF
+
+    servo.watch = stopped  # type: ignore[method-assign]
+    assert safe(servo).verified
+    assert servo.order.count("watch") == 40
 
 
 def test_limits_go_back_only_into_a_drive_that_is_verified_off() -> None:
@@ -192,12 +222,36 @@ def test_all_steps_are_tried_in_order() -> None:
     assert done == [1, 2]
 
 
-def test_an_unwatched_drive_that_may_hold_power_is_said_to() -> None:
-    words = SafeState(False, "unknown", ("gone",), watched=False).message
-    assert "may go on HOLDING UNDER POWER: switch the main supply off now" in words
-    assert "its own heartbeat watch" in SafeState(False, "unknown", ("gone",)).message
+UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unknown; gone; full); "
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [
+        (SafeState(True, "fault"), "the drive is de-energised (read back: fault)"),
+        (
+            SafeState(False, "unknown", ("gone", "full"), watched=False),
+            UNVERIFIED + "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main supply off now",
+        ),
+        (
+            SafeState(False, "unknown", ("gone", "full")),
+            UNVERIFIED + "its own heartbeat watch takes the power off; "
+            "switch the main supply off before approaching the bench",
+        ),
+    ],
+)
+def test_how_the_drive_was_left_in_words(found: SafeState, words: str) -> None:
+    assert found.message == words
 
 
 def test_the_record_holds_no_exceptions() -> None:
     found = SafeState(True, "off", ("p",), True, (ValueError(),))
     assert found.record() == {"verified": True, "state": "off", "problems": ["p"], "watched": True}
+
+
+def test_how_the_drive_was_left_is_a_plain_value() -> None:
+    found = SafeState(True, "off", unforeseen=(ValueError("odd"),))
+    assert found == SafeState(True, "off")
+    assert "odd" not in repr(found)
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        found.verified = False  # type: ignore[misc]

@@ -30,6 +30,42 @@ def test_shares(share: float, expected: float) -> None:
     assert histogram.share_within_us(share) == expected
 
 
+def test_the_ends_of_the_bins() -> None:
+    assert EDGES_US == (0, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10000, 20000, 50000)
+
+
+def test_nothing_is_recorded_before_a_cycle() -> None:
+    nothing = {
+        "edges_us": list(EDGES_US),
+        "counts": [0] * 13,
+        "p50_us": None,
+        "p99_us": None,
+        "worst_us": 0.0,
+    }
+    assert Timing().record() == {
+        "lateness": nothing,
+        "answer": nothing,
+        "missed_syncs": 0,
+        "lost_servo": 0,
+        "lost_encoder": 0,
+        "oldest_sample_s": 0.0,
+    }
+
+
+def test_what_is_recorded() -> None:
+    histogram = Histogram()
+    for duration_ns in [15_000] * 98 + [3_000_000, 400_000]:
+        histogram.note(duration_ns)
+    assert histogram.record() == {
+        "edges_us": list(EDGES_US),
+        "counts": [0, 98, 0, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0],
+        "p50_us": 20.0,
+        "p99_us": 500.0,
+        "worst_us": 3000.0,
+    }
+    assert isinstance(histogram.share_within_us(0.5), float)
+
+
 def test_a_share_is_never_beyond_the_worst() -> None:
     histogram = Histogram()
     histogram.note(60_000)
@@ -42,17 +78,18 @@ def test_nothing_counted() -> None:
 
 
 def test_a_first_cycle_that_failed_is_no_cycle() -> None:
-    timing = Timing()
-    timing.lateness.note(130_000)
-    assert summary(timing.record()) == "no cycle was completed"
+    for part in ("lateness", "answer"):
+        timing = Timing()
+        getattr(timing, part).note(130_000)
+        assert summary(timing.record()) == "no cycle was completed"
 
 
 def test_a_summary_states_every_loss() -> None:
     timing = Timing()
     timing.lateness.note(130_000)
     timing.answer.note(700_000)
-    timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s = 3, 2, 1, 0.004
+    timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s = 3, 2, 1, 0.999
     assert summary(timing.record()) == (
         "lateness p99 130 us, worst 130 us; answer p99 700 us; 3 SYNCs missed, samples lost: 2 drive, 1 encoder; "
-        "oldest 4 ms"
+        "oldest 999 ms"
     )

@@ -1,0 +1,669 @@
+"""The CiA 402 servo against a channel that notes everything: what is sent, in which order, when, and in which unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from drivers.cia402_servo import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET, Cia402Servo
+from drivers.clock import NS, SimulatedClock
+from drivers.errors import ConfigurationError, DriveFault, LinkError, ObjectAccessError, StateError
+from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
+from drivers.mock.power_state import FAULT_RESET, TRANSITIONS, State, command
+from drivers.objects import PdoLayout
+from drivers.units import ServoScales
+
+SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
+UNITY = ServoScales(counts_per_turn=math.tau, gear_ratio=1.0, rated_current_A=15.0, rated_torque_N_m=1000.0)
+"""One count is one radian, one per mille of the torque one N m."""
+CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = (0x6040, 0), (0x6041, 0), (0x6060, 0), (0x6061, 0)
+READ_NS = 1_000_000
+CYCLE_S = 0.004
+CYCLE_NS = 4_000_000
+
+
+class Drive:
+    """A drive, its channel and the link to it; a read takes a millisecond, an exchange none.
+
+    Attributes:
+        log: What was written, insisted on, staged, mapped, watched and exchanged, with the time of each exchange.
+        follows: Whether controlwords change its state.
+        loses: Exchange, counted from 1, to what goes wrong in it.
+    """
+
+    has_watchdog = True
+    label = "drive 1"
+
+    def __init__(self) -> None:
+        self.clock = SimulatedClock(5 * NS)
+        self.log: list[tuple[Any, ...]] = []
+        self.state = State.SWITCH_ON_DISABLED
+        self.follows = True
+        self.fresh = True
+        self.cycle = 0
+        self.word = 0
+        self.objects = {(0x6075, 0): 15000, (0x6076, 0): 450, (0x6064, 0): 1234, (0x603F, 0): 0x8611, TORQUE_OFFSET: 0}
+        self.objects |= {MODE: 0, MODE_DISPLAY: 0, (0x608F, 1): 4096, (0x608F, 2): 1}
+        self.inputs: dict[int, tuple[int, ...]] = {}
+        self.loses: dict[int, Callable[[], None]] = {}
+        self.refuses: dict[tuple[int, int], Exception] = {}
+
+    def _become(self, word: int) -> None:
+        if self.follows:
+            if self.state is State.FAULT and word & FAULT_RESET and not self.word & FAULT_RESET:
+                self.state = State.SWITCH_ON_DISABLED
+            else:
+                self.state = TRANSITIONS.get((self.state, command(word)), self.state)
+        self.word = word
+
+    @property
+    def statusword(self) -> int:
+        return 0x1600 | self.state.value
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        self.clock.sleep_until_ns(self.clock.now_ns() + READ_NS)
+        if (index, subindex) in self.refuses:
+            raise self.refuses[index, subindex]
+        return self.statusword if (index, subindex) == STATUSWORD else self.objects[index, subindex]
+
+    def read_text(self, index: int, subindex: int = 0) -> str:
+        return f"{index:04X}"
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        self.log.append(("write", (index, subindex), value))
+        if (index, subindex) in self.refuses:
+            raise self.refuses[index, subindex]
+        self.objects[index, subindex] = value
+        if (index, subindex) == CONTROLWORD:
+            self._become(value)
+        if (index, subindex) == MODE:
+            self.objects[MODE_DISPLAY] = value
+
+    def insist(self, index: int, subindex: int, value: int) -> None:
+        self.log.append(("insist", (index, subindex), value))
+        if "insist" in self.refuses:
+            raise self.refuses["insist"]  # type: ignore[index]
+        self._become(value)
+
+    def map_process_data(self, outputs: Any, inputs: Any, cycle_s: float) -> None:
+        self.log.append(("map", outputs, inputs, cycle_s))
+
+    def stage(self, number: int, *values: int) -> None:
+        self.log.append(("stage", number, values))
+        self.staged = values
+
+    def latest(self, number: int) -> tuple[int, ...]:
+        return self.inputs[number]
+
+    def watch(self, limit_s: float) -> None:
+        self.log.append(("watch", limit_s))
+
+    def unwatch(self) -> None:
+        self.log.append(("unwatch",))
+
+    def exchange(self) -> None:
+        self.cycle += 1
+        self.log.append(("exchange", self.clock.now_ns()))
+        self._become(self.staged[0])
+        self.inputs[1] = (self.statusword, 1300 + self.cycle, 7)
+        self.loses.pop(self.cycle, lambda: None)()
+
+    def take(self, what: str | None = None) -> list[tuple[Any, ...]]:
+        """Return what was logged since the last call, of one kind or all."""
+        log, self.log = self.log, []
+        return [entry for entry in log if what is None or entry[0] == what]
+
+
+def make(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia402Servo:
+    whole: Any = drive
+    return Cia402Servo(whole, whole, scales, **options)
+
+
+def prepared(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia402Servo:
+    if scales is UNITY:
+        drive.objects |= {(0x6076, 0): 1_000_000, (0x608F, 1): 6283, (0x608F, 2): 1000}
+    servo = make(drive, scales, **options)
+    servo.prepare(CYCLE_S)
+    return servo
+
+
+def enabled(drive: Drive, scales: ServoScales = SCALES, **options: Any) -> Cia402Servo:
+    servo = prepared(drive, scales, **options)
+    servo.enable()
+    drive.take()
+    return servo
+
+
+def fail(error: BaseException) -> Callable[[], None]:
+    def action() -> None:
+        raise error
+
+    return action
+
+
+def test_the_frames_that_the_bus_load_is_reckoned_from() -> None:
+    assert FRAMES == ((6, 1), (8, 1), (8, 1), (2, 1), (6, 10))
+    assert FRAMES_WITH_OFFSET == ((8, 1), (8, 1), (8, 1), (2, 1), (6, 10))
+
+
+@pytest.mark.parametrize("offset", [False, True])
+def test_preparing(offset: bool) -> None:
+    drive = Drive()
+    drive.objects[0x60B2, 0] = 0
+    servo = prepared(drive, watch_s=0.25, torque_offset=offset)
+    outputs = ((0x6040, 0), (0x607A, 0), *([(0x60B2, 0)] if offset else []))
+    assert drive.take() == [
+        ("write", (0x60C2, 1), 4),
+        ("write", (0x60C2, 2), -3),
+        ("write", (0x6007, 0), 1),
+        (
+            "map",
+            [PdoLayout(1, outputs)],
+            [
+                PdoLayout(1, ((0x6041, 0), (0x6064, 0), (0x6078, 0))),
+                PdoLayout(2, ((0x606C, 0), (0x1013, 0))),
+                PdoLayout(3, ((0x2100, 0),)),
+                PdoLayout(4, ((0x6079, 0), (0x2101, 0)), 10),
+            ],
+            CYCLE_S,
+        ),
+        ("watch", 0.25),
+        ("unwatch",),
+        ("stage", 1, (0, 1234, *([0] if offset else []))),
+    ]
+    servo.enable()
+    assert ("watch", 0.25) in drive.take()
+
+
+def test_unless_told_otherwise_it_is_watched_for_a_tenth_of_a_second_and_takes_no_offset() -> None:
+    drive = Drive()
+    prepared(drive)
+    assert drive.take("watch") == [("watch", 0.1)]
+    drive.take()
+    servo = prepared(drive)
+    assert drive.take("stage") == [("stage", 1, (0, 1234))]
+    with pytest.raises(ConfigurationError, match="takes no torque offset"):
+        servo.set_torque_offset(0.0)
+
+
+def test_prepared_again_it_starts_from_nothing() -> None:
+    drive = Drive()
+    servo = enabled(drive, torque_offset=True)
+    servo.set_torque_offset(9.0)
+    drive.inputs |= {2: (0, 0xFFFFFFFF), 3: (0,), 4: (0, 0)}
+    assert servo.sample().device_time_s == pytest.approx(4294.967295)
+    drive.state = State.SWITCH_ON_DISABLED
+    servo.prepare(CYCLE_S)
+    assert drive.take("stage")[-1] == ("stage", 1, (0, 1234, 0))
+    for time_us, seconds in ((5, 5e-6), (2**31, 2147.483648), (2**32 - 1, 4294.967295), (7, 4294.967303)):
+        drive.inputs[2] = (0, time_us)
+        assert servo.sample().device_time_s == pytest.approx(seconds, abs=1e-9)
+
+
+def test_preparing_under_power_is_refused() -> None:
+    drive = Drive()
+    drive.state = State.OPERATION_ENABLED
+    with pytest.raises(StateError) as caught:
+        make(drive).prepare(CYCLE_S)
+    assert str(caught.value) == "the drive is in state 'operation enabled': disable it before preparing it"
+    assert drive.take() == []
+
+
+@pytest.mark.parametrize("cycle_s", [0.001, 0.001 + 0.9e-9, 0.001 - 0.9e-9, 0.01, 1.0])
+def test_a_cycle_of_whole_milliseconds(cycle_s: float) -> None:
+    drive = Drive()
+    make(drive).prepare(cycle_s)
+    assert drive.take()[0] == ("write", (0x60C2, 1), round(cycle_s * 1e3))
+
+
+@pytest.mark.parametrize(
+    ("cycle_s", "shown"),
+    [(0.0, "0"), (0.0005, "0.5"), (0.0015, "1.5"), (0.001 + 1.2e-9, "1"), (0.001 - 1.2e-9, "0.999999")],
+)
+def test_a_cycle_of_a_part_of_a_millisecond_is_refused(cycle_s: float, shown: str) -> None:
+    drive = Drive()
+    with pytest.raises(ConfigurationError) as caught:
+        make(drive).prepare(cycle_s)
+    assert str(caught.value) == f"cycle is {shown} ms, must be whole milliseconds (60C2h)"
+    assert drive.take() == []
+
+
+def test_other_scales_than_the_drives_are_refused() -> None:
+    drive = Drive()
+    drive.objects[0x6075, 0] = 10000
+    with pytest.raises(ConfigurationError, match="rated current"):
+        make(drive).prepare(CYCLE_S)
+    assert drive.take() == []
+
+
+@pytest.mark.parametrize(
+    "error", [ConfigurationError("not in the EDS"), ObjectAccessError(0x60B2, 0, 0x06020000, "no")]
+)
+def test_a_drive_without_the_torque_offset_is_refused(error: Exception) -> None:
+    drive = Drive()
+    drive.refuses[TORQUE_OFFSET] = error
+    prepared(drive)
+    with pytest.raises(ConfigurationError) as caught:
+        prepared(drive, torque_offset=True)
+    assert str(caught.value) == f"drive 1 has no torque offset 60B2h ({error}): run without feed-forward"
+    assert caught.value.__cause__ is error
+
+
+def test_a_bus_that_fails_meanwhile_is_not_taken_for_a_missing_object() -> None:
+    drive = Drive()
+    drive.refuses[TORQUE_OFFSET] = LinkError("bus-off")
+    with pytest.raises(LinkError, match="bus-off"):
+        prepared(drive, torque_offset=True)
+
+
+@pytest.mark.parametrize("offset", [False, True])
+def test_enabling_step_by_step(offset: bool) -> None:
+    drive = Drive()
+    servo = prepared(drive, torque_offset=offset)
+    servo.set_target(0.5)
+    drive.take()
+    began = drive.clock.now_ns()
+    servo.enable()
+    none = [0] if offset else []
+    at = began + 2 * READ_NS
+    assert all(type(entry[1]) is int for entry in drive.log if entry[0] == "exchange")
+    # The state and the position were read; then one exchange a cycle: one for the mode, one for each transition.
+    assert drive.take() == [
+        ("watch", 0.1),
+        ("stage", 1, (0x00, 1234, *none)),
+        ("write", MODE, 8),
+        ("exchange", at + CYCLE_NS),
+        ("exchange", at + 2 * CYCLE_NS + READ_NS),
+        ("stage", 1, (0x06, 1302, *none)),
+        ("exchange", at + 3 * CYCLE_NS + READ_NS),
+        ("stage", 1, (0x07, 1303, *none)),
+        ("exchange", at + 4 * CYCLE_NS + READ_NS),
+        ("stage", 1, (0x0F, 1304, *none)),
+        ("exchange", at + 5 * CYCLE_NS + READ_NS),
+    ]
+    assert drive.state is State.OPERATION_ENABLED
+
+
+def test_enabling_begins_without_a_torque_offset() -> None:
+    drive = Drive()
+    servo = enabled(drive, torque_offset=True)
+    servo.set_torque_offset(9.0)
+    drive.state = State.SWITCH_ON_DISABLED
+    drive.take()
+    servo.enable()
+    staged = [entry[2] for entry in drive.take("stage")]
+    # The drive had left power by itself, with the word of operation still in the exchange.
+    assert staged[0] == (0x00, 1234, 0)
+    assert {offset for _, _, offset in staged} == {0}
+
+
+def test_what_was_not_prepared_is_not_enabled() -> None:
+    drive = Drive()
+    with pytest.raises(StateError) as caught:
+        make(drive).enable()
+    assert str(caught.value) == "the drive is not prepared: call prepare() first"
+    assert drive.take() == []
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.FAULT_REACTION])
+def test_a_drive_in_fault_is_not_enabled(state: State) -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.take()
+    drive.state = state
+    with pytest.raises(DriveFault) as caught:
+        servo.enable()
+    assert caught.value.code == 0x8611
+    assert str(caught.value) == (
+        "drive fault 8611h: drive 1 is in fault: following error: the axis did not keep up with the target; "
+        "check for a jam and the limits, then reset"
+    )
+    assert drive.take() == []
+
+
+def test_a_drive_that_brakes_is_not_enabled() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.take()
+    drive.state = State.QUICK_STOP_ACTIVE
+    with pytest.raises(StateError, match="'enable' is not allowed in state 'quick stop active'"):
+        servo.enable()
+    assert drive.take() == []
+
+
+@pytest.mark.parametrize("state", [State.FAULT, State.FAULT_REACTION])
+def test_a_fault_on_the_way_ends_the_enabling(state: State) -> None:
+    drive = Drive()
+    servo = prepared(drive)
+
+    def fault() -> None:
+        drive.inputs[1] = (state.value, 0, 0)
+
+    drive.loses[3] = fault
+    with pytest.raises(DriveFault):
+        servo.enable()
+    assert drive.state is State.SWITCH_ON_DISABLED
+    assert drive.take()[-2:] == [("insist", CONTROLWORD, 0), ("unwatch",)]
+
+
+def test_a_bus_that_fails_on_the_way_is_told_though_the_drive_cannot_be() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.loses[4] = fail(LinkError("bus-off"))
+    drive.refuses["insist"] = LinkError("gone")  # type: ignore[index]
+    with pytest.raises(LinkError, match="bus-off"):
+        servo.enable()
+    assert drive.take("insist") == [("insist", CONTROLWORD, 0)]
+
+
+def test_an_answer_that_is_missing_moves_nothing_on() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    for exchange, fresh in ((2, False), (4, True), (6, False), (7, True), (8, False), (10, True)):
+        drive.loses[exchange] = lambda fresh=fresh: setattr(drive, "fresh", fresh)  # type: ignore[misc]
+    servo.enable()
+    assert [entry[2] for entry in drive.take("stage")[2:]] == [(0x06, 1304), (0x07, 1305), (0x0F, 1307)]
+    assert drive.cycle == 10
+
+
+def test_a_drive_that_does_not_come_up_is_given_a_second() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.follows = False
+    drive.take()
+    with pytest.raises(StateError) as caught:
+        servo.enable()
+    assert str(caught.value) == (
+        "the drive is still in state 'switch on disabled' after 1 s of enabling: check its supply and its enable input"
+    )
+    first, *_, last = [at for _, at in drive.take("exchange")[1:]]
+    # The first and the last look are a second apart, but for the cycle that starts it.
+    assert last - first == NS - CYCLE_NS
+
+
+def test_the_time_to_come_up_can_be_set() -> None:
+    drive = Drive()
+    servo = prepared(drive, state_timeout_s=0.1)
+    drive.follows = False
+    with pytest.raises(StateError, match=r"after 0\.1 s of enabling"):
+        servo.enable()
+    assert drive.cycle == 26
+
+
+def test_a_drive_that_does_not_offer_the_mode_is_not_enabled() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.take()
+    drive.loses = {exchange: lambda: drive.objects.update({MODE_DISPLAY: 3}) for exchange in range(1, 1000)}
+    began = drive.clock.now_ns()
+    with pytest.raises(StateError) as caught:
+        servo.enable()
+    assert str(caught.value) == ("mode of operation is 3 (6061h), wanted 8: the drive does not offer CSP (6502h)")
+    assert drive.take("exchange")[-1][1] - began == NS + 2 * READ_NS
+
+
+def test_a_mode_that_comes_late_is_waited_for() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.loses[1] = lambda: drive.objects.update({MODE_DISPLAY: 0})
+    drive.loses[3] = lambda: drive.objects.update({MODE_DISPLAY: 8})
+    servo.enable()
+    assert drive.cycle == 7
+
+
+@pytest.mark.parametrize("offset", [False, True])
+def test_disabling(offset: bool) -> None:
+    drive = Drive()
+    servo = enabled(drive, torque_offset=offset)
+    servo.set_target(0.0)
+    if offset:
+        servo.set_torque_offset(9.0)
+    drive.take()
+    servo.disable()
+    none = [0] if offset else []
+    assert drive.take() == [
+        ("stage", 1, (0, 0, *none)),
+        ("insist", CONTROLWORD, 0),
+        *([("write", TORQUE_OFFSET, 0)] if offset else []),
+        ("unwatch",),
+    ]
+
+
+def test_before_it_is_prepared_a_stop_stages_nothing() -> None:
+    drive = Drive()
+    servo = make(drive)
+    servo.disable()
+    servo.quick_stop()
+    assert drive.take() == [("insist", CONTROLWORD, 0), ("unwatch",), ("insist", CONTROLWORD, 2)]
+
+
+@pytest.mark.parametrize(
+    ("verb", "wanted"),
+    [
+        ("disable", "a de-energised state"),
+        ("quick_stop", "quick stop active, switch on disabled or fault"),
+        ("reset_fault", "switch on disabled"),
+    ],
+)
+def test_a_drive_that_does_not_obey_is_given_a_second(verb: str, wanted: str) -> None:
+    drive = Drive()
+    servo = enabled(drive)
+    drive.follows = False
+    if verb == "reset_fault":
+        drive.state = State.FAULT
+    began = drive.clock.now_ns()
+    with pytest.raises(StateError) as caught:
+        getattr(servo, verb)()
+    shown = ServoState[drive.state.name].value
+    assert str(caught.value) == (
+        f"the drive reports '{shown}' 1 s after the command, wanted {wanted}: take its power away by hand"
+    )
+    # Read every millisecond, the last time as the time is up; a reset reads the state before it begins.
+    reads = 1 if verb == "reset_fault" else 0
+    assert drive.clock.now_ns() - began == NS + reads * READ_NS
+    assert ("unwatch",) not in drive.take()
+
+
+def test_a_drive_that_obeys_late_has_obeyed() -> None:
+    drive = Drive()
+    servo = enabled(drive)
+    drive.follows = False
+    drive.clock.call_at(drive.clock.now_ns() + 999_500_000, lambda: setattr(drive, "state", State.READY))
+    servo.disable()
+    assert drive.take()[-1] == ("unwatch",)
+
+
+@pytest.mark.parametrize("state", [State.QUICK_STOP_ACTIVE, State.SWITCH_ON_DISABLED, State.FAULT])
+def test_what_a_quick_stop_may_end_in(state: State) -> None:
+    drive = Drive()
+    servo = enabled(drive)
+    drive.follows = False
+    drive.state = state
+    servo.quick_stop()
+    assert drive.take() == [("stage", 1, (2, 1304)), ("insist", CONTROLWORD, 2)]
+
+
+@pytest.mark.parametrize("in_fault", [True, False])
+def test_resetting_a_fault(in_fault: bool) -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.take()
+    drive.state = State.FAULT if in_fault else State.SWITCH_ON_DISABLED
+    servo.reset_fault()
+    edge = [("write", CONTROLWORD, 0x80), ("write", CONTROLWORD, 0)] if in_fault else []
+    assert drive.take() == [("stage", 1, (0, 1234)), ("insist", CONTROLWORD, 0), *edge]
+    assert drive.state is State.SWITCH_ON_DISABLED
+
+
+@pytest.mark.parametrize("state", [State.OPERATION_ENABLED, State.FAULT_REACTION])
+def test_where_there_is_no_fault_nothing_is_sent(state: State) -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.take()
+    drive.state = state
+    with pytest.raises(StateError, match="reset fault"):
+        servo.reset_fault()
+    assert drive.take() == []
+
+
+def test_a_reset_ends_in_no_other_state() -> None:
+    drive = Drive()
+    servo = prepared(drive)
+    drive.state = State.FAULT
+    drive.follows = False
+    drive.clock.call_at(drive.clock.now_ns() + 500_000_000, lambda: setattr(drive, "state", State.READY))
+    with pytest.raises(StateError, match="reports 'ready to switch on' 1 s"):
+        servo.reset_fault()
+
+
+@pytest.mark.parametrize("counts", [2**31 - 1, -(2**31), 0])
+def test_a_target_that_fits_is_staged(counts: int) -> None:
+    drive = Drive()
+    servo = prepared(drive, UNITY)
+    drive.take()
+    servo.set_target(float(counts))
+    assert drive.take() == [("stage", 1, (0, counts))]
+
+
+@pytest.mark.parametrize("counts", [2**31, -(2**31) - 1])
+def test_a_target_beyond_the_object_is_refused(counts: int) -> None:
+    drive = Drive()
+    servo = prepared(drive, UNITY)
+    drive.take()
+    with pytest.raises(ConfigurationError) as caught:
+        servo.set_target(float(counts))
+    assert str(caught.value) == f"target {float(counts):g} rad is {counts} counts, beyond 32 bits: check the scales"
+    assert drive.take() == []
+
+
+@pytest.mark.parametrize("units", [2**15 - 1, -(2**15), 0])
+def test_an_offset_that_fits_is_staged(units: int) -> None:
+    drive = Drive()
+    servo = enabled(drive, UNITY, torque_offset=True)
+    servo.set_torque_offset(units + 0.4)
+    assert drive.take() == [("stage", 1, (0x0F, 1304, units))]
+
+
+@pytest.mark.parametrize("units", [2**15, -(2**15) - 1])
+def test_an_offset_beyond_the_object_is_refused(units: int) -> None:
+    drive = Drive()
+    servo = enabled(drive, UNITY, torque_offset=True)
+    with pytest.raises(ConfigurationError) as caught:
+        servo.set_torque_offset(float(units))
+    assert str(caught.value) == (f"torque offset {float(units):g} N m is {units} per mille of 6076h, beyond 16 bits")
+    assert drive.take() == []
+
+
+def test_an_offset_has_the_sign_of_the_joint() -> None:
+    drive = Drive()
+    scales = ServoScales(4096, 100.0, 15.0, 0.45, sign=-1)
+    servo = enabled(drive, scales, torque_offset=True)
+    servo.set_torque_offset(9.0)
+    assert drive.take()[-1][2][2] == -200
+
+
+def test_without_power_no_offset_is_staged() -> None:
+    drive = Drive()
+    servo = prepared(drive, torque_offset=True)
+    servo.set_torque_offset(9.0)
+    assert drive.take()[-1] == ("stage", 1, (0, 1234, 0))
+    servo.enable()
+    servo.quick_stop()
+    servo.set_torque_offset(9.0)
+    assert drive.take()[-1] == ("stage", 1, (2, 1304, 0))
+
+
+def test_a_sample_in_si_units() -> None:
+    drive = Drive()
+    scales = ServoScales(
+        4096, 100.0, 15.0, 0.45, sign=-1, offset_rad=0.25, velocity_unit_rad_s=0.5, voltage_unit_V=0.02
+    )
+    servo = make(drive, scales)
+    drive.inputs = {1: (0x1640, 2048, 40), 2: (30, 2_500_000), 3: (150,), 4: (59_900, 251)}
+    drive.fresh = False
+    sample = servo.sample()
+    assert sample == ServoSample(
+        device_time_s=2.5,
+        motor_angle_rad=pytest.approx(-math.pi + 25.0),
+        velocity_rad_s=pytest.approx(-0.15),
+        current_A=pytest.approx(-0.6),
+        voltage_V=pytest.approx(-3.0),
+        supply_voltage_V=pytest.approx(59.9),
+        temperature_C=pytest.approx(25.1),
+        following_error_rad=0.0,
+        statusword=0x1640,
+        fresh=False,
+    )
+    # The drive's clock counts microseconds in 32 bits.
+    drive.inputs[2] = (30, 100)
+    drive.inputs[2] = (30, 2_500_000 + 2**31)
+    assert servo.sample().device_time_s == pytest.approx(2149.983648)
+    drive.inputs[2] = (30, 1)
+    assert servo.sample().device_time_s == pytest.approx(4294.967297)
+
+
+def at(servo: Cia402Servo, drive: Drive, status: int, position: int) -> float:
+    """Return the following error in counts that a sample shows."""
+    drive.inputs |= {1: (status, position, 0), 2: (0, 0), 3: (0,), 4: (0, 0)}
+    return servo.sample().following_error_rad / SCALES.joint_rad_per_count
+
+
+def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for() -> None:
+    drive = Drive()
+    servo = enabled(drive)
+    unit = SCALES.joint_rad_per_count
+    servo.set_target(2000 * unit)
+    # Staged, and not yet sent.
+    assert at(servo, drive, 0x1627, 1300) == pytest.approx(4.0)
+    drive.exchange()
+    # Sent with this exchange: the drive starts for it at the next SYNC.
+    assert at(servo, drive, 0x1627, 1300) == pytest.approx(4.0)
+    servo.set_target(2100 * unit)
+    assert at(servo, drive, 0x1627, 1900) == pytest.approx(100.0)
+    # Staged twice before an exchange, the first is forgotten.
+    servo.set_target(2200 * unit)
+    assert at(servo, drive, 0x1627, 1900) == pytest.approx(100.0)
+    drive.exchange()
+    assert at(servo, drive, 0x1627, 1900) == pytest.approx(100.0)
+    drive.exchange()
+    # Nothing staged since: the last target stands.
+    assert at(servo, drive, 0x1627, 1900) == pytest.approx(300.0)
+    assert at(servo, drive, 0x1627, 2300) == pytest.approx(-100.0)
+
+
+@pytest.mark.parametrize("status", [0x1607, 0x1623, 0x1667, 0x162F])
+def test_out_of_operation_there_is_no_following_error(status: int) -> None:
+    drive = Drive()
+    servo = enabled(drive)
+    assert at(servo, drive, status, 0) == 0.0
+    assert at(servo, drive, 0xFF37, 0) == pytest.approx(1303.0)
+
+
+@pytest.mark.parametrize("cycle", [0, 3])
+def test_the_first_target_is_held_against_nothing(cycle: int) -> None:
+    drive = Drive()
+    servo = make(drive, torque_offset=True)
+    drive.cycle = cycle
+    assert at(servo, drive, 0x1627, 10) == pytest.approx(-10.0)
+    servo.set_target(5 * SCALES.joint_rad_per_count)
+    assert drive.take() == [("stage", 1, (0, 5, 0))]
+    for later, error in ((0, -10.0), (1, -10.0), (2, -5.0)):
+        drive.cycle = cycle + later
+        assert at(servo, drive, 0x1627, 10) == pytest.approx(error)
+
+
+def test_identity_state_and_limits_are_read_from_the_device() -> None:
+    drive = Drive()
+    drive.objects |= {(0x1018, subindex): subindex for subindex in (1, 2, 3, 4)}
+    servo = make(drive)
+    assert servo.identity() == Identity("1008", 1, 2, 3, 4, "1009", "100A")
+    drive.state = State.QUICK_STOP_ACTIVE
+    assert servo.state() is ServoState.QUICK_STOP_ACTIVE
+    limits = ServoLimits(-0.5, 0.5, 1.0, 30.0, 12.0, None, 2, 8.0)
+    servo.write_limits(limits)
+    held = servo.read_limits()
+    assert held.torque_N_m == pytest.approx(30.0, abs=0.05)
+    assert held.quick_stop_option == 2

@@ -1,0 +1,265 @@
+"""The guardian's main program, between two pipes: what it says and when, which lock it notes, how it ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+import rig.guardian as guardian
+from drivers.clock import RealClock, SimulatedClock
+from drivers.errors import LinkError
+from drivers.interfaces import ServoState
+from drivers.units import ServoScales
+
+SCALES = ServoScales(4096, 100.0, 15.0, 0.45, sign=-1, voltage_object=(0x2200, 1), temperature_object=(0x3201, 2))
+DRIVE = {"name": "EPOS4 at /dev/some", "node": 5, "eds": "/some/drive.eds", "scales": dataclasses.asdict(SCALES)}
+SPEAKING = 4711
+"""The descriptor of its output; nothing is written there."""
+OFF = "the drive is de-energised (read back: switch on disabled)"
+
+
+class Servo:
+    """A drive that can be reached after so many attempts."""
+
+    def __init__(self, failures: int = 0) -> None:
+        self.failures = failures
+        self.stopped = 0
+
+    def quick_stop(self) -> None:
+        self.stopped += 1
+
+    def disable(self) -> None:
+        pass
+
+    def state(self) -> ServoState:
+        if self.stopped <= self.failures:
+            raise LinkError("no answer")
+        return ServoState.SWITCH_ON_DISABLED
+
+
+@dataclasses.dataclass
+class Process:
+    """A guardian, and all that it does to what is around it.
+
+    Attributes:
+        did: Words on its output, on the screen, in the lock, and attempts to stop the drive, in that order.
+        waits: For input, s; answered by ``silences``, after which there always is some.
+    """
+
+    servo: Servo
+    reading: int
+    writing: int
+    did: list[tuple[object, ...]]
+    signals: list[tuple[int, object]]
+    waits: list[float | None]
+    silences: list[int]
+
+    def told(self, *lines: dict[str, Any]) -> None:
+        for line in lines:
+            os.write(self.writing, json.dumps(line).encode() + b"\n")
+
+    def ends(self) -> int:
+        """Let the other program die."""
+        os.close(self.writing)
+        self.writing = -1
+        return guardian.main()
+
+
+@pytest.fixture
+def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
+    reading, writing = os.pipe()
+    made = Process(Servo(), reading, writing, [], [], [], [])
+    did = made.did
+
+    class Stream:
+        def __init__(self, descriptor: int) -> None:
+            self.descriptor = descriptor
+
+        def fileno(self) -> int:
+            return self.descriptor
+
+    class Screen:
+        def say(self, words: str) -> None:
+            did.append(("screen", words))
+
+        def drain(self, patience_s: float) -> None:
+            did.append(("drain", patience_s))
+
+        def pump(self) -> None:
+            did.append(("pump",))
+
+    class Lock:
+        def __init__(self, descriptors: list[int]) -> None:
+            self.descriptors = descriptors
+
+        def note(self, command: str) -> None:
+            did.append(("lock", self.descriptors, command))
+
+    def drive_on(port: int, ward: guardian.Ward) -> Any:
+        did.append(("drive", port, ward.drive))
+        return made.servo, SimulatedClock()
+
+    def wait(descriptor: int, seconds: float | None) -> bool:
+        made.waits.append(seconds)
+        return len(made.waits) not in made.silences
+
+    streams = SimpleNamespace(stdin=Stream(reading), stdout=Stream(SPEAKING), argv=["guardian", "33", "7", "9"])
+    monkeypatch.setattr(guardian, "sys", streams)
+    monkeypatch.setattr(guardian, "Screen", Screen)
+    monkeypatch.setattr(guardian, "inherited", Lock)
+    monkeypatch.setattr(guardian, "drive_on", drive_on)
+    monkeypatch.setattr(guardian, "_wait", wait)
+    monkeypatch.setattr(guardian, "_speak", lambda descriptor, words: did.append(("says", descriptor, words)))
+    monkeypatch.setattr("rig.guardian.signal.signal", lambda number, handler: made.signals.append((number, handler)))
+    yield made
+    os.close(reading)
+    if made.writing >= 0:
+        os.close(made.writing)
+
+
+def test_the_end_of_its_input_alone_ends_it(process: Process) -> None:
+    assert process.ends() == 0
+    names = ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU")
+    assert process.signals == [(getattr(signal, name), signal.SIG_IGN) for name in names]
+    # The other program died before it could say anything.
+    assert process.did == []
+
+
+STARTED = [("drive", 33, json.loads(json.dumps(DRIVE))), ("says", SPEAKING, b"ready\n")]
+
+
+def test_it_goes_when_it_is_released(process: Process) -> None:
+    process.told({"other": 1}, {"drive": DRIVE}, {"armed": True, "limit_s": 0.3}, {"armed": False})
+    assert process.ends() == 0
+    assert process.did == STARTED
+    assert process.servo.stopped == 0
+
+
+def test_it_waits_for_the_drive_to_be_named(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+    lines = [b'{"drive":', b" " + json.dumps(DRIVE).encode() + b"}\n", b""]
+    monkeypatch.setattr("rig.guardian.os.read", lambda descriptor, most: lines.pop(0))
+    assert guardian.main() == 0
+    assert process.did == STARTED
+
+
+@pytest.mark.parametrize(("failures", "status"), [(0, 0), (10_000, 1)])
+def test_it_stops_the_drive_of_a_program_that_died(process: Process, failures: int, status: int) -> None:
+    process.servo.failures = failures
+    process.told({"drive": DRIVE}, {"armed": True})
+    assert process.ends() == status
+    assert process.servo.stopped == (302 if failures else 1)
+    assert process.did[:2] == STARTED
+    assert process.did[2] == ("lock", [7, 9], "the guardian of a program that died")
+    said = [words for what, words in process.did[3:-1] if what == "screen"]
+    if failures:
+        assert said.pop(0).startswith("guardian of EPOS4 at /dev/some: it could NOT be verified that the drive is")
+    assert len(said) == 1
+    assert said[0].startswith("guardian: the program that drove EPOS4 at /dev/some is gone; after ")
+    assert process.did[-1] == ("drain", 1.0)
+
+
+def test_the_first_failure_is_said_at_once_and_that_it_goes_on(process: Process) -> None:
+    process.servo.failures = 1
+    process.told({"drive": DRIVE}, {"armed": True})
+    assert process.ends() == 0
+    first, last = (words for what, *words in process.did if what == "screen")
+    assert first[0].endswith("may go on HOLDING UNDER POWER: switch the main supply off now; still trying")
+    assert last[0].endswith(OFF)
+
+
+def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
+    process.silences = [1]
+    process.told({"drive": DRIVE}, {"armed": True, "limit_s": 0.3})
+    assert process.ends() == 0
+    assert process.waits == [0.3, None]
+    assert process.did == [
+        *STARTED,
+        ("says", SPEAKING, b"took over\n"),
+        ("screen", f"guardian: the program that drove EPOS4 at /dev/some did not run for 0.3 s; after 0.00 s {OFF}"),
+        ("says", SPEAKING, OFF.encode() + b"\n"),
+        ("pump",),
+    ]
+
+
+def test_after_a_takeover_it_stands_by_for_the_next_power(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+    process.silences = [1]
+    lines = [json.dumps({"drive": DRIVE, "armed": True}).encode() + b"\n", b'\n{"armed": true}\n', b""]
+    monkeypatch.setattr("rig.guardian.os.read", lambda descriptor, most: lines.pop(0))
+    assert guardian.main() == 0
+    assert process.waits == [0.2, None, 0.2]
+    assert process.servo.stopped == 2
+    assert ("lock", [7, 9], "the guardian of a program that died") in process.did
+
+
+class Recorder:
+    """Takes the place of classes, and notes how they are used."""
+
+    def __init__(self) -> None:
+        self.made: dict[str, tuple[Any, ...]] = {}
+        self.opened: list[bool] = []
+
+    def of(self, name: str) -> Callable[..., Any]:
+        outer = self
+
+        class Made:
+            def __init__(self, *arguments: Any) -> None:
+                outer.made[name] = arguments
+
+            def add_node(self, *arguments: Any) -> str:
+                outer.made["node"] = arguments
+                return "the node"
+
+            def open(self) -> None:
+                outer.opened.append(True)
+
+        return Made
+
+
+def test_the_drive_is_reached_through_the_port_that_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    notes = Recorder()
+    for name in ("EposSerialLink", "Cia402Servo", "InheritedPort"):
+        monkeypatch.setattr(guardian, name, notes.of(name))
+    servo, clock = guardian.drive_on(33, guardian.Ward(json.loads(json.dumps(DRIVE))))
+    assert isinstance(clock, RealClock)
+    linked_clock, connect, name = notes.made["EposSerialLink"]
+    assert linked_clock is clock
+    assert name == "EPOS4 at /dev/some"
+    connect()
+    assert notes.made["InheritedPort"] == (33,)
+    assert notes.made["node"] == (5, Path("/some/drive.eds"))
+    node, link, scales = notes.made["Cia402Servo"]
+    assert node == "the node"
+    assert type(link).__qualname__ == type(servo).__qualname__
+    assert scales == SCALES
+    assert hash(scales) == hash(SCALES)
+    assert notes.opened == [True]
+
+
+def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def select(*arguments: Any) -> Any:
+        asked.append(arguments)
+        return ([arguments[0][0]] if len(asked) == 1 else [], [], [])
+
+    monkeypatch.setattr("rig.guardian.select.select", select)
+    assert guardian._wait(5, 0.25) is True
+    assert guardian._wait(5, None) is False
+    assert asked == [([5], [], [], 0.25), ([5], [], [], None)]
+
+
+def test_it_speaks_to_a_program_that_is_gone_without_failing() -> None:
+    reading, writing = os.pipe()
+    guardian._speak(writing, b"ready\n")
+    assert os.read(reading, 100) == b"ready\n"
+    os.close(reading)
+    guardian._speak(writing, b"ready\n")
+    os.close(writing)
