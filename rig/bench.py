@@ -33,7 +33,8 @@ ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Fie
 _ANY_SIGN = frozenset({"temperature_C"})
 _SMALLEST = 1e-12
 """Of a constant of the simulated machine, in SI units; the largest is its inverse."""
-_LOOPS_HZ = (100.0, 1e6)
+_LOOPS_HZ = (100.0, 1e8)
+"""Of the simulated drive's loops; faster ones stand for a drive in continuous time."""
 _MAY_BE_ZERO = frozenset(
     {
         "inductance_H",
@@ -326,8 +327,7 @@ class Bench(Schema):
                 )
         if machine is not None and not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
             raise ValueError(
-                f"loops.rate_Hz is {machine.loops.rate_Hz:g}; the loops of a drive run at "
-                f"{_LOOPS_HZ[0]:g} to {_LOOPS_HZ[1]:g} Hz"
+                f"loops.rate_Hz is {machine.loops.rate_Hz:g}; it must be {_LOOPS_HZ[0]:g} to {_LOOPS_HZ[1]:g} Hz"
             )
         return machine
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -116,6 +117,8 @@ def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
 
 
 def _finite(place: str, name: str, value: object) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= _LARGEST:
-        raise InputError(f"{place}: {name}: must be a number from {-_LARGEST:g} to {_LARGEST:g} (got {value!r})")
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{place}: {name}: must be a finite number (got {value!r})")
+    if abs(value) > _LARGEST:
+        raise InputError(f"{place}: {name}: must be from {-_LARGEST:g} to {_LARGEST:g} (got {value:g})")
     return float(value)
