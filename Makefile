@@ -7,12 +7,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := runs/demo
 
-.PHONY: help demo test lint docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
+.PHONY: help demo test lint structure docs docs-run reference accuracy floor profile-coverage literal real bench loop prove prove-gas growth paper feedforward weight-check transports fault-matrix kill process-matrix moments pairs terminal realtime fuzz mutants plan-study long clean
 .DEFAULT_GOAL := help
 
 help:
 	@echo "make demo      run the Figure 10 sequence on the simulated bench and identify it ($(DEMO)/report.html)"
 	@echo "make test      lint, types, import directions, tests"
+	@echo "make structure files and floors per folder, import arrows, sizes, and the bounds they break"
 	@echo "make docs      build the documentation as a site (out/docs/index.html); warnings are errors"
 	@echo "make reference write the reference pages (docs/reference) from the code"
 	@echo "make docs-run  run every code block of the documentation, the long ones too"
@@ -80,6 +81,9 @@ lint: $(VENV)/.dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+structure:
+	$(PYTHON) tools/structure.py
 
 test: lint
 	$(BIN)/pytest -n auto --dist loadfile

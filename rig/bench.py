@@ -23,6 +23,7 @@ from rig.dbc import DbcServoSection, cycle_frames, wire
 from rig.gas_section import GasGeneratorSection, PressureSection
 from rig.packaged import resolve
 from rig.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
+from rig.simulated_machine import follow_bench
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
@@ -85,7 +86,7 @@ class Constants(Schema):
     inductance_H: NonNegative
     gear_ratio: Positive
     moment_arm_m: Positive
-    lever_ratio: Positive = 10.0
+    lever_ratio: Positive
     gravity_m_s2: Positive = 9.80665
 
 
@@ -271,7 +272,9 @@ class Bench(Schema):
         calibrations: Calibrations that the results rest on.
         overdue_calibration: What a run does where the day of a calibration has passed.
         prompt_timeout_s: How long an answer of the operator is waited for; null is for ever.
-        mock: The simulated machine behind a simulated bus.
+        mock: The simulated machine behind a simulated bus. What it leaves out follows from the
+            rest of the file: motor, lever, encoders, supply and limits; friction and inertia are
+            the paper's, scaled by `limits.torque_N_m`.
     """
 
     bench: Literal[1]
@@ -435,7 +438,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     Raises:
         InputError: It is not there, or not valid; every problem with its place in the file.
     """
-    document = load_located(resolve(name, "benches"), Bench)
+    document = load_located(resolve(name, "benches"), Bench, follow_bench)
     bench = document.value
     document.require((("mock", *path), text) for path, text in _hidden(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_servo.FRAMES

@@ -75,7 +75,8 @@ class BenchSection(Schema):
         inductance: Winding inductance, H.
         gear_ratio: Motor turns per turn of the joint.
         moment_arm: Radius L1 at which the contact force acts, m; needed for the working load.
-        lever_ratio: Contact force over the weight on the lever, L3/L4.
+        lever_ratio: Contact force over the weight on the lever, L3/L4; needed where a recording
+            has a `weight_mass`.
         gravity: Local gravity, m/s^2.
         gas_generator: The gas generator, where pressure was recorded.
     """
@@ -87,13 +88,13 @@ class BenchSection(Schema):
     inductance: Constant | None = None
     gear_ratio: Constant = 1.0
     moment_arm: Constant | None = None
-    lever_ratio: Constant = 10.0
+    lever_ratio: Constant | None = None
     gravity: Constant = 9.80665
     gas_generator: GasGeneratorSection | None = None
 
     def bench(self) -> Bench:
         """Return the record the numerics use."""
-        constants = self.model_dump(exclude={"gas_generator"})
+        constants = self.model_dump(exclude={"gas_generator"}, exclude_none=True)
         if self.gas_generator is None:
             return Bench(**constants)
         return Bench(**constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1))
@@ -399,5 +400,11 @@ def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tu
         )
     if loaded and bench.moment_arm is None:
         yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"
+    if recording.weight_mass > 0 and bench.lever_ratio is None:
+        yield (
+            ("weight_mass",),
+            "a weight on the lever needs bench.lever_ratio (L3/L4), contact force over weight; 1 where it presses"
+            " straight on the joint's arm",
+        )
     if not loaded and recording.weight_mass > 0:
         yield ("weight_mass",), "a weight in an unloaded stage; set stage: loaded, or weight_mass: 0"

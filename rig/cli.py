@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from typing import Self
 
 import click
+from click.shell_completion import CompletionItem
 
 from drivers.errors import DeviceError
 from rig import crash
@@ -20,6 +21,7 @@ from rig.errors import InputError, InUseError, StorageError
 from rig.output import Streams, complain
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
+    "new": ("rig.commands.new:command", "Write a bench, sequence or campaign file to start from."),
     "run": ("rig.commands.run:command", "Run a sequence on a bench."),
     "resume": ("rig.commands.resume:command", "Go on with a run that stopped."),
     "jog": ("rig.commands.jog:command", "Move a bench by hand, at low limits."),
@@ -32,6 +34,7 @@ COMMANDS: Mapping[str, tuple[str, str]] = {
     "prove": ("rig.commands.prove:command", "Prove the diagnosis blind on rigs that hide physics."),
     "export": ("rig.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.commands.recover:command", "Mend a run whose writer died."),
+    "schema": ("rig.commands.schema:command", "Write JSON Schemas, by which editors complete and check files."),
 }
 """Name to module and attribute, and the line shown by ``rig --help`` without importing them."""
 
@@ -67,6 +70,11 @@ class LazyGroup(click.Group):
         command = getattr(importlib.import_module(module), attribute)
         assert isinstance(command, click.Command)
         return command
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete names of subcommands from the table, importing none, and the options of the group."""
+        names = [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the subcommand.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
+import re
 import types
 import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -21,6 +22,7 @@ from rig.yaml_tree import DocumentError, Mark, Node, parse, read_text
 Loc = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
 _ABSENT = object()
+_INDEX = re.compile(r"\[\d+\]")
 _Found = tuple[Mark, str, str, object]
 
 
@@ -154,9 +156,9 @@ def _json_tree(path: Path, text: str) -> Node:
 
 def _lines(path: Path, found: list[_Found]) -> list[str]:
     """Format in file order; one default merged into many recordings is reported once."""
-    unique: dict[tuple[Mark, str], _Found] = {}
+    unique: dict[tuple[Mark, str, str], _Found] = {}
     for item in sorted(found, key=lambda item: (item[0].line, item[0].column)):
-        unique.setdefault((item[0], item[2]), item)
+        unique.setdefault((item[0], _INDEX.sub("", item[1]), item[2]), item)
     return [_format(path, *item) for item in unique.values()]
 
 
@@ -172,6 +174,9 @@ def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Ite
         messages, _ = places.setdefault((mark, path), ([], value))
         if message not in messages:
             messages.append(message)
+        if details["type"] == "missing":
+            for below in _required_below(schema, path):
+                places.setdefault((mark, below), ([message], _ABSENT))
     for (mark, path), (messages, value) in places.items():
         yield mark, _dotted(path), " or ".join(messages), value
 
@@ -193,6 +198,25 @@ def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[
     if kind == "value_error":
         return mark, path, message.removeprefix("Value error, "), node.plain()
     return mark, path, message[:1].lower() + message[1:], node.plain()
+
+
+def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
+    """Yield the keys that a missing section must hold, so that none is asked for only once the section is there."""
+    records = _records_at([schema], loc)
+    if len(records) != 1:
+        return
+    for name in _required(records[0]):
+        yield (*loc, name)
+        yield from _required_below(schema, (*loc, name))
+
+
+def _required(record: type[Any]) -> Iterator[str]:
+    if issubclass(record, BaseModel):
+        yield from (name for name, field in record.model_fields.items() if field.is_required())
+        return
+    for item in dataclasses.fields(record):
+        if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
+            yield item.name
 
 
 def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:

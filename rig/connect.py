@@ -20,6 +20,7 @@ from drivers.epos_serial_link import EposSerialLink
 from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
+from drivers.mock.drive import Rating
 from drivers.units import EncoderScales, ServoScales
 from rig.bench import Bench, Bus, EncoderSection, ServoSection
 from rig.configuration import Document
@@ -143,7 +144,8 @@ def _twin(
         else _ENCODER_NODES[servo.node == _ENCODER_NODES[0]]
     )
     transmitter_node = None if bench.pressure is None else bench.pressure.node
-    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node)
+    rating = Rating(servo.rated_current_A, servo.rated_torque_N_m)
+    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating)
     return twin, twin.clock if attach is None else attach(twin)
 
 

@@ -50,6 +50,8 @@ SUFFIXES: Mapping[str, str] = {
     "s": "s",
 }
 """Ending of a name to the unit, longest first."""
+_NO_UNIT = frozenset({"mu_s"})
+"""Names of the paper that end like a unit by chance."""
 UNITS = frozenset({*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"})
 _ENTRY = re.compile(r"^(\w+):\s+(.*)$")
 _SECTION = re.compile(r"^[A-Z]\w+:$")
@@ -115,4 +117,6 @@ def _meaning(name: str, text: str) -> Meaning:
 
 def unit_of(name: str) -> str:
     """Return the unit that a name ends with; empty where it names none."""
+    if name in _NO_UNIT:
+        return ""
     return next((unit for ending, unit in SUFFIXES.items() if name.endswith(f"_{ending}")), "")

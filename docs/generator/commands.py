@@ -39,6 +39,13 @@ def page() -> str:
 def _command(name: str) -> Iterator[str]:
     command = cli.cli.get_command(click.Context(cli.cli), name)
     assert command is not None
+    yield from _section(name, command)
+    if isinstance(command, click.Group):
+        for below, inner in command.commands.items():
+            yield from _section(f"{name} {below}", inner)
+
+
+def _section(name: str, command: click.Command) -> Iterator[str]:
     words, example = _help(command)
     yield f"## rig {name}"
     yield words
@@ -47,7 +54,8 @@ def _command(name: str) -> Iterator[str]:
     yield f"<!-- not run: usage and examples of `rig {name} --help` -->"
     yield f"```console\n$ rig {name} {usage}\n\n" + "\n".join(f"$ {line}" for line in example) + "\n```"
     rows = [_option(option, context) for option in command.params if isinstance(option, click.Option)]
-    yield table(("option", "value", "default", "meaning"), [row for row in rows if row])
+    if rows:
+        yield table(("option", "value", "default", "meaning"), [row for row in rows if row])
 
 
 def _help(command: click.Command) -> tuple[str, list[str]]:
@@ -78,7 +86,8 @@ def _value(option: click.Option) -> str:
     kind: Any = option.type
     if isinstance(kind, click.Choice):
         return " or ".join(f"`{choice}`" for choice in kind.choices)
-    words = {"path": "file", "directory": "folder", "integer": "whole number", "float": "number"}.get(kind.name, "text")
+    known = {"path": "file", "directory": "folder", "integer": "whole number", "float": "number"}
+    words = kind.name if kind.name in ("number", "numbers") else known.get(kind.name, "text")
     if isinstance(kind, click.Path) and not kind.file_okay:
         words = "folder"
     if isinstance(kind, click.IntRange | click.FloatRange):

@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.clock import SimulatedClock
 from drivers.mock.bus import SimulatedBus
-from drivers.mock.drive import SimulatedDrive
+from drivers.mock.drive import Rating, SimulatedDrive
 from drivers.mock.encoder import SimulatedEncoder
 from drivers.mock.plant import constants
 from drivers.mock.plant.machine import SimulatedMachine
@@ -47,6 +47,7 @@ def simulated_bench(
     drive_node: int = DRIVE_NODE,
     encoder_node: int = ENCODER_NODE,
     transmitter_node: int | None = None,
+    rating: Rating | None = None,
 ) -> SimulatedBench:
     """Build and boot a bench. The same seed gives the same bytes on the bus.
 
@@ -57,6 +58,7 @@ def simulated_bench(
         drive_node: CANopen node identifier of the drive.
         encoder_node: CANopen node identifier of the encoder.
         transmitter_node: That of a pressure transmitter; None for a bench without one.
+        rating: What the drive is rated at; 15 A unless given.
 
     Returns:
         The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up frames have gone.
@@ -66,7 +68,7 @@ def simulated_bench(
     bus = SimulatedBus(clock, bitrate)
     plant = SimulatedMachine(machine, noise)
     sampler = Sampler(plant)
-    drive = SimulatedDrive(bus, clock, drive_node, sampler, int(offsets.integers(1 << 32)))
+    drive = SimulatedDrive(bus, clock, drive_node, sampler, int(offsets.integers(1 << 32)), rating)
     encoder = SimulatedEncoder(bus, clock, encoder_node, sampler, int(offsets.integers(1 << 32)))
     drive.boot()
     encoder.boot()

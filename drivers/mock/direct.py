@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.drive import RATED_CURRENT_MA, encoder_resolution
+from drivers.mock.drive import Rating, encoder_resolution
 from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
@@ -74,7 +74,7 @@ def record(
         latches.motor_counts * motor_unit_rad,
         latches.joint_counts * machine.joint_count_rad,
         speed * (motor_unit_rad / gear),
-        _int16(latches.current_A * (1e6 / RATED_CURRENT_MA)) * (RATED_CURRENT_MA / 1e6),
+        _int16(latches.current_A * (1e3 / Rating.current_A)) * (Rating.current_A / 1e3),
         _int16(latches.voltage_V * 1e2) * 0.01,
         np.rint(latches.supply_V * 1e3)[held] * 1e-3,
         np.rint(machine.temperature(latches.run_s) * 1e1)[held] * 0.1,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import IntEnum
 from pathlib import Path
 from typing import Final
@@ -22,7 +23,6 @@ from drivers.mock.timer import Timer
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611
 CONNECTION_LOST: Final = 0x8100
-RATED_CURRENT_MA: Final = 15000
 CSP: Final = 8
 
 _VOLTAGE: Final = key(0x2100)
@@ -55,8 +55,23 @@ _INTERNAL_LIMIT: Final = 0x0800
 _FOLLOWS: Final = 0x1000
 _FOLLOWING_ERROR_BIT: Final = 0x2000
 _RAMP_SETTLE_NS: Final = 20_000_000
+_WHOLE: Final = 1e-6
+"""Share of a unit by which rounding may miss a whole number of units."""
 _AT_LIMIT: Final = 0.98
 """The measured mean is noisy, so a current this close to its limit counts as limited."""
+
+
+@dataclass(frozen=True)
+class Rating:
+    """What the drive is rated at; its units of current and torque are thousandths of these.
+
+    Attributes:
+        current_A: Rated motor current (6075h).
+        torque_N_m: Rated motor torque (6076h); None for that of the rated current.
+    """
+
+    current_A: float = 15.0
+    torque_N_m: float | None = None
 
 
 class QuickStop(IntEnum):
@@ -83,7 +98,13 @@ class SimulatedDrive(SimulatedNode):
     """
 
     def __init__(
-        self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, sampler: Sampler, clock_offset_us: int = 0
+        self,
+        bus: SimulatedBus,
+        clock: SimulatedClock,
+        node_id: int,
+        sampler: Sampler,
+        clock_offset_us: int = 0,
+        rating: Rating | None = None,
     ) -> None:
         super().__init__(bus, clock, node_id, DRIVE_EDS, clock_offset_us)
         self.power_state = State.SWITCH_ON_DISABLED
@@ -93,7 +114,13 @@ class SimulatedDrive(SimulatedNode):
         self._motor = self._machine.constants.motor
         self._increments, self._revolutions = encoder_resolution(self._machine.constants)
         self._counts_per_rad = self._increments / self._revolutions / (2.0 * math.pi)
-        self._per_mille_A = 1e6 / RATED_CURRENT_MA
+        rating = rating or Rating()
+        torque_constant = self._motor.torque_constant_N_m_A
+        self._rated_current_mA = round(rating.current_A * 1e3)
+        torque = rating.torque_N_m or torque_constant * rating.current_A
+        self._rated_torque_mN_m = round(torque * 1e3)
+        self._per_mille_A = 1e6 / self._rated_current_mA
+        self._per_mille_torque_A = 1e3 * torque_constant / torque
         self._ramp = Timer(clock, self._ramp_done)
         self._last_word = 0
         self._demand = 0.0
@@ -112,10 +139,11 @@ class SimulatedDrive(SimulatedNode):
     def restore(self) -> None:
         """Return to SWITCH ON DISABLED with the constants of this machine in the dictionary."""
         values = self._values
-        values[key(0x6075)] = RATED_CURRENT_MA
-        values[key(0x6076)] = round(self._motor.torque_constant_N_m_A * RATED_CURRENT_MA)
+        values[key(0x6075)] = self._rated_current_mA
+        values[key(0x6076)] = self._rated_torque_mN_m
         values[key(0x608F, 1)], values[key(0x608F, 2)] = self._increments, self._revolutions
-        values[_MAX_TORQUE] = values[_MAX_CURRENT] = self._greatest_current()
+        values[_MAX_CURRENT] = self._greatest(self._per_mille_A)
+        values[_MAX_TORQUE] = self._greatest(self._per_mille_torque_A)
         self._limit_current()
         self._last_word = self._flags = 0
         self._read_period()
@@ -181,8 +209,8 @@ class SimulatedDrive(SimulatedNode):
         self.stamp(self._sampler.time_ns)
         values[_POSITION] = reading.motor_counts
         values[_VELOCITY] = round(reading.motor_velocity_rad_s * self._counts_per_rad)
-        per_mille = round(reading.current_A * self._per_mille_A)
-        values[_CURRENT] = values[_TORQUE] = clamp_i16(per_mille)
+        values[_CURRENT] = clamp_i16(round(reading.current_A * self._per_mille_A))
+        values[_TORQUE] = clamp_i16(round(reading.current_A * self._per_mille_torque_A))
         values[_DC_LINK] = round(reading.supply_V * 1e3)
         values[_VOLTAGE] = clamp_i16(round(reading.voltage_V * 1e2))
         values[_TEMPERATURE] = round(reading.temperature_C * 1e1)
@@ -270,14 +298,13 @@ class SimulatedDrive(SimulatedNode):
         step = target - self._demand
         if step > reach or step < -reach:
             target = self._demand + math.copysign(reach, step)
-        if target != wanted or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit:
+        if target != wanted or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit * self._per_mille_A:
             self._flags |= _INTERNAL_LIMIT
         else:
             self._flags &= ~_INTERNAL_LIMIT
         self._demand = target
         self._machine.track(target, self._period_ns)
-        # Rated torque is that of the rated current, so one per mille of either is the same current.
-        self._machine.feed(values[_TORQUE_OFFSET] / self._per_mille_A)
+        self._machine.feed(values[_TORQUE_OFFSET] / self._per_mille_torque_A)
 
     def _show_status(self) -> None:
         word = self.power_state | self._flags | _VOLTAGE_ENABLED
@@ -287,13 +314,15 @@ class SimulatedDrive(SimulatedNode):
             word |= _FOLLOWS
         self._values[_STATUSWORD] = word
 
-    def _greatest_current(self) -> int:
-        return int(min(0xFFFF, self._machine.constants.loops.current_limit_A * self._per_mille_A))
+    def _greatest(self, per_mille_A: float) -> int:
+        """Return the current limit of the loops in thousandths, rounded up to the drive's unit."""
+        limit = self._machine.constants.loops.current_limit_A * per_mille_A
+        return min(0xFFFF, math.ceil(limit - _WHOLE))
 
     def _limit_current(self) -> None:
-        # Per mille of rated torque and of rated current are the same here, as above.
-        self._current_limit = min(self._values[_MAX_TORQUE], self._values[_MAX_CURRENT])
-        self._machine.limit_current(self._current_limit / self._per_mille_A)
+        torque, current = self._values[_MAX_TORQUE], self._values[_MAX_CURRENT]
+        self._current_limit = min(torque / self._per_mille_torque_A, current / self._per_mille_A)
+        self._machine.limit_current(self._current_limit)
 
     def _read_period(self) -> None:
         value, exponent = self.objects.integer(0x60C2, 1), self.objects.integer(0x60C2, 2)

@@ -36,7 +36,7 @@ recordings:
 
 SHORT = """\
 campaign: 1
-bench: {torque_constant: 0.03, moment_arm: 0.095}
+bench: {torque_constant: 0.03, moment_arm: 0.095, lever_ratio: 10}
 recordings:
   - file: a.csv
     channels: {time: 0, current: 1, angle: 2}
@@ -145,8 +145,8 @@ def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
         ("angle: 2", "angle: {column: 2, scale: 0}", "a scale of zero erases the channel"),
         ("angle: 2", "angle: {column: 2, sclae: 1}", "unknown key; did you mean 'scale'?"),
         ("angle: 2", "angle: true", "angle"),
-        ("0.095}", "0.095, gear_ratio: 0}", "bench.gear_ratio: input should be greater than 0"),
-        ("0.095}", "0.095, gear_ratio: 1e300}", "bench.gear_ratio: outside of 1e-9 to 1e9; no machine is built so"),
+        ("0.095,", "0.095, gear_ratio: 0,", "bench.gear_ratio: input should be greater than 0"),
+        ("0.095,", "0.095, gear_ratio: 1e300,", "bench.gear_ratio: outside of 1e-9 to 1e9; no machine is built so"),
         (
             "file: a.csv",
             "file: a.csv\n    read: {delimiter: ',', decimal: ','}",
@@ -170,6 +170,17 @@ def test_loaded_stage_needs_the_moment_arm(tmp_path: Path) -> None:
     assert load_campaign(tmp_path / "c.yaml").value.recordings[0].weight_mass == 30.6
     (line,) = problems(tmp_path, loaded.replace(", moment_arm: 0.095", ""))
     assert line.startswith("5:12: recordings[0].stage: the loaded stage needs bench.moment_arm")
+
+
+def test_a_weight_needs_the_lever_ratio_and_its_absence_does_not(tmp_path: Path) -> None:
+    bare = SHORT.replace(", lever_ratio: 10", "")
+    (tmp_path / "c.yaml").write_text(bare)
+    assert load_campaign(tmp_path / "c.yaml").value.bench.lever_ratio is None
+    loaded = bare.replace("file: a.csv", "file: a.csv\n    stage: loaded\n    weight_mass: 5")
+    (line,) = problems(tmp_path, loaded)
+    assert line.startswith("6:18: recordings[0].weight_mass: a weight on the lever needs bench.lever_ratio")
+    (line,) = problems(tmp_path, loaded.replace("moment_arm: 0.095", "moment_arm: 0.095, lever_ratio: null"))
+    assert "bench.lever_ratio" in line
 
 
 def test_a_loaded_recording_is_not_scored_without_working_load(tmp_path: Path) -> None:

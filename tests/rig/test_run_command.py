@@ -271,9 +271,9 @@ def test_scales_that_differ_from_the_drive_are_refused(
     tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "b.yaml"
-    path.write_text(resolve("practical", "benches").read_text().replace("rated_current_A: 15", "rated_current_A: 10"))
+    path.write_text(resolve("practical", "benches").read_text().replace("motor_turn: 4096", "motor_turn: 2048"))
     assert run(str(short_sequence), "--bench", str(path), "--yes", "--out", "out") == 4
-    assert "6075h" in capsys.readouterr().err
+    assert "608Fh" in capsys.readouterr().err
     assert read_record(Path("out")).de_energised is True
 
 
@@ -311,7 +311,8 @@ def test_csv_is_one_file_a_recording_and_a_campaign_takes_it(
     assert [line.partition(":")[0] for line in capsys.readouterr().out.splitlines()[-3:]] == places
     columns = "{time: time, current: {column: current, average: true}, angle: angle, motor_angle: motor_angle}"
     Path("campaign.yaml").write_text(
-        "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095}\nrecordings:\n"
+        "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, lever_ratio: 10}\n"
+        "recordings:\n"
         f"  - {{file: [x-empty-1.csv, x-empty-2.csv], stage: unloaded, channels: {columns}}}\n"
         f"  - {{file: x-heavy.csv, stage: loaded, weight_mass: 10, channels: {columns}}}\n"
     )
@@ -442,7 +443,9 @@ def test_a_real_bench_needs_an_eds_file(tmp_path: Path, capsys: pytest.CaptureFi
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
     path.write_text(text.replace("interface: mock", "interface: virtual, channel: nobody"))
     assert status(["check", str(path)]) == 2
-    assert "servo.eds: missing; a real device needs" in capsys.readouterr().err
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(": ")[1] for line in lines] == ["servo.eds", "encoder.eds"]
+    assert all("missing; a real device needs" in line for line in lines)
 
 
 @pytest.mark.parametrize("verbose", [False, True])
@@ -452,7 +455,7 @@ def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) 
     code = (
         "import sys, rig.cli, rig.connect, drivers.mock.bench as mock;"
         "made = mock.simulated_bench;"
-        "rig.connect.simulated_bench = lambda m, s, b, d, e, p: made(m, s, b, 1, e);"
+        "rig.connect.simulated_bench = lambda m, s, b, d, e, p, r: made(m, s, b, 1, e);"
         "sys.exit(rig.cli.status(sys.argv[1:]))"
     )
     options = ["--verbose"] if verbose else []

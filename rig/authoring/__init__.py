@@ -1,0 +1,1 @@
+"""Files for a user to start from, and the schemas that editors complete and check them with."""

@@ -1,0 +1,116 @@
+"""Which column of a recording made elsewhere holds which channel: guesses from names and units."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from typing import Final, NamedTuple
+
+_UNIT: Final[Mapping[str, tuple[str, float]]] = {
+    "s": ("s", 1.0),
+    "sec": ("s", 1.0),
+    "seconds": ("s", 1.0),
+    "ms": ("s", 1e-3),
+    "us": ("s", 1e-6),
+    "ns": ("s", 1e-9),
+    "a": ("A", 1.0),
+    "ma": ("A", 1e-3),
+    "v": ("V", 1.0),
+    "mv": ("V", 1e-3),
+    "rad": ("rad", 1.0),
+    "mrad": ("rad", 1e-3),
+    "deg": ("rad", math.pi / 180.0),
+    "degrees": ("rad", math.pi / 180.0),
+    "°": ("rad", math.pi / 180.0),
+    "rad/s": ("rad/s", 1.0),
+    "deg/s": ("rad/s", math.pi / 180.0),
+    "°/s": ("rad/s", math.pi / 180.0),
+    "rpm": ("rad/s", math.pi / 30.0),
+    "nm": ("N m", 1.0),
+    "mnm": ("N m", 1e-3),
+    "n": ("N", 1.0),
+    "kn": ("N", 1e3),
+    "c": ("deg C", 1.0),
+    "degc": ("deg C", 1.0),
+    "°c": ("deg C", 1.0),
+    "pa": ("Pa", 1.0),
+    "kpa": ("Pa", 1e3),
+    "mpa": ("Pa", 1e6),
+    "bar": ("Pa", 1e5),
+}
+"""Unit as written, in lower case without blanks, to its SI unit and the scale to that."""
+_NAMES: Final[Mapping[str, tuple[str, str]]] = {
+    "time": ("s", r"t|time|timestamp|zeit|stamp|seconds|elapsed"),
+    "supply_voltage": ("V", r"supply|u_?dc|v_?dc|vbus|dc_?link|battery"),
+    "voltage": ("V", r"u|v|volt|voltage|u_?m|u_?motor|motor_?voltage|spannung"),
+    "current": ("A", r"i|iq|i_?q|current|i_?meas|i_?m|i_?motor|motor_?current|cur|strom"),
+    "torque": ("N m", r"torque|trq|tau|m_?d|moment|drehmoment|force"),
+    "motor_angle": ("rad", r"motor_?(angle|pos|position)|phi_?m|theta_?m|(pos|position|angle)_?motor"),
+    "command": ("rad", r"command|cmd|target|setpoint|reference|ref|desired|goal|(pos|position|angle)_?(ref|cmd|des)"),
+    "angle": ("rad", r"angle|pos|position|phi|theta|q|winkel|joint|joint_?angle|(pos|position|angle)_?(joint|load)"),
+    "velocity": ("rad/s", r"velocity|vel|speed|omega|dq|qd|dphi|dtheta|drehzahl"),
+    "load_force": ("N", r"load_?force|f_?load"),
+    "temperature": ("deg C", r"temp|temperature|t_?motor"),
+    "pressure": ("Pa", r"p|pressure|druck|chamber_?pressure"),
+}
+"""Channel to its unit and the names that columns of it have, the more particular channels first."""
+
+
+class Guess(NamedTuple):
+    """A column for a channel.
+
+    Attributes:
+        column: Name or, where the columns have none, index.
+        scale: To SI.
+        sure: Whether the column states its unit.
+    """
+
+    column: str | int
+    scale: float
+    sure: bool
+
+
+def split_unit(name: str) -> tuple[str, str]:
+    """Return a column's name without its unit, and the unit in lower case; empty for none.
+
+    ``current [mA]``, ``current (mA)``, ``current/mA`` and ``current_mA`` name a unit.
+    """
+    found = re.fullmatch(r"\s*(.*?)\s*[\[(]([^\])]*)[\])]\s*", name)
+    if found is None:
+        for unit in sorted(_UNIT, key=len, reverse=True):
+            tail = re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit)}\s*", name, re.IGNORECASE)
+            tail = tail or re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit.replace('/', '_'))}\s*", name, re.IGNORECASE)
+            if tail is not None:
+                return tail[1].strip(), unit
+        return name.strip(), ""
+    unit = found[2].lower().replace(" ", "").replace("*", "").replace("·", "").replace(".", "")
+    return found[1].strip(), unit
+
+
+def guess_channels(names: Iterable[str]) -> dict[str, Guess]:
+    """Return the channels that columns of these names may hold, each column at most once.
+
+    Args:
+        names: Column names in the order of the file; empty for a column without one.
+    """
+    columns = [(name, *split_unit(name)) for name in names if name]
+    found: dict[str, Guess] = {}
+    taken: set[str] = set()
+    for channel, (unit, pattern) in _NAMES.items():
+        for column, bare, stated in columns:
+            word = re.sub(r"[\s\-.]+", "_", bare.lower()).strip("_")
+            # A unit that is not known has a scale that is not known either.
+            si, scale = _UNIT.get(stated, ("", 1.0)) if stated else (unit, 1.0)
+            if column in taken or not re.fullmatch(f"{channel}|{pattern}", word) or si != unit:
+                continue
+            found[channel] = Guess(column, scale, stated in _UNIT)
+            taken.add(column)
+            break
+    return found
+
+
+def guess_mass(stem: str) -> float:
+    """Return the mass on the lever that the name of a file states, kg; 0 where it states none."""
+    found = re.search(r"(?<![\d.,])(\d+(?:[.,p]\d+)?)\s*_?kg", stem, re.IGNORECASE)
+    return float(re.sub("[,p]", ".", found[1])) if found else 0.0

@@ -1,0 +1,61 @@
+"""Guesses of what the columns of a recording hold."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from rig.authoring.columns import guess_channels, guess_mass, split_unit
+
+
+@pytest.mark.parametrize(
+    ("name", "channel", "scale"),
+    [
+        ("time", "time", 1.0),
+        ("t_ms", "time", 1e-3),
+        ("Timestamp (us)", "time", 1e-6),
+        ("current [mA]", "current", 1e-3),
+        ("i_q", "current", 1.0),
+        ("pos/deg", "angle", math.pi / 180),
+        ("speed [rpm]", "velocity", math.pi / 30),
+        ("torque [N m]", "torque", 1.0),
+        ("pos_ref", "command", 1.0),
+        ("motor_position_deg", "motor_angle", math.pi / 180),
+        ("supply_voltage", "supply_voltage", 1.0),
+        ("temperature [°C]", "temperature", 1.0),
+        ("current [foo]", None, 1.0),
+        ("current [deg]", None, 1.0),
+        ("comment", None, 1.0),
+    ],
+)
+def test_guesses(name: str, channel: str | None, scale: float) -> None:
+    guesses = guess_channels([name])
+    assert list(guesses) == ([channel] if channel else [])
+    if channel:
+        assert guesses[channel].scale == pytest.approx(scale)
+
+
+def test_a_column_is_taken_once_and_the_first_that_fits() -> None:
+    guesses = guess_channels(["t", "time", "angle", "", "phi"])
+    assert [(name, guess.column) for name, guess in guesses.items()] == [("time", "t"), ("angle", "angle")]
+
+
+@pytest.mark.parametrize(
+    ("stem", "mass"), [("log_5kg", 5.0), ("run-2.5 kg", 2.5), ("a0p5kg", 0.5), ("empty", 0.0), ("kg5", 0.0)]
+)
+def test_a_mass_in_the_name_of_a_file(stem: str, mass: float) -> None:
+    assert guess_mass(stem) == mass
+
+
+@given(st.lists(st.text(max_size=20), max_size=8))
+def test_any_names_are_looked_at(names: list[str]) -> None:
+    guesses = guess_channels(names)
+    columns = [guess.column for guess in guesses.values()]
+    assert set(columns) <= set(names)
+    assert len(set(columns)) == len(columns)
+    for name in names:
+        assert guess_mass(name) >= 0
+        assert isinstance(split_unit(name), tuple)

@@ -1,0 +1,187 @@
+"""The JSON Schemas: they accept what the program accepts, and refuse what an editor can know to be wrong."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft7Validator
+
+from rig.authoring.schema import KINDS, json_schema
+from rig.bench import load_bench
+from rig.campaign import load_campaign
+from rig.cli import status
+from rig.errors import InputError
+from rig.faults import load_faults
+from rig.packaged import names, resolve
+from rig.sequence import load_sequence
+from rig.yaml_tree import parse
+
+CAMPAIGNS = sorted((Path(__file__).parents[2] / "campaigns").glob("*.yaml"))
+FAULTS = """\
+faults: 1
+rows:
+  - {phase: excite, after_s: 0.25, target: encoder, fault: jump, value: 5,
+     expect: {deenergised_within_s: 0.1, exit_status: 1, words: encoder against drive}}
+  - {time_s: 1, target: bus, fault: lost, count: 3, frames: {device: drive, function: motion}}
+"""
+FILES = [
+    *(("bench", resolve(name, "benches")) for name in names("benches")),
+    *(("sequence", resolve(name, "sequences")) for name in names("sequences")),
+    *(("campaign", path) for path in CAMPAIGNS),
+]
+LOADERS = {"bench": load_bench, "sequence": load_sequence, "campaign": load_campaign, "faults": load_faults}
+
+
+def plain(text: str) -> Any:
+    return parse(text)[0].plain()
+
+
+def validator(kind: str) -> Draft7Validator:
+    schema = json_schema(kind)
+    Draft7Validator.check_schema(schema)
+    return Draft7Validator(schema)
+
+
+def accepted(kind: str, tree: Any, folder: Path) -> bool:
+    """Whether the program takes a file."""
+    path = folder / "mutant.yaml"
+    path.write_text(json.dumps(tree))
+    try:
+        LOADERS[kind](path)
+    except InputError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize(("kind", "path"), FILES, ids=lambda item: item.stem if isinstance(item, Path) else item)
+def test_files_of_this_repository_are_valid(kind: str, path: Path) -> None:
+    errors = list(validator(kind).iter_errors(plain(path.read_text())))
+    assert [f"{list(error.absolute_path)}: {error.message}" for error in errors] == []
+
+
+def test_a_schedule_of_faults_is_valid() -> None:
+    assert validator("faults").is_valid(plain(FAULTS))
+
+
+def mappings(tree: Any) -> Iterator[dict[str, Any]]:
+    if isinstance(tree, dict):
+        yield tree
+        for child in tree.values():
+            yield from mappings(child)
+    elif isinstance(tree, list):
+        for child in tree:
+            yield from mappings(child)
+
+
+MUTATED = ("practical_hot", "practical_dbc", "practical_serial", "figure10", "hotfire", "emps", "sts3032_to_heavy")
+"""Files that have every section between them."""
+
+
+def sources() -> list[Any]:
+    chosen = [(kind, path) for kind, path in FILES if path.stem in MUTATED]
+    return [(kind, plain(path.read_text())) for kind, path in chosen] + [("faults", plain(FAULTS))]
+
+
+@pytest.mark.parametrize(("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else "")
+def test_an_unknown_key_is_refused_wherever_it_stands(kind: str, tree: Any) -> None:
+    check = validator(kind)
+    assert check.is_valid(tree)
+    for number in range(len(list(mappings(tree)))):
+        mutant = copy.deepcopy(tree)
+        place = list(mappings(mutant))[number]
+        if set(place) & {"DRV_Command.Order", "Code", "DRV_Command", "disabled"}:
+            continue  # Names of a DBC file, or words for its states: any name may stand there.
+        place["no_such_key"] = 1
+        assert not check.is_valid(mutant), place
+
+
+@pytest.mark.parametrize(("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else "")
+def test_the_schema_refuses_nothing_that_the_program_accepts(kind: str, tree: Any, tmp_path: Path) -> None:
+    """Each value in turn is left out, and replaced by others; the schema may be the milder judge, never the harder."""
+    check, judged = validator(kind), 0
+    defaults = tree.get("defaults")
+    for number, place in enumerate(mappings(tree)):
+        if place is defaults:
+            continue  # The program never looks at a default that every recording overrides.
+        for key in place:
+            for other in (None, -1, 0, 1, 2.5, "text", [], {}, "absent")[:: 4 if len(place) > 6 else 1]:
+                mutant = copy.deepcopy(tree)
+                there = list(mappings(mutant))[number]
+                if other == "absent":
+                    del there[key]
+                else:
+                    there[key] = other
+                if not check.is_valid(mutant):
+                    judged += 1
+                    assert not accepted(kind, mutant, tmp_path), (key, other)
+    assert judged > 10
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "path", "value"),
+    [
+        ("bench", "practical", ("machine", "gear_ratio"), 0),
+        ("bench", "practical", ("machine", "gear_ratio"), "100"),
+        ("bench", "practical", ("limits", "lateness_ms"), 51),
+        ("bench", "practical", ("servo", "node"), 128),
+        ("bench", "practical", ("mock", "loops", "rate_Hz"), -1),
+        ("bench", "practical", ("mock", "effects"), {"backlash": {"gap_rad": 5}}),
+        ("bench", "practical_serial", ("bus", "port"), 5),
+        ("sequence", "figure10", ("stages", 0, "weight_kg"), 5),
+        ("sequence", "figure10", ("stages", 1, "weight_kg"), 0),
+        ("sequence", "figure10", ("stages", 0, "tones", 0, "frequency_Hz"), 0),
+        ("sequence", "figure10", ("stages", 0, "name"), "a b"),
+    ],
+)
+def test_values_that_are_refused(kind: str, name: str, path: tuple[Any, ...], value: Any, tmp_path: Path) -> None:
+    tree = plain(resolve(name, "benches" if kind == "bench" else "sequences").read_text())
+    assert validator(kind).is_valid(tree)
+    place = tree
+    for key in path[:-1]:
+        place = place[key]
+    place[path[-1]] = value
+    assert not validator(kind).is_valid(tree)
+    assert not accepted(kind, tree, tmp_path)
+
+
+def test_a_recording_may_leave_to_the_defaults_what_it_lacks_and_only_then() -> None:
+    check = validator("campaign")
+    tree = {"campaign": 1, "bench": {}, "recordings": [{"file": "a.csv"}]}
+    assert not check.is_valid(tree)
+    assert check.is_valid({**tree, "defaults": {"channels": {"time": "t", "angle": 1, "current": {"column": "i"}}}})
+    assert not check.is_valid({**tree, "defaults": {"channels": {"tme": "t"}}})
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_key_of_a_record_is_described(kind: str) -> None:
+    schema = json_schema(kind)
+    records = [schema, *schema["definitions"].values()]
+    lacking = [
+        f"{record['description'][:30]}: {key}"
+        for record in records
+        for key, node in record.get("properties", {}).items()
+        if not node.get("description")
+    ]
+    assert lacking == []
+
+
+def test_units_are_in_the_descriptions() -> None:
+    limits = json_schema("bench")["definitions"]["LimitsSection"]["properties"]
+    assert "Unit: deg/s." in limits["speed_deg_s"]["description"]
+
+
+def test_one_schema_goes_to_the_terminal_and_all_to_a_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status(["schema", "bench"]) == 0
+    assert json.loads(capsys.readouterr().out) == json_schema("bench")
+    assert status(["schema", "--out", str(tmp_path / "schemas")]) == 0
+    written = {path.name: json.loads(path.read_text()) for path in (tmp_path / "schemas").iterdir()}
+    assert written == {f"{kind}.schema.json": json_schema(kind) for kind in KINDS}
+    assert status(["schema"]) == 2
+    assert "bench, sequence, campaign, faults" in capsys.readouterr().err

@@ -1,0 +1,116 @@
+"""The simulated machine of a bench file follows the bench."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drivers.mock.plant.constants import Loops, Machine, Motor
+from rig.bench import Bench, load_bench
+from rig.connect import connect
+from rig.errors import InputError
+from rig.packaged import names, resolve
+from rig.simulated_loops import unstable_current_loop
+from rig.simulated_machine import derived
+from rig.yaml_tree import parse
+
+SMALL = """\
+bench: 1
+name: small
+machine: {torque_constant_N_m_A: 0.0259, back_emf_constant_V_s_rad: 0.0259, resistance_ohm: 0.6,
+          inductance_H: 0.0002, gear_ratio: 51, moment_arm_m: 0.15, lever_ratio: 1}
+servo: {counts_per_motor_turn: 2048, rated_current_A: 3.2, rated_torque_N_m: 0.083}
+encoder: {counts_per_turn: 65536}
+cycle_Hz: 500
+limits: {angle_min_deg: -30, angle_max_deg: 30, speed_deg_s: 120, torque_N_m: 6.6, current_A: 5,
+         following_error_deg: 2, encoder_disagreement_deg: 1, weight_kg: 8, contact_force_N: 100,
+         supply_min_V: 20, supply_max_V: 28}
+"""
+
+
+def small(folder: Path, extra: str = "") -> Bench:
+    path = folder / "small.yaml"
+    path.write_text(SMALL + extra)
+    return load_bench(path).value
+
+
+def test_a_bench_without_mock_is_simulated_as_the_file_describes_it(tmp_path: Path) -> None:
+    mock = small(tmp_path).mock
+    assert mock is not None
+    assert mock.motor.gear_ratio == 51
+    assert (mock.motor.resistance_ohm, mock.motor.inductance_H) == (0.6, 0.0002)
+    assert (mock.joint.moment_arm_m, mock.joint.lever_ratio) == (0.15, 1)
+    assert (mock.supply_V, mock.loops.voltage_limit_V, mock.loops.current_limit_A) == (24, 24, 5)
+    assert (mock.sensing.motor_counts_per_turn, mock.sensing.joint_counts_per_turn) == (2048, 65536)
+    assert mock.sensing.cycle_s == 0.002
+    share = 6.6 / 75
+    assert mock.joint.Mc_N_m == pytest.approx(6.825 * share)
+    assert mock.joint.inertia_kg_m2 == pytest.approx(0.204 * share)
+    assert unstable_current_loop(mock) is None
+
+
+def test_what_the_file_says_of_the_simulated_machine_wins(tmp_path: Path) -> None:
+    stated = "mock: {motor: {gear_ratio: 50}, joint: {Mc_N_m: 0.7}, supply_V: 22}\n"
+    mock = small(tmp_path, stated).mock
+    assert mock is not None
+    assert (mock.motor.gear_ratio, mock.motor.resistance_ohm) == (50, 0.6)
+    assert (mock.joint.Mc_N_m, mock.supply_V, mock.loops.voltage_limit_V) == (0.7, 22, 22)
+
+
+@pytest.mark.parametrize("name", names("benches"))
+def test_packaged_benches_are_the_machines_that_they_were(name: str) -> None:
+    stated = yaml.safe_load(resolve(name, "benches").read_text())["mock"]
+    mock = load_bench(name).value.mock
+    assert mock is not None
+    for section, values in stated.items():
+        part = getattr(mock, section)
+        for key, value in values.items() if dataclasses.is_dataclass(part) else ():
+            found = getattr(part, key)
+            if not dataclasses.is_dataclass(found):
+                assert found is value or float(value) == found, (section, key)
+    if name != "literal":
+        assert mock.motor.rotor_inertia_kg_m2 == 1e-5
+
+
+def test_the_derived_machine_of_the_practical_bench_is_the_default_one(tmp_path: Path) -> None:
+    text = resolve("practical", "benches").read_text()
+    path = tmp_path / "b.yaml"
+    path.write_text(text.split("mock:  ")[0])
+    assert load_bench(path).value.mock == Machine()
+
+
+def test_the_simulated_drive_rates_what_the_bench_says(tmp_path: Path) -> None:
+    small(tmp_path)
+    with connect(load_bench(tmp_path / "small.yaml"), 0, False) as devices:
+        devices.prepare(0.002)
+        own = devices.servo.read_limits()
+    # Its unit of current is a thousandth of 3.2 A, rounded up: a limit of the file is never looser.
+    assert 5.0 <= own.current_A <= 5.0 + 3.2e-3
+    torque_per_ampere = 0.0259 * 51
+    assert 5.0 * torque_per_ampere <= own.torque_N_m <= 5.0 * torque_per_ampere + 0.083 * 51e-3
+
+
+@given(st.floats(0.01, 20.0), st.floats(1e-6, 0.1))
+def test_the_derived_current_loop_is_stable_whatever_the_motor(resistance: float, inductance: float) -> None:
+    tree, _ = parse(f"machine: {{resistance_ohm: {resistance!r}, inductance_H: {inductance!r}}}")
+    parts = derived(tree.plain())
+    motor, loops = parts["motor"], parts["loops"]
+    assert isinstance(motor, dict)
+    assert isinstance(loops, dict)
+    assert unstable_current_loop(Machine(motor=Motor(**motor), loops=Loops(**loops))) is None
+
+
+def test_all_missing_keys_are_reported_together(tmp_path: Path) -> None:
+    path = tmp_path / "b.yaml"
+    path.write_text("bench: 1\nmachine: {gear_ratio: 51}\n")
+    with pytest.raises(InputError) as caught:
+        load_bench(path)
+    keys = {line.removeprefix(f"{path}:").split(": ")[1] for line in caught.value.problems}
+    assert {"name", "limits", "machine.lever_ratio", "machine.moment_arm_m"} <= keys
+    assert {"limits.angle_min_deg", "limits.contact_force_N", "limits.weight_kg"} <= keys
+    assert "limits.temperature_C" not in keys
