@@ -8,6 +8,7 @@ identified, are those of the paper, scaled by the limit on torque.
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -138,8 +139,10 @@ def _number(tree: Mapping[str, Any], *path: str) -> Any:
     value: Any = tree
     for key in path:
         value = value.get(key) if isinstance(value, Mapping) else None
-    usable = isinstance(value, int | float) and not isinstance(value, bool)
-    return value if usable and math.isfinite(value) and value > 0 else None
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    # Whole numbers of a file may be beyond what a float holds.
+    return value if 0 < value < math.inf and value <= sys.float_info.max else None
 
 
 def _known(**values: float | None) -> Section:

@@ -55,10 +55,10 @@ def test_innovations_of_the_practical_bench_are_of_unit_size(practical_result: I
 def test_where_the_starts_ended_is_kept(practical_result: Identification) -> None:
     unloaded, loaded = practical_result.starts
     assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
-    assert unloaded.ends[-1] <= unloaded.search_ends
+    assert unloaded.ends[-1] <= unloaded.reached
     assert len(loaded.ends) == 3 + 4 + 2  # of the grid, and far from and near to the best of their ends
     assert 1 <= loaded.best <= 9
-    assert min(loaded.ends) < loaded.search_ends
+    assert min(loaded.ends) < loaded.reached
 
 
 def test_friction_at_a_speed_is_pinned_better_than_its_parts(practical_result: Identification) -> None:
@@ -141,7 +141,7 @@ def test_strong_hidden_ripple_does_not_break_the_search(
     solved_from, inertias = stages._solved_from, []
 
     def tried(problem: Problem, start: Array, *given: object) -> object:
-        inertias.append(start[stages.kernel.INERTIA])
+        inertias.append(start[stages.INERTIA])
         return solved_from(problem, start, *given)  # type: ignore[arg-type]
 
     monkeypatch.setattr(stages, "_solved_from", tried)
@@ -151,7 +151,7 @@ def test_strong_hidden_ripple_does_not_break_the_search(
     # None near solves the equations, so that it goes to inertias far off; that one there does by chance is the
     # rounding's, and helps nobody.
     (unloaded,) = result.starts
-    assert min(unloaded.ends[:10]) > unloaded.search_ends
+    assert min(unloaded.ends[:10]) > unloaded.reached
     assert np.any(np.isclose(inertias, stages._FAR[0] * inertias[0]))
     plain = equation_error(result, recording)
     assert result.values() == {name: plain[name] for name in result.values()}

@@ -22,7 +22,7 @@ import identification.numerics.kernel_cache
 from identification.numerics.kernel_cache import KernelCache, digest
 
 CALLED = """
-from identification.compiled import compiled
+from identification.numerics.compiled import compiled
 from {constants} import FACTOR
 
 @compiled
@@ -30,7 +30,7 @@ def scaled(value):
     return FACTOR * value
 """
 CALLER = """
-from identification.compiled import compiled
+from identification.numerics.compiled import compiled
 from {called} import scaled
 
 @compiled

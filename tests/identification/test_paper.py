@@ -88,7 +88,7 @@ def test_both_stages() -> None:
         assert stage.cost_history is not None
         assert np.all(np.diff(stage.cost_history) <= 0.0)
         assert stage.cost_history[-1] == stage.cost
-        assert stage.search_ends is False
+        assert stage.reached is False
         assert all(len(h) == GENERATIONS for h in stage.parameter_history.values())
     assert result.fit.validate_rms is not None
     assert result.fit.validate_rms < 0.3

@@ -103,6 +103,9 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
         def note(self, command: str) -> None:
             did.append(("lock", self.descriptors, command))
 
+        def release(self) -> None:
+            did.append(("released",))
+
     def drive_on(port: int, ward: guardian.Ward) -> Any:
         did.append(("drive", port, ward.drive))
         return made.servo, SimulatedClock()
@@ -158,7 +161,9 @@ def test_it_stops_the_drive_of_a_program_that_died(process: Process, failures: i
     assert process.servo.stopped == (302 if failures else 1)
     assert process.did[:2] == STARTED
     assert process.did[2] == ("lock", [7, 9], "the guardian of a program that died")
-    said = [words for what, words in process.did[3:-1] if what == "screen"]
+    said = [step[1] for step in process.did[3:-1] if step[0] == "screen"]
+    # A drive that is verified off leaves the bench to others.
+    assert (("released",) in process.did) is (failures == 0)
     if failures:
         assert said.pop(0).startswith("guardian of EPOS4 at /dev/some: it could NOT be verified that the drive is")
     assert len(said) == 1

@@ -179,6 +179,11 @@ def tampered(monkeypatch: pytest.MonkeyPatch, tamper: Tamper) -> None:
     monkeypatch.setattr(rig.connect, "simulated_bench", made)
 
 
+def rates(bench: SimulatedBench, index: int, value: int) -> None:
+    """Have the drive hold another rated value, mA or mN m, than the bench file says."""
+    bench.drive.objects.values[key(index)] = value
+
+
 def looser_than_own(bench: SimulatedBench) -> None:
     bench.drive.objects.values[key(0x6072)] = 1000
     bench.drive.objects.values[key(0x6073)] = 1000
@@ -191,8 +196,8 @@ def alarmed(bench: SimulatedBench) -> None:
 @pytest.mark.parametrize(
     ("changes", "tamper", "cause"),
     [
-        ([("rated_current_A: 15", "rated_current_A: 10")], None, Cause.DRIVE),
-        ([("rated_torque_N_m: 0.45", "rated_torque_N_m: 0.5")], None, Cause.DRIVE),
+        ([], lambda bench: rates(bench, 0x6075, 10_000), Cause.DRIVE),
+        ([], lambda bench: rates(bench, 0x6076, 500), Cause.DRIVE),
         ([("counts_per_motor_turn: 4096, sign", "counts_per_motor_turn: 4000, sign")], None, Cause.DRIVE),
         ([("node: 2, counts_per_turn: 262144", "node: 2, counts_per_turn: 4096")], None, Cause.ENCODER),
         ([("servo: {", "servo: {temperature_object: [0x2100, 1], ")], None, None),

@@ -237,11 +237,12 @@ def test_bad_benches(tmp_path: Path, old: str, new: str, words: str) -> None:
     assert any(words in problem for problem in caught.value.problems), caught.value.problems
 
 
-def test_mock_without_a_machine_is_refused(tmp_path: Path) -> None:
+def test_mock_without_a_machine_follows_the_bench(tmp_path: Path) -> None:
     path = tmp_path / "b.yaml"
     path.write_text(resolve("practical", "benches").read_text().split("mock:  ")[0])
-    with pytest.raises(InputError, match="no 'mock' section"):
-        load_bench(path)
+    machine = load_bench(path).value.mock
+    assert machine is not None
+    assert machine.motor.gear_ratio == 100
 
 
 def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> None:

@@ -86,6 +86,7 @@ def test_scale_offset_rate_and_average(tmp_path: Path) -> None:
     path = campaign(tmp_path, item)
     path.write_text(
         path.read_text()
+        .replace("{moment_arm: 0.1}", "{moment_arm: 0.1, lever_ratio: 10}")
         .replace("time: t, ", "")
         .replace("angle: a, torque: m", "angle: {column: a}, torque: {column: m}")
     )
