@@ -166,9 +166,8 @@ fuzz: $(VENV)/.dev
 	$(BIN)/python tests/long/dbc_fuzz.py
 
 mutants: $(VENV)/.dev
-	$(BIN)/python tests/long/mutants.py
-	$(BIN)/pytest -q --cov=rig.safety --cov=rig.drive_limits --cov=drivers.cia402 --cov-branch \
-	  --cov-report=term-missing tests/rig/test_safety.py tests/rig/test_drive_limits.py tests/drivers/test_cia402.py
+	$(BIN)/python -m tests.long.mutants
+	$(BIN)/pytest -q --cov-branch --cov-report=term-missing $$($(BIN)/python -m tests.long.mutants --coverage)
 
 clean:
 	rm -rf $(VENV) runs out build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

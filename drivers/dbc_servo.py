@@ -53,7 +53,7 @@ class DbcServo(Servo):
         self._cycle_ns = 0
         self._target = self._previous = 0.0
         self._staged_in = 0
-        self._time = Unwrapper(1)
+        self._time = self._unwrapper()
 
     def identity(self) -> Identity:
         """Return who it is, as the bench file and the drive's own frames say.
@@ -165,8 +165,7 @@ class DbcServo(Servo):
         for name in self._wiring.received:
             self._hear(name)
         self._cycle_ns = round(cycle_s * NS)
-        time = self._inputs.get("time")
-        self._time = Unwrapper(1 << time.signal.width if time is not None else 1)
+        self._time = self._unwrapper()
         self._stage(self._value("position"))
 
     def enable(self) -> None:
@@ -290,6 +289,10 @@ class DbcServo(Servo):
         slot, read = self._reads[name]
         return read(slot.data)
 
+    def _unwrapper(self) -> Unwrapper:
+        time = self._inputs.get("time")
+        return Unwrapper(1 if time is None else 1 << time.signal.width)
+
     def _device_time(self) -> float:
         quantity = self._inputs.get("time")
         if quantity is None:
@@ -315,7 +318,7 @@ class DbcServo(Servo):
         """Send the order in force until a message has come; some come only as an answer."""
         slot = self._channel.slot(name)
         count, refused = slot.count, slot.refused
-        deadline = self._clock.now_ns() + round(_patience_s(slot) * NS)
+        deadline = self._clock.now_ns() + _patience_s(slot) * NS
         while slot.count == count:
             if self._clock.now_ns() >= deadline:
                 raise self._silent(slot, refused)
@@ -353,7 +356,7 @@ class DbcServo(Servo):
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Images) -> None:
         # Repeats the orders, as a frame may have been lost.
-        deadline = self._clock.now_ns() + round(self._timeout_s * NS)
+        deadline = self._clock.now_ns() + self._timeout_s * NS
         while not reached(state := self.state()):
             if self._clock.now_ns() >= deadline:
                 raise StateError(
@@ -385,7 +388,7 @@ class DbcServo(Servo):
     def _cycles(self) -> Iterator[bool]:
         # Exchanges at the cycle's pace; yields whether there is time left.
         due = self._clock.now_ns()
-        deadline = due + round(self._timeout_s * NS)
+        deadline = due + self._timeout_s * NS
         while True:
             due += self._cycle_ns
             self._clock.sleep_until_ns(due)
