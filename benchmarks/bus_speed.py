@@ -12,10 +12,10 @@ import numpy as np
 
 from drivers.clock import NS
 from drivers.mock.plant.machine import SimulatedMachine
-from rig.bench import Bench, load_bench
-from rig.configuration import Document
-from rig.connect import connect
-from rig.tables import table
+from rig.common.tables import table
+from rig.config.bench import Bench, load_bench
+from rig.config.configuration import Document
+from rig.wiring.connect import connect
 
 CYCLES = 10_000
 REPEATS = 5

@@ -23,7 +23,7 @@ from identification.estimate.equation_error.regression import model_torque
 from identification.model.nominal import NOMINAL
 from identification.prepare import Prepared, prepare
 from identification.recording import Array, Dataset, Model, Recording
-from rig.tables import table
+from rig.common.tables import table
 
 POLES = (0.0, 0.5, 0.9, 0.98)
 NOISE_N_M = 0.1

@@ -28,12 +28,12 @@ from identification.diagnosis.joint import Joint
 from identification.diagnosis.terms import TERMS
 from identification.diagnosis.terms.term import Context
 from identification.recording import Dataset
-from rig.prove.draw import draw
-from rig.prove.excitation import DURATION_S, experiments
-from rig.prove.folder import CAMPAIGN_FILE, write
-from rig.prove.simulate import campaign
+from rig.common.tables import table
+from rig.results.prove.draw import draw
+from rig.results.prove.excitation import DURATION_S, experiments
+from rig.results.prove.folder import CAMPAIGN_FILE, write
+from rig.results.prove.simulate import campaign
 from rig.sources import load_source
-from rig.tables import table
 
 HIDDEN = "asymmetric_viscous"
 FULL = 8

@@ -20,14 +20,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from identification.tracking import Tracking, track
-from rig import cli
-from rig.bench import load_bench
-from rig.feedforward import load_feedforward
-from rig.run import bench_constants
-from rig.sequence import load_sequence
-from rig.simulated_run import run_simulated
-from rig.tables import table
-from rig.truth import true_parameters
+from rig.cli import entry as cli
+from rig.common.tables import table
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
+from rig.planning.feedforward import load_feedforward
+from rig.runs.run import bench_constants
+from rig.runs.truth import true_parameters
 
 BENCHES = {"stiff": "practical", "soft": "practical_soft"}
 """Gains to the packaged bench that has them."""

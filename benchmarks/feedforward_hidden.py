@@ -19,14 +19,14 @@ import yaml
 from identification.model.nominal import NOMINAL
 from identification.recording import Recording
 from identification.tracking import REST_RAD_S, track
-from rig.bench import load_bench
-from rig.feedforward import load_feedforward
-from rig.packaged import resolve
-from rig.results import IDENTIFY_SCHEMA
-from rig.run import bench_constants
-from rig.sequence import load_sequence
-from rig.simulated_run import run_simulated
-from rig.tables import table
+from rig.common.result_files import IDENTIFY_SCHEMA
+from rig.common.tables import table
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
+from rig.planning.feedforward import load_feedforward
+from rig.runs.run import bench_constants
 
 HIDDEN: tuple[dict[str, dict[str, float]], ...] = (
     {},

@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from identification.estimate.default import identify
-from rig import cli
-from rig.run import load_run
-from rig.tables import table
-from rig.truth import truth_of
+from rig.cli import entry as cli
+from rig.common.tables import table
+from rig.runs.run import load_run
+from rig.runs.truth import truth_of
 
 
 def main() -> None:

@@ -22,16 +22,16 @@ import numpy as np
 import yaml
 from floor_benches import of_the_model, random_bench, record
 
-import rig.bench
+import rig.config.bench
 from identification.estimate.default import identify, solve_stages
 from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.paper_method.paper import identify_paper
 from identification.prepare import prepare
 from identification.recording import Dataset
 from identification.result import Identification
-from rig.run import load_run
-from rig.tables import table
-from rig.truth import JOINT_FIELDS, truth_of
+from rig.common.tables import table
+from rig.runs.run import load_run
+from rig.runs.truth import JOINT_FIELDS, truth_of
 
 NORMAL_90 = 1.6449
 FAR_OFF = 0.5
@@ -52,7 +52,7 @@ def main() -> None:
     )
     parser.add_argument("--out", type=Path, default=Path("out/floor"))
     arguments = parser.parse_args()
-    template = (Path(rig.bench.__file__).parent / "benches" / "practical.yaml").read_text(encoding="utf-8")
+    template = (Path(rig.config.bench.__file__).parent / "benches" / "practical.yaml").read_text(encoding="utf-8")
     kind = "practical" if arguments.practical else "model" if arguments.model else "row"
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.benches):

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.direct import record
-from drivers.mock.plant.constants import GasGenerator, Machine, Sensing
 from drivers.mock.plant.gas_direct import burn
 from drivers.mock.plant.machine import SimulatedMachine
-from rig.tables import table
+from drivers.mock.plant.parts.constants import GasGenerator, Machine, Sensing
+from rig.common.tables import table
 
 Array = NDArray[np.float64]
 

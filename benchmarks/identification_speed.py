@@ -25,8 +25,8 @@ import numpy as np
 from cmaes import CMA
 from scipy import optimize
 
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.direct import simulate
+from drivers.mock.plant.parts.constants import Machine
 from identification.estimate.default import identify
 from identification.estimate.equation_error import variable_projection as varpro
 from identification.estimate.paper_method.paper import GENERATIONS, POPULATION
@@ -39,8 +39,8 @@ from identification.model.parameters import pack
 from identification.numerics.levenberg_marquardt import huber
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
-from rig.tables import table
-from rig.truth import true_parameters
+from rig.common.tables import table
+from rig.runs.truth import true_parameters
 
 STAGE_S = 20.0
 RATE_HZ = 1000.0

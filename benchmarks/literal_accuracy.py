@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.mock.plant.constants import Joint, Machine
 from drivers.mock.plant.direct import simulate
+from drivers.mock.plant.parts.constants import Joint, Machine
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
-from rig.bench import load_bench
-from rig.truth import JOINT_FIELDS
+from rig.config.bench import load_bench
+from rig.runs.truth import JOINT_FIELDS
 
 CONTACT_FORCE_N = 3000.0
 RATE_HZ = 1000.0

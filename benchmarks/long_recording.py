@@ -28,13 +28,13 @@ from identification.estimate.long import identify_long
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
 from identification.simulate.servo_loop import respond, usual_loop
-from rig.bench import load_bench
-from rig.recorder import Recorder
-from rig.sample import Sample
-from rig.sequence import load_sequence
-from rig.simulated_run import run_simulated
+from rig.common.sample import Sample
+from rig.common.tables import table
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
+from rig.runs.recorder import Recorder
 from rig.sources import load_source
-from rig.tables import table
 
 SIZES = (1e4, 1e5, 1e6, 1e7, 3.6e7)
 IN_MEMORY = 200_000

@@ -22,21 +22,21 @@ from pathlib import Path
 import numpy as np
 import yaml
 
-from drivers.mock.plant.constants import Joint
+from drivers.mock.plant.parts.constants import Joint
 from identification.estimate.default import identify
 from identification.result import Identification
-from rig import cli
-from rig.bench import load_bench
-from rig.experiment import plan_experiment
-from rig.experiment_output import excitation_words, write
-from rig.packaged import resolve
-from rig.places import write_json
-from rig.results import Provenance, identification_record
-from rig.run import load_run
-from rig.sequence import load_sequence
-from rig.tables import table
-from rig.truth import truth_of
-from rig.uncertainty_output import uncertainty_record
+from rig.cli import entry as cli
+from rig.common.places import write_json
+from rig.common.result_files import Provenance, identification_record
+from rig.common.tables import table
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.config.sequence import load_sequence
+from rig.results.design.experiment import plan_experiment
+from rig.results.design.output import excitation_words, write
+from rig.results.uncertainty import uncertainty_record
+from rig.runs.run import load_run
+from rig.runs.truth import truth_of
 
 SPREAD = 0.4
 LEAST_RISE = 1.2

@@ -18,9 +18,9 @@ import numpy as np
 from numba import njit
 
 from drivers.mock.direct import record
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
-from rig.tables import table
+from drivers.mock.plant.parts.constants import Machine
+from rig.common.tables import table
 
 DURATION_S = 20.0
 REPEATS = 9

@@ -21,7 +21,7 @@ from identification.estimate.likelihood.profile import crossings
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench, Dataset, Recording
 from identification.simulate.servo_loop import respond, usual_loop
-from rig.tables import table
+from rig.common.tables import table
 
 PERIOD_S, STAGE_S = 1e-3, 10.0
 BENCH = Bench(moment_arm=0.095)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from rig.cli import DONE, status
+from rig.cli.entry import DONE, status
 
 CAMPAIGNS = Path(__file__).resolve().parents[1] / "tests" / "campaigns"
 OUT = Path("out/real")

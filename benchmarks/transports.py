@@ -23,14 +23,14 @@ from time import perf_counter
 
 import numpy as np
 
-from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, Gate
-from drivers.amt21_line import Amt21Line
-from drivers.canopen_link import CanopenLink
-from drivers.cia402_servo import Cia402Servo
-from drivers.cia406 import Cia406Encoder
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Gate
+from drivers.amt21.line import Amt21Line
+from drivers.amt21.link import EncoderLink
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, Clock, RealClock
-from drivers.encoder_link import EncoderLink
-from drivers.epos_serial_link import EposSerialLink
+from drivers.epos.link import EposSerialLink
 from drivers.errors import DeviceError
 from drivers.interfaces import Encoder, Link
 from drivers.mock.amt21 import SimulatedAmt21
@@ -38,16 +38,16 @@ from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.plant.constants import Machine, Sensing
-from drivers.mock.pty import RealTimeBench
-from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.plant.parts.constants import Machine, Sensing
+from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import PySerialPort
 from drivers.units import EncoderScales, ServoScales
-from rig.bench import load_bench
-from rig.cli import status
-from rig.connect import connect
-from rig.packaged import resolve
-from rig.tables import table
+from rig.cli.entry import status
+from rig.common.tables import table
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.wiring.connect import connect
 
 SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
 MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))

@@ -15,17 +15,19 @@ from typing import ParamSpec, TypeVar
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+_TRACEBACK = "Traceback (most recent call last)"
 
 
 def words(error: Exception) -> str:
     """Return the first line of what an exception says, with its type where that is a built-in one.
 
-    python-can's socketcand puts a traceback into the lines after it.
+    python-can's socketcand puts a traceback behind its words, beginning on the same line.
     """
     if isinstance(error, termios.error):
         # As an OSError says it; its own text is a tuple.
         return str(OSError(*error.args))
-    text = next((line.strip() for line in str(error).splitlines() if line.strip()), "")
+    said = str(error).partition(_TRACEBACK)[0]
+    text = next((line.strip() for line in said.splitlines() if line.strip()), "")
     name = type(error).__name__
     if isinstance(error, OSError) or type(error).__module__ != "builtins":
         return text or name

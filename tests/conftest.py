@@ -11,7 +11,7 @@ import psutil
 import pytest
 from hypothesis import settings
 
-from rig.allocation import keep_freed_memory
+from rig.common.allocation import keep_freed_memory
 
 _GRACE_S = 1.0
 

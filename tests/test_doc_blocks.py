@@ -11,11 +11,11 @@ from pathlib import Path
 import pytest
 import yaml
 
-from rig import cli
-from rig.bench import load_bench
-from rig.campaign import load_campaign
-from rig.faults import load_faults
-from rig.sequence import load_sequence
+from rig.cli import entry as cli
+from rig.config.bench import load_bench
+from rig.config.campaign import load_campaign
+from rig.config.faults import load_faults
+from rig.config.sequence import load_sequence
 
 from .doc_blocks import PAGES, ROOT, Block, blocks, workplace
 
@@ -89,10 +89,10 @@ def keys_of(schema: dict[str, object]) -> set[str]:
 
 @pytest.mark.parametrize("page", ["bench", "sequence", "campaign", "fault_schedule"])
 def test_every_key_stands_in_the_reference(page: str) -> None:
-    from rig.bench import Bench
-    from rig.campaign import Campaign
-    from rig.faults import FaultSchedule
-    from rig.sequence import Sequence
+    from rig.config.bench import Bench
+    from rig.config.campaign import Campaign
+    from rig.config.faults import FaultSchedule
+    from rig.config.sequence import Sequence
 
     model = {"bench": Bench, "sequence": Sequence, "campaign": Campaign, "fault_schedule": FaultSchedule}[page]
     text = (ROOT / "docs" / "reference" / f"{page}.md").read_text(encoding="utf-8")

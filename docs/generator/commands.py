@@ -10,7 +10,7 @@ from typing import Any
 import click
 from keys import table
 
-from rig import cli
+from rig.cli import entry as cli
 
 STATUSES = (
     (cli.DONE, "The work is done. All four verdicts of a diagnosis count as done."),

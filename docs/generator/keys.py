@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 from shapes import Shape, is_record, shape
 
-from rig.bench import may_be
-from rig.descriptions import meanings, summary
+from rig.config.bench import may_be
+from rig.config.descriptions import meanings, summary
 
 REQUIRED = "**required**"
 
@@ -48,7 +48,7 @@ def fields(record: type) -> Iterator[Key]:
         if field.default_factory is not dataclasses.MISSING:
             value = field.default_factory()
         made = shape(hints[field.name])
-        if record.__module__ == "drivers.mock.plant.constants" and "number" in made.words:
+        if record.__module__ == "drivers.mock.plant.parts.constants" and "number" in made.words:
             made = made._replace(words=f"{made.words} {may_be(field.name)}".strip())
         yield Key(field.name, made, REQUIRED if value is dataclasses.MISSING else plain(value))
 

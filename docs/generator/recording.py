@@ -6,11 +6,10 @@ from collections.abc import Mapping
 
 from keys import table
 
-from rig import mcap_layout
-from rig.descriptions import meanings
-from rig.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT
-from rig.sample import Sample
-from rig.sequencer import Ending
+from rig.common.sample import Sample
+from rig.config.descriptions import meanings
+from rig.runs.mcap import layout as mcap_layout
+from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT, Ending
 
 EVENTS: Mapping[str, tuple[str, str]] = {
     "prompt": ("stage, index, weight_kg", "The operator is asked for the load of a stage; the drive is off."),
@@ -27,7 +26,7 @@ EVENTS: Mapping[str, tuple[str, str]] = {
     "go on": ("stage", "The operator ended the pause."),
     "abort": ("stage", "The operator ended the run at a prompt."),
 }
-"""Event to its further keys and its meaning; beside these one of :class:`rig.sequencer.Ending` ends a recording."""
+"""Event to its further keys and its meaning; beside these one of :class:`rig.runs.run_record.Ending` ends it."""
 ATTACHMENTS = (
     (
         BENCH_ATTACHMENT,
@@ -66,7 +65,7 @@ def page() -> str:
     """Return the page."""
     known = meanings(Sample)
     if lacking := [name for name in Sample._fields if name not in known]:
-        raise KeyError(f"rig.sample.Sample: no description of {', '.join(lacking)}")
+        raise KeyError(f"rig.common.sample.Sample: no description of {', '.join(lacking)}")
     samples = [
         (str(number), f"`{name}`", known[name].unit, known[name].text)
         for number, name in enumerate(Sample._fields, start=1)

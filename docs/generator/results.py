@@ -15,63 +15,63 @@ from keys import table
 
 from drivers.interfaces import Identity, ServoLimits
 from identification.result import MeasuredNoise
-from rig.descriptions import meanings
-from rig.inject import Finding
-from rig.predicted_load import PredictedPeak
-from rig.readings import Readings
-from rig.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
+from rig.config.descriptions import meanings
+from rig.control.readings import Readings
+from rig.fault_injection.inject import Finding
+from rig.planning.predicted_load import PredictedPeak
+from rig.runs.run_record import PartRecord, RunRecord, SegmentRecord, StageRecord
 
 TABLE = Path(__file__).with_suffix(".txt")
 _PROVENANCE = "Every result file"
 WRITERS: Mapping[str, tuple[str, ...]] = {
-    _PROVENANCE: ("rig.results:Provenance.record",),
+    _PROVENANCE: ("rig.common.result_files:Provenance.record",),
     "rig identify: identify.json": (
-        "rig.results:identification_record",
-        "rig.results:parameter_record",
-        "rig.results:fit_record",
-        "rig.results:_stage_record",
-        "rig.results:_history_record",
-        "rig.uncertainty_output:uncertainty_record",
-        "rig.ladder_output:ladder_record",
-        "rig.transfer_output:transfer_record",
-        "rig.transfer_output:_moved_record",
-        "rig.comparison_table:comparison_record",
+        "rig.common.result_files:identification_record",
+        "rig.common.result_files:parameter_record",
+        "rig.common.result_files:fit_record",
+        "rig.common.result_files:_stage_record",
+        "rig.common.result_files:_history_record",
+        "rig.results.uncertainty:uncertainty_record",
+        "rig.results.identify.ladder:ladder_record",
+        "rig.results.identify.transfer:transfer_record",
+        "rig.results.identify.transfer:_moved_record",
+        "rig.results.comparison_table:comparison_record",
     ),
-    "rig identify --plan: plan file": ("rig.experiment_output:_record", "rig.experiment_output:_pinned_record"),
+    "rig identify --plan: plan file": ("rig.results.design.output:_record", "rig.results.design.output:_pinned_record"),
     "rig diagnose: diagnose.json": (
-        "rig.diagnose_record:diagnosis_record",
-        "rig.diagnose_record:effects_record",
-        "rig.diagnose_record:_effect_record",
-        "rig.diagnose_record:_estimate_record",
-        "rig.diagnose_record:_location_record",
-        "rig.diagnose_record:_fit_record",
-        "rig.diagnose_record:_curve_record",
-        "rig.diagnose_record:_step_record",
+        "rig.results.diagnose.record:diagnosis_record",
+        "rig.results.diagnose.record:effects_record",
+        "rig.results.diagnose.record:_effect_record",
+        "rig.results.diagnose.record:_estimate_record",
+        "rig.results.diagnose.record:_location_record",
+        "rig.results.diagnose.record:_fit_record",
+        "rig.results.diagnose.record:_curve_record",
+        "rig.results.diagnose.record:_step_record",
     ),
     "rig simulate: simulate.json": (
-        "rig.simulate_output:record",
-        "rig.simulate_output:_case_record",
-        "rig.simulate_output:_sums_record",
-        "rig.predict:error_record",
+        "rig.results.simulate.output:record",
+        "rig.results.simulate.output:_case_record",
+        "rig.results.simulate.output:_sums_record",
+        "rig.results.simulate.predict:error_record",
     ),
-    "rig check --json": ("rig.commands.check:examine", "rig.calibration:calibration_records"),
-    "rig run --dry-run --json": ("rig.dry_run:dry_run_record",),
-    "rig jog --json": ("rig.commands.jog:_record",),
+    "rig check --json": ("rig.cli.commands.check:examine", "rig.config.calibration:calibration_records"),
+    "rig run --dry-run --json": ("rig.results.run.dry_run:dry_run_record",),
+    "rig jog --json": ("rig.cli.commands.jog:_record",),
     "rig run --faults: faults.json": (),
-    "rig effects --json": ("rig.effects:effects_record", "rig.effects:_entry_record"),
-    "rig paper: paper.json": ("rig.paper_output:record", "rig.paper_figures.tables:_entry"),
+    "rig effects --json": ("rig.results.effects:effects_record", "rig.results.effects:_entry_record"),
+    "rig paper: paper.json": ("rig.results.paper.output:record", "rig.results.paper.tables:_entry"),
     "rig prove: prove.json": (
-        "rig.prove.score:score",
-        "rig.prove.score:rate",
-        "rig.prove.score:_method",
-        "rig.prove.score:middle",
-        "rig.prove.score:power",
-        "rig.prove.row:row_of",
-        "rig.prove.row:_hits",
-        "rig.prove.row:_parameters",
-        "rig.prove.row:_nominal",
-        "rig.prove.row:_held_out",
-        "rig.prove.located:located",
+        "rig.results.prove.score:score",
+        "rig.results.prove.score:rate",
+        "rig.results.prove.score:_method",
+        "rig.results.prove.score:middle",
+        "rig.results.prove.score:power",
+        "rig.results.prove.row:row_of",
+        "rig.results.prove.row:_hits",
+        "rig.results.prove.row:_parameters",
+        "rig.results.prove.row:_nominal",
+        "rig.results.prove.row:_held_out",
+        "rig.results.prove.located:located",
     ),
 }
 """Section of the table to the functions whose dictionaries are written."""

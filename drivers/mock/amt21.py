@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Final
 
-from drivers.amt21 import COUNTS_PER_TURN, EXTENDED, RESET, SET_ZERO, TURNS, encode
-from drivers.amt21_line import DEFAULT_ADDRESS
+from drivers.amt21.encoder import COUNTS_PER_TURN, EXTENDED, RESET, SET_ZERO, TURNS, encode
+from drivers.amt21.line import DEFAULT_ADDRESS
 from drivers.clock import NS, SimulatedClock
 from drivers.mock.encoder import EXACT_COUNTS
 from drivers.mock.sampler import Sampler
@@ -15,7 +15,7 @@ RESTART_S: Final = 0.2
 
 
 class SimulatedAmt21:
-    """A multi-turn encoder; a :class:`~drivers.mock.serial_line.Station`. Deaf for 0.2 s after reset and zero.
+    """A multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`. Deaf for 0.2 s after reset and zero.
 
     Args:
         clock: Simulated time.

@@ -8,14 +8,14 @@ from typing import Final
 import numpy as np
 
 from drivers.clock import SimulatedClock
-from drivers.mock.bus import SimulatedBus
 from drivers.mock.drive import Rating, SimulatedDrive
 from drivers.mock.encoder import SimulatedEncoder
-from drivers.mock.plant import constants
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts import constants
 from drivers.mock.sampler import Sampler
-from drivers.mock.serial_line import SimulatedLine
 from drivers.mock.transmitter import SimulatedTransmitter
+from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.serial_line import SimulatedLine
 
 DRIVE_NODE: Final = 1
 ENCODER_NODE: Final = 2

@@ -8,12 +8,12 @@ import numpy as np
 
 from drivers.clock import SimulatedClock
 from drivers.mock.bench import ENCODER_NODE
-from drivers.mock.bus import SimulatedBus
 from drivers.mock.dbc_drive import DbcDrive
 from drivers.mock.encoder import SimulatedEncoder
-from drivers.mock.plant import constants
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts import constants
 from drivers.mock.sampler import Sampler
+from drivers.mock.wires.bus import SimulatedBus
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from pathlib import Path
 from typing import Final
 
 from drivers.clock import SimulatedClock
-from drivers.dbc_codec import crc8_j1850
-from drivers.mock.bus import SimulatedBus
+from drivers.dbc.codec import crc8_j1850
 from drivers.mock.drive import encoder_resolution
 from drivers.mock.plant.machine import Reading
 from drivers.mock.sampler import Sampler
-from drivers.mock.timer import Timer
+from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.timer import Timer
 
 DRIVE_DBC: Final = Path(__file__).with_name("dbc_drive.dbc")
 STOP, COMMAND, LIMITS = 0x010, 0x110, 0x120

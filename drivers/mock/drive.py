@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Final
 
 from drivers.clock import SimulatedClock
-from drivers.mock import dictionary as od
-from drivers.mock.bus import SimulatedBus
-from drivers.mock.dictionary import SdoAbortError, clamp_i16, key
-from drivers.mock.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
-from drivers.mock.plant import constants
+from drivers.mock.canopen import dictionary as od
+from drivers.mock.canopen.dictionary import SdoAbortError, clamp_i16, key
+from drivers.mock.canopen.node import COMMUNICATION, PROFILE, Nmt, SimulatedNode
 from drivers.mock.plant.machine import Reading
+from drivers.mock.plant.parts import constants
 from drivers.mock.power_state import FAULT_RESET, POWERED, TRANSITIONS, Command, State, command
 from drivers.mock.sampler import Sampler
-from drivers.mock.timer import Timer
+from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.timer import Timer
 
 DRIVE_EDS: Final = Path(__file__).with_name("drive.eds")
 FOLLOWING_ERROR: Final = 0x8611

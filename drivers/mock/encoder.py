@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Final
 
 from drivers.clock import NS, SimulatedClock
-from drivers.mock.bus import SimulatedBus
-from drivers.mock.dictionary import clamp_i16, key
-from drivers.mock.node import SimulatedNode
+from drivers.mock.canopen.dictionary import clamp_i16, key
+from drivers.mock.canopen.node import SimulatedNode
 from drivers.mock.sampler import Sampler
+from drivers.mock.wires.bus import SimulatedBus
 
 ENCODER_EDS: Final = Path(__file__).with_name("encoder.eds")
 EXACT_COUNTS: Final = 1 << 22

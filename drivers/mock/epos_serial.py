@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from drivers.clock import SimulatedClock
-from drivers.epos_serial import (
+from drivers.epos.frames import (
     ERROR,
     LAST,
     NMT,
@@ -20,11 +20,11 @@ from drivers.epos_serial import (
     encode,
     segment,
 )
-from drivers.mock.bus import SimulatedBus
-from drivers.mock.dictionary import WRONG_LENGTH, SdoAbortError
+from drivers.mock.canopen.dictionary import WRONG_LENGTH, SdoAbortError
 from drivers.mock.drive import SimulatedDrive
 from drivers.mock.power_state import POWERED, State
-from drivers.mock.timer import Timer
+from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.timer import Timer
 
 UNKNOWN_COMMAND: Final = 0x0F00FFBF
 WRONG_NODE: Final = 0x0F00FFB9
@@ -39,7 +39,7 @@ _SEGMENT: Final = struct.Struct("BB")
 
 
 class SimulatedEposPort:
-    """Answers requests out of the drive's dictionary; a :class:`~drivers.mock.serial_line.Station`.
+    """Answers requests out of the drive's dictionary; a :class:`~drivers.mock.wires.serial_line.Station`.
 
     Without SYNC a target acts when it is written, values are those of the instant at which they are read, and the drive
     watches its following error by itself every millisecond. Current and voltage are means from one reading of the

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.clock import SimulatedClock
-from drivers.mock.bus import SimulatedBus
+from drivers.mock.wires.bus import SimulatedBus
 
 FOR_GOOD: Final = 0
 """Count of a fault that never ends."""

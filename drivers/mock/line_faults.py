@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Final
 
 from drivers.clock import SimulatedClock
-from drivers.epos_serial import DLE, ERROR, Opcode, encode
+from drivers.epos.frames import DLE, ERROR, Opcode, encode
 from drivers.mock.faults import GENERAL_ERROR
-from drivers.mock.serial_line import SimulatedLine
+from drivers.mock.wires.serial_line import SimulatedLine
 
 _BROKEN_STUFFING: Final = bytes([DLE, 0x01])
 _HEAD: Final = 4

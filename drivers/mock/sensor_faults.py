@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol
 
-from drivers.mock.dictionary import key
+from drivers.mock.canopen.dictionary import key
 from drivers.mock.drive import SimulatedDrive
 
 _MODE_DISPLAY = key(0x6061)

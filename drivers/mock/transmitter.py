@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.clock import SimulatedClock
-from drivers.mock.bus import SimulatedBus
-from drivers.mock.dictionary import key
-from drivers.mock.node import SimulatedNode
-from drivers.mock.plant.constants import Transmitter
+from drivers.mock.canopen.dictionary import key
+from drivers.mock.canopen.node import SimulatedNode
+from drivers.mock.plant.parts.constants import Transmitter
 from drivers.mock.sampler import Sampler
+from drivers.mock.wires.bus import SimulatedBus
 
 TRANSMITTER_EDS: Final = Path(__file__).with_name("transmitter.eds")
 PRESSURE_UNIT_PA: Final = 100.0

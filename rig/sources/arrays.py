@@ -14,7 +14,7 @@ import numpy as np
 import scipy.io
 
 from identification.recording import Array
-from rig.errors import InputError
+from rig.common.errors import InputError
 from rig.sources.mat_elements import check_elements
 from rig.sources.table import Table, damaged, open_binary
 

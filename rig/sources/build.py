@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from identification.recording import Array, Bench, Recording
-from rig.alignment import aligned
-from rig.campaign import ANGLE_TIME, Campaign, ChannelSection, RecordingSection
-from rig.configuration import Document, Loc, nearest
-from rig.errors import InputError
-from rig.provenance import sha256_file
+from rig.common.errors import InputError
+from rig.common.provenance import sha256_file
+from rig.config.campaign import ANGLE_TIME, Campaign, ChannelSection, RecordingSection
+from rig.config.configuration import Document, Loc, nearest
+from rig.runs.alignment import aligned
 from rig.sources.formats import open_table
 from rig.sources.plausible import gear_finding, sign_errors, unit_hints, value_errors
 from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_missing

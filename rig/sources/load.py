@@ -10,14 +10,14 @@ from glob import glob, has_magic
 from pathlib import Path
 
 from identification.recording import Dataset, Recording
-from rig.campaign import Campaign, RecordingSection, load_campaign
-from rig.configuration import Document, Loc
-from rig.errors import InputError
-from rig.input_files import is_file, is_folder
+from rig.common.errors import InputError
+from rig.common.input_files import is_file, is_folder
+from rig.common.text import stored_path
+from rig.config.campaign import Campaign, RecordingSection, load_campaign
+from rig.config.configuration import Document, Loc
 from rig.sources.build import build
 from rig.sources.formats import FORMATS
 from rig.sources.table import format_of
-from rig.text import stored_path
 
 
 def load_source(path: Path, *, partial: bool = False) -> Dataset:
@@ -33,7 +33,7 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
     _require_visible(path)
     if is_file(path / "run.json"):
         # Imported here because the run folder's reader is not needed for recordings made elsewhere.
-        from rig.run import load_run
+        from rig.runs.run import load_run
 
         return load_run(path, partial=partial)
     if is_folder(path):

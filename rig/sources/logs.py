@@ -13,7 +13,7 @@ from mcap.reader import make_reader
 from zstandard import ZstdError
 
 from identification.recording import Array
-from rig.errors import InputError
+from rig.common.errors import InputError
 from rig.sources.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"

@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from identification.recording import Array
-from rig.errors import InputError
+from rig.common.errors import InputError
 from rig.sources.table import Table, damaged, open_binary
 
 

@@ -10,7 +10,7 @@ from typing import IO, cast
 
 from drivers.plain_file import require_plain
 from identification.recording import Array
-from rig.errors import InputError
+from rig.common.errors import InputError
 
 
 class Table(ABC):

@@ -6,22 +6,22 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from drivers.can_port import PythonCanPort
-from drivers.cia406 import Cia406Encoder
+from drivers.can.port import PythonCanPort
+from drivers.canopen.cia406 import Cia406Encoder
 from drivers.clock import NS
-from drivers.dbc_bind import bind
-from drivers.dbc_channel import DbcChannel
-from drivers.dbc_file import read_dbc
-from drivers.dbc_limits import DbcDrive
-from drivers.dbc_link import DbcLink
-from drivers.dbc_map import DbcMap, Inputs, LimitMap, LimitSignals, Orders, Protection, Quantity, Status, StopFrame
-from drivers.dbc_servo import DbcServo
+from drivers.dbc.bind import bind
+from drivers.dbc.channel import DbcChannel
+from drivers.dbc.file import read_dbc
+from drivers.dbc.limits import DbcDrive
+from drivers.dbc.link import DbcLink
+from drivers.dbc.map import DbcMap, Inputs, LimitMap, LimitSignals, Orders, Protection, Quantity, Status, StopFrame
+from drivers.dbc.servo import DbcServo
 from drivers.interfaces import Identity, ServoLimits
 from drivers.mock.bench import ENCODER_NODE
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.dbc_drive import DRIVE_DBC
 from drivers.mock.encoder import ENCODER_EDS
-from drivers.mock.plant.constants import Machine
+from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales
 
 CYCLE_S = 0.001

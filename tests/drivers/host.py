@@ -7,16 +7,16 @@ from dataclasses import dataclass, field
 
 import can
 
-from drivers.can_port import PythonCanPort
-from drivers.canopen_link import CanopenLink
-from drivers.canopen_node import CanopenNode
-from drivers.cia402_servo import Cia402Servo
-from drivers.cia406 import Cia406Encoder
+from drivers.can.port import PythonCanPort
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import CanopenLink
+from drivers.canopen.node import CanopenNode
 from drivers.clock import NS
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS, EXACT_COUNTS
-from drivers.mock.plant.constants import Machine
+from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales, ServoScales
 
 CYCLE_S = 0.001

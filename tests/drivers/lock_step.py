@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 
 import can
 
-from drivers.can_port import PythonCanPort
+from drivers.can.port import PythonCanPort
 from drivers.clock import NS, SimulatedClock
 from drivers.interfaces import RawFrame
-from drivers.mock.pty import Ports
+from drivers.mock.wires.pty import Ports
 from drivers.serial_port import PySerialPort
 
 ON_THE_WAY_S = 10.0

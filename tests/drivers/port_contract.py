@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from drivers.can_port import FramePort
+from drivers.can.port import FramePort
 from drivers.serial_port import BytePort
 
 IDENTIFIER = 0x123

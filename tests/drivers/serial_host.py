@@ -8,27 +8,27 @@ from dataclasses import dataclass
 
 import can
 
-from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, Gate
-from drivers.amt21_line import Amt21Line
-from drivers.canopen_link import CanopenLink
-from drivers.cia402_servo import Cia402Servo
-from drivers.cia406 import Cia406Encoder
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Gate
+from drivers.amt21.line import Amt21Line
+from drivers.amt21.link import EncoderLink
+from drivers.can.slcan_port import SlcanPort
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, Clock
-from drivers.encoder_link import EncoderLink
-from drivers.epos_serial_link import EposSerialLink
-from drivers.epos_serial_node import EposSerialNode
+from drivers.epos.link import EposSerialLink
+from drivers.epos.node import EposSerialNode
 from drivers.interfaces import Encoder, Link
 from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, SimulatedBench, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.plant.constants import Machine, Sensing
-from drivers.mock.pty import Ports
-from drivers.mock.serial_line import SimulatedLine
-from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.plant.parts.constants import Machine, Sensing
+from drivers.mock.wires.pty import Ports
+from drivers.mock.wires.serial_line import SimulatedLine
+from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import BytePort
-from drivers.slcan_port import SlcanPort
 from drivers.units import EncoderScales
 
 from .contract import Rig

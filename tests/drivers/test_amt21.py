@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder, PlausibilityGate, decode, encode
-from drivers.amt21_line import Amt21Line
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, PlausibilityGate, decode, encode
+from drivers.amt21.line import Amt21Line
 from drivers.errors import ConfigurationError, LinkError
 from drivers.mock.amt21 import RESTART_S
 from drivers.units import EncoderScales

@@ -3,11 +3,11 @@ from __future__ import annotations
 import can
 import pytest
 
-from drivers.can_port import MAX_COLLECTED, PythonCanPort
-from drivers.can_timing import frame_bits
+from drivers.can.port import MAX_COLLECTED, PythonCanPort
+from drivers.can.timing import frame_bits
 from drivers.clock import SimulatedClock
 from drivers.interfaces import RawFrame
-from drivers.mock.bus import SimulatedBus
+from drivers.mock.wires.bus import SimulatedBus
 
 from .host import frame
 

@@ -10,8 +10,8 @@ from threading import Thread
 import can
 import pytest
 
-from drivers.can_port import ERROR_FLAG, EXTENDED_FLAG, MAX_COLLECTED, REMOTE_FLAG, SEND_LIMIT_S, PythonCanPort
-from drivers.canopen_link import CanopenLink
+from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, MAX_COLLECTED, REMOTE_FLAG, SEND_LIMIT_S, PythonCanPort
+from drivers.canopen.link import CanopenLink
 from drivers.clock import RealClock, SimulatedClock
 from drivers.errors import LinkError
 from drivers.mock.drive import DRIVE_EDS

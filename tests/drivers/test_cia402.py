@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import cia402
-from drivers.cia402 import Command, controlword, decode_state
+from drivers.canopen import cia402
+from drivers.canopen.cia402 import Command, controlword, decode_state
 from drivers.errors import StateError
 from drivers.interfaces import ServoState
 from drivers.mock.power_state import TRANSITIONS, State, command

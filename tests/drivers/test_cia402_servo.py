@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402_servo import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET, Cia402Servo
+from drivers.canopen.cia402_servo import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET, Cia402Servo
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import ConfigurationError, DriveFault, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc_bind import DbcMapError, bind, nearest
-from drivers.dbc_file import read_dbc
-from drivers.dbc_map import DbcMap, Protection, Quantity, Status, StopFrame
+from drivers.dbc.bind import DbcMapError, bind, nearest
+from drivers.dbc.file import read_dbc
+from drivers.dbc.map import DbcMap, Protection, Quantity, Status, StopFrame
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import DRIVE_DBC
 

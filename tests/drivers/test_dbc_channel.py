@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dbc_bind import bind
-from drivers.dbc_channel import DbcChannel
-from drivers.dbc_codec import crc8_j1850
-from drivers.dbc_file import read_dbc
+from drivers.dbc.bind import bind
+from drivers.dbc.channel import DbcChannel
+from drivers.dbc.codec import crc8_j1850
+from drivers.dbc.file import read_dbc
 from drivers.errors import DriveFault
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import DRIVE_DBC

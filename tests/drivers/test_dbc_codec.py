@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.dbc_codec import CHECKSUMS, crc8_autosar, crc8_j1850, sum8, xor8
-from drivers.dbc_file import Layout, read_dbc
+from drivers.dbc.codec import CHECKSUMS, crc8_autosar, crc8_j1850, sum8, xor8
+from drivers.dbc.file import Layout, read_dbc
 
 HEAD = 'VERSION ""\n\nNS_ :\n\nBS_:\n\nBU_: A B\n\n'
 

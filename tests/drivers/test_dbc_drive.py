@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from drivers.clock import NS, SimulatedClock
-from drivers.dbc_codec import crc8_j1850
-from drivers.mock.bus import SimulatedBus
+from drivers.dbc.codec import crc8_j1850
 from drivers.mock.dbc_drive import (
     COMMAND,
     COMMAND_LOST,
@@ -28,10 +27,11 @@ from drivers.mock.dbc_drive import (
     Order,
     State,
 )
-from drivers.mock.plant import loops
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts import loops
+from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.sampler import Sampler
+from drivers.mock.wires.bus import SimulatedBus
 
 DBC = cantools.database.load_file(DRIVE_DBC)
 

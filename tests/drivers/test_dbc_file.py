@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from drivers.dbc_file import read_dbc
+from drivers.dbc.file import read_dbc
 from drivers.errors import ConfigurationError
 from drivers.mock.dbc_drive import DRIVE_DBC
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc_bind import bind
-from drivers.dbc_file import read_dbc
-from drivers.dbc_link import DbcLink
+from drivers.dbc.bind import bind
+from drivers.dbc.file import read_dbc
+from drivers.dbc.link import DbcLink
 from drivers.errors import ConfigurationError, DriveFault, LinkError
 from drivers.mock.dbc_drive import DRIVE_DBC, State
 from drivers.mock.encoder import ENCODER_EDS

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.dbc_map import LimitMap, Protection, Quantity
+from drivers.dbc.map import LimitMap, Protection, Quantity
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
 from drivers.mock.dbc_drive import COMMAND_LOST, COMMISSIONED, FIRMWARE, POWERED, SERIAL_NUMBER, Order, State

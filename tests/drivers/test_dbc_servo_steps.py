@@ -10,8 +10,8 @@ from typing import Any
 import pytest
 
 from drivers.clock import NS, SimulatedClock
-from drivers.dbc_limits import DbcDrive
-from drivers.dbc_servo import DbcServo
+from drivers.dbc.limits import DbcDrive
+from drivers.dbc.servo import DbcServo
 from drivers.errors import ConfigurationError, DriveFault, LinkError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
 

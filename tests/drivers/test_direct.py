@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from drivers.mock.direct import record
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine
 
 from .host import CYCLE_S, enabled, make_host
 

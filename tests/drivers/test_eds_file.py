@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen_link import CanopenLink
-from drivers.cia402_servo import Cia402Servo
-from drivers.cia404 import Cia404Transmitter
-from drivers.cia406 import Cia406Encoder
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia404 import Cia404Transmitter
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.eds_file import read_eds
+from drivers.canopen.link import CanopenLink
 from drivers.clock import SimulatedClock
-from drivers.eds_file import read_eds
-from drivers.epos_serial_link import EposSerialLink
+from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS

@@ -5,17 +5,17 @@ from collections.abc import Iterator
 import pytest
 
 from drivers import servo_limits
-from drivers.cia402 import CONTROLWORD
+from drivers.canopen.cia402 import CONTROLWORD
 from drivers.clock import SimulatedClock
-from drivers.epos_serial import ERROR, FrameDecoder, Opcode, encode
-from drivers.epos_serial_link import EposSerialLink
+from drivers.epos.frames import ERROR, FrameDecoder, Opcode, encode
+from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.interfaces import ServoState
-from drivers.mock.dictionary import key
+from drivers.mock.canopen.dictionary import key
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.plant.machine import Reading
 from drivers.mock.power_state import State
-from drivers.mock.serial_line import SimulatedLine
+from drivers.mock.wires.serial_line import SimulatedLine
 
 from .serial_host import SerialHost, make_serial_host
 from .test_servo import LIMITS, assert_within

@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.epos_serial import DLE, Frame, FrameDecoder, Opcode, cycle_bits, encode
+from drivers.epos.frames import DLE, Frame, FrameDecoder, Opcode, cycle_bits, encode
 
 READ = bytes.fromhex("90 02 60 02 01 B0 30 00 2E 62")
 ANSWER = bytes.fromhex("90 02 00 04 00 00 00 00 01 90 90 00 00 9A 5C")

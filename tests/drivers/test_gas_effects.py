@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.mock.plant.constants import GasGenerator, Machine
 from drivers.mock.plant.effects.pack import GAS_KNOWN, KNOWN, effect_vector, problems
 from drivers.mock.plant.gas_direct import Burn, burn, steady_pressure, throat_area
 from drivers.mock.plant.gas_pack import HEAT_RATIO
+from drivers.mock.plant.parts.constants import GasGenerator, Machine
 
 Effects = Mapping[str, Mapping[str, float]]
 RHO_B, A_B, A, N, C_R, RT = 1630.0, 0.25 * math.pi * 0.35**2, 6.3e-3, 0.53, 1000.0, 432964.0

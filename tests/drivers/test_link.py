@@ -5,14 +5,14 @@ import struct
 import can
 import pytest
 
-from drivers import cia402_servo, cia406
-from drivers.can_timing import cycle_bits, frame_bits
-from drivers.canopen_link import CanopenLink
-from drivers.canopen_node import CanopenNode
+from drivers.can.timing import cycle_bits, frame_bits
+from drivers.canopen import cia402_servo, cia406
+from drivers.canopen.link import CanopenLink
+from drivers.canopen.node import CanopenNode
 from drivers.clock import SimulatedClock
 from drivers.errors import ConfigurationError, DriveFault, LinkError
-from drivers.mock.bus import SimulatedBus
 from drivers.mock.drive import DRIVE_EDS
+from drivers.mock.wires.bus import SimulatedBus
 from drivers.objects import PdoLayout
 
 from .host import Host, enabled, frame, prepared

@@ -15,19 +15,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drivers import serial_port
-from drivers.amt21 import COUNTS_PER_TURN, Amt21Encoder
-from drivers.amt21_line import Amt21Line
-from drivers.can_port import PythonCanPort
-from drivers.canopen_link import CanopenLink
-from drivers.cia402_servo import Cia402Servo
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder
+from drivers.amt21.line import Amt21Line
+from drivers.amt21.link import EncoderLink
+from drivers.can.port import PythonCanPort
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, Clock, SimulatedClock
-from drivers.dbc_bind import bind
-from drivers.dbc_file import read_dbc
-from drivers.dbc_link import DbcLink
-from drivers.dbc_servo import DbcServo
-from drivers.encoder_link import EncoderLink
-from drivers.epos_serial import Opcode, encode
-from drivers.epos_serial_link import EposSerialLink
+from drivers.dbc.bind import bind
+from drivers.dbc.file import read_dbc
+from drivers.dbc.link import DbcLink
+from drivers.dbc.servo import DbcServo
+from drivers.epos.frames import Opcode, encode
+from drivers.epos.link import EposSerialLink
 from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Link, RawFrame, Servo
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
@@ -35,8 +35,8 @@ from drivers.mock.dbc_bench import simulated_dbc_bench
 from drivers.mock.dbc_drive import DRIVE_DBC
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.plant.constants import Machine
-from drivers.mock.serial_line import SimulatedLine
+from drivers.mock.plant.parts.constants import Machine
+from drivers.mock.wires.serial_line import SimulatedLine
 from drivers.serial_port import InheritedPort
 from drivers.units import EncoderScales
 

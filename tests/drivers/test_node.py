@@ -7,7 +7,7 @@ import struct
 import pytest
 
 from drivers.errors import ObjectAccessError
-from drivers.mock.node import Nmt
+from drivers.mock.canopen.node import Nmt
 
 from .host import Host, frame
 

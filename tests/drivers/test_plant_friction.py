@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import integrate
 
-from drivers.mock.plant.constants import Joint, Machine, Sensing
-from drivers.mock.plant.friction import friction, step_velocity
 from drivers.mock.plant.machine import SimulatedMachine, friction_vector
+from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
+from drivers.mock.plant.parts.friction import friction, step_velocity
 
 JOINT = Joint()
 STEP_S = 25e-6

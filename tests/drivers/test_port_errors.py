@@ -58,6 +58,6 @@ def test_everything_is_closed_before_the_program_ends() -> None:
 
 
 def test_a_traceback_inside_a_message_is_left_out() -> None:
-    error = OSError("Failed to receive: bad byte\nTraceback (most recent call last):\n  File x")
+    error = OSError("Failed to receive: bad byte  Traceback (most recent call last):\n  File x")
     assert words(error) == "Failed to receive: bad byte"
     assert words(ValueError("\n  second\n")) == "ValueError: second"

@@ -9,14 +9,14 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from drivers import slcan
-from drivers.can_port import PythonCanPort
+from drivers.can import slcan
+from drivers.can.port import PythonCanPort
+from drivers.can.slcan_port import SlcanPort
 from drivers.clock import NS, RealClock, SimulatedClock
-from drivers.mock.bus import SimulatedBus
-from drivers.mock.serial_line import SimulatedLine
-from drivers.mock.slcan import LawicelAdapter
+from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.serial_line import SimulatedLine
+from drivers.mock.wires.slcan import LawicelAdapter
 from drivers.serial_port import InheritedPort, PySerialPort
-from drivers.slcan_port import SlcanPort
 
 from .host import frame
 from .port_contract import IDENTIFIER, BytePortContract, FarBus, FarLine, FramePortContract

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.mock.pty import Ports
+from drivers.mock.wires.pty import Ports
 
 
 class Echo:

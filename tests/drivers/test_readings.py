@@ -8,14 +8,14 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.cia404 import Cia404Transmitter
-from drivers.epos_serial import FrameDecoder, Opcode
+from drivers.canopen.cia404 import Cia404Transmitter
+from drivers.epos.frames import FrameDecoder, Opcode
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, ObjectAccessError
 from drivers.interfaces import Link, RawFrame, Servo, ServoLimits
-from drivers.mock import dictionary as od
 from drivers.mock.bench import SimulatedBench, simulated_bench
-from drivers.mock.dictionary import key
-from drivers.mock.plant.constants import Machine
+from drivers.mock.canopen import dictionary as od
+from drivers.mock.canopen.dictionary import key
+from drivers.mock.plant.parts.constants import Machine
 from drivers.mock.transmitter import TRANSMITTER_EDS
 from drivers.servo_limits import OBJECTS, decode, encode
 from drivers.units import EncoderScales, ServoScales

@@ -11,11 +11,11 @@ from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.canopen_sdo import PumpedSdoClient
+from drivers.canopen.sdo import PumpedSdoClient
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
-from drivers.mock.dictionary import DeviceDictionary
+from drivers.mock.canopen.dictionary import DeviceDictionary
+from drivers.mock.canopen.sdo_server import SdoServer
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.sdo_server import SdoServer
 
 from .host import Host, frame
 

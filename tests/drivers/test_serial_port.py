@@ -14,7 +14,7 @@ import pytest
 
 from drivers import serial_port
 from drivers.clock import RealClock
-from drivers.epos_serial_link import EposSerialLink
+from drivers.epos.link import EposSerialLink
 from drivers.errors import LinkError
 from drivers.mock.drive import DRIVE_EDS
 from drivers.serial_port import WRITE_LIMIT_S, InheritedPort, PySerialPort

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers import slcan
-from drivers.can_port import EXTENDED_FLAG, REMOTE_FLAG
-from drivers.canopen_link import CanopenLink
+from drivers.can import slcan
+from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG
+from drivers.can.slcan_port import SlcanPort, open_slcan
+from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, RealClock, SimulatedClock
 from drivers.errors import LinkError
 from drivers.mock.drive import DRIVE_EDS
-from drivers.mock.serial_line import SimulatedLine
-from drivers.slcan_port import SlcanPort, open_slcan
+from drivers.mock.wires.serial_line import SimulatedLine
 
 from .pty_line import Pty, pty_line
 

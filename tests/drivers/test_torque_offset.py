@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen_link import CanopenLink
-from drivers.cia402_servo import Cia402Servo
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.link import CanopenLink
 from drivers.errors import ConfigurationError
 from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS, FOLLOWING_ERROR
-from drivers.mock.plant.constants import Machine
+from drivers.mock.plant.parts.constants import Machine
 
 from .dbc_host import make_dbc_host
 from .host import SCALES, Host, enabled, make_host, prepared

@@ -6,16 +6,16 @@ from collections.abc import Iterator
 
 import pytest
 
-from drivers.cia402_servo import Cia402Servo
+from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import NS, RealClock
-from drivers.epos_serial_link import EposSerialLink
+from drivers.epos.link import EposSerialLink
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.bench import DRIVE_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.pty import RealTimeBench
-from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import PySerialPort
 
 from .contract import Rig, ServoContract

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from drivers.mock.plant.parts.constants import Machine
 
 Array = NDArray[np.float64]
 

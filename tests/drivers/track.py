@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.mock.plant.constants import Machine, Sensing
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine, Sensing
 
 EXACT = Machine(sensing=Sensing(0, 0, 0.0))
 RATE_HZ = 20000.0

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-import drivers.mock.plant.kernel_cache
+import drivers.mock.plant.parts.kernel_cache
 import identification.numerics.kernel_cache
 from identification.numerics.kernel_cache import KernelCache, digest
 
@@ -40,7 +40,7 @@ def shifted(value):
 DIGESTS = """
 import importlib, pkgutil
 import drivers.mock.plant, identification
-from drivers.mock.plant import kernel_cache
+from drivers.mock.plant.parts import kernel_cache
 for package in (identification, drivers.mock.plant):
     for found in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
         for name, value in sorted(vars(importlib.import_module(found.name)).items()):
@@ -72,7 +72,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
 
 
 def test_the_two_copies_are_one() -> None:
-    first, second = identification.numerics.kernel_cache.__file__, drivers.mock.plant.kernel_cache.__file__
+    first, second = identification.numerics.kernel_cache.__file__, drivers.mock.plant.parts.kernel_cache.__file__
     assert first != second
     assert Path(first).read_text(encoding="utf-8") == Path(second).read_text(encoding="utf-8")
 

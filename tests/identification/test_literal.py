@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.constants import Joint, Loops, Machine, Motor, Sensing
 from drivers.mock.plant.direct import simulate
+from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
 from identification.estimate.default import identify
 from identification.recording import Array, Bench, Dataset, Recording
-from rig.truth import JOINT_FIELDS
+from rig.runs.truth import JOINT_FIELDS
 
 PAPER = Joint(inertia_kg_m2=0.000204)
 # Stiff enough to hold this tiny inertia on the falling branch, where friction loses up to 340 N m s/rad.

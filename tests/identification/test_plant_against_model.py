@@ -10,10 +10,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.constants import Joint, Machine
-from drivers.mock.plant.friction import friction
 from drivers.mock.plant.gas_direct import burn, throat_area
 from drivers.mock.plant.machine import friction_vector
+from drivers.mock.plant.parts.constants import Joint, Machine
+from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_kernel as kernel
 from identification.model.friction import friction as compiled_friction
 from identification.model.friction import load_coefficient, system_friction

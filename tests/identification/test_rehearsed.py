@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from drivers.mock.plant.constants import Joint, Machine, Sensing
+from drivers.mock.plant.parts.constants import Joint, Machine, Sensing
 from identification.estimate.default import identify
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.inertia.inertia_equation import Equation, least_variance

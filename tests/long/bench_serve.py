@@ -31,11 +31,11 @@ from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import SimulatedBench, simulated_bench
 from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.pty import Ports
-from drivers.mock.serial_line import Station
-from drivers.mock.slcan import LawicelAdapter, SocketcandServer
-from drivers.mock.timer import Timer
-from rig.bench import load_bench
+from drivers.mock.wires.pty import Ports
+from drivers.mock.wires.serial_line import Station
+from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.wires.timer import Timer
+from rig.config.bench import load_bench
 
 from .benches import TRANSPORTS
 

@@ -17,7 +17,7 @@ import yaml
 import drivers.mock
 from drivers.clock import NS
 from drivers.mock import dbc_drive
-from rig.packaged import resolve
+from rig.config.packaged import resolve
 
 TRANSPORTS: Mapping[str, str] = {
     "serial": "practical_serial",

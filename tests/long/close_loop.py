@@ -19,10 +19,10 @@ import numpy as np
 import yaml
 
 from identification.recording import Array
-from rig.cli import status
-from rig.model_bench import base_bench, model_bench
-from rig.model_file import model_of
-from rig.run import load_run
+from rig.cli.entry import status
+from rig.results.diagnose.model_bench import base_bench, model_bench
+from rig.results.diagnose.model_file import model_of
+from rig.runs.run import load_run
 
 SEQUENCE = """\
 sequence: 1

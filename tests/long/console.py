@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-RIG = ("-c", "from rig.cli import main; main()")
+RIG = ("-c", "from rig.cli.entry import main; main()")
 WITNESS = ("-m", "tests.long.witness")
 PROMPT = re.compile(r"Mass on the lever[^\r\n]*: ?$")
 STOP_KEY, START_KEY = b"\x13", b"\x11"

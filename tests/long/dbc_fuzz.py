@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.can_port import EXTENDED_FLAG, REMOTE_FLAG
+from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG
 from drivers.clock import SimulatedClock
-from drivers.dbc_codec import crc8_j1850
-from drivers.dbc_link import DbcLink
-from drivers.dbc_servo import DbcServo
+from drivers.dbc.codec import crc8_j1850
+from drivers.dbc.link import DbcLink
+from drivers.dbc.servo import DbcServo
 from drivers.errors import DriveFault
 from drivers.interfaces import RawFrame
-from drivers.mock.bus import SimulatedBus
-from rig.bench import load_bench
-from rig.dbc import DbcServoSection, wire
+from drivers.mock.wires.bus import SimulatedBus
+from rig.config.bench import load_bench
+from rig.config.dbc import DbcServoSection, wire
 
 BATCH = 20
 LINK_FLAGS = (EXTENDED_FLAG, REMOTE_FLAG)

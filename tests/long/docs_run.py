@@ -88,7 +88,7 @@ def shim(folder: Path) -> dict[str, str]:
     script = folder / ".bin" / "rig"
     script.parent.mkdir()
     script.write_text(
-        f'#!/bin/sh\nPYTHONPATH="{ROOT}" exec "{sys.executable}" -c "from rig.cli import main; main()" "$@"\n',
+        f'#!/bin/sh\nPYTHONPATH="{ROOT}" exec "{sys.executable}" -c "from rig.cli.entry import main; main()" "$@"\n',
         encoding="utf-8",
     )
     script.chmod(0o755)

@@ -20,10 +20,10 @@ from typing import Any
 
 import yaml
 
-from rig.cli import status
-from rig.mcap_layout import decode_frames
-from rig.mcap_reader import Log, read_run
-from rig.recover import recover
+from rig.cli.entry import status
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import Log, read_run
+from rig.runs.recover import recover
 
 from .fault_cases import BRAKE_S, CASES, PHASES, STATES, Case, Must, Transport, fault
 from .fault_cases_dbc import DBC
@@ -103,7 +103,7 @@ def _run(arguments: list[str]) -> int:
 
 
 def _run_and_die(arguments: list[str], folder: Path) -> int:
-    code = "import sys; from rig.cli import status; sys.exit(status(sys.argv[1:]))"
+    code = "import sys; from rig.cli.entry import status; sys.exit(status(sys.argv[1:]))"
     return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, cwd=folder).returncode
 
 

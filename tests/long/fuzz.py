@@ -17,22 +17,24 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers import amt21, epos_serial, slcan
-from drivers.can_port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FramePort
-from drivers.canopen_link import CanopenLink
-from drivers.cia402_servo import Cia402Servo
-from drivers.cia406 import Cia406Encoder
+from drivers.amt21 import encoder as amt21
+from drivers.can import slcan
+from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, FramePort
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import CanopenLink
 from drivers.clock import NS, SimulatedClock
+from drivers.epos import frames as epos_serial
 from drivers.errors import DeviceError
 from drivers.interfaces import RawFrame
 from drivers.mock.bench import DRIVE_NODE, ENCODER_NODE, simulated_bench
 from drivers.mock.drive import DRIVE_EDS
 from drivers.mock.encoder import ENCODER_EDS
-from drivers.mock.plant.constants import Machine
+from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales, ServoScales
-from rig.mcap_reader import NotARecordingError, read_run
-from rig.recorder import open_recorder
-from rig.sample import Sample
+from rig.common.sample import Sample
+from rig.runs.mcap.reader import NotARecordingError, read_run
+from rig.runs.recorder import open_recorder
 
 BATCH = 50
 CYCLE_S = 0.001

@@ -19,8 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.guardian import REPORT_FILE
-from rig.recover import recover
+from rig.runs.recover import recover
+from rig.wiring.guardian import REPORT_FILE
 
 from .benches import Bench, bench_process
 from .fault_cases import PHASES
@@ -40,8 +40,8 @@ stages:
 """
 _CONTROLLER = """
 import dataclasses, os, signal, sys, threading, time
-import rig.commands.run as run
-from rig.cli import status
+import rig.cli.commands.run as run
+from rig.cli.entry import status
 
 where, after_s = sys.argv.pop(1), float(sys.argv.pop(1))
 names = {"load": "prompt", "release": "disable"}

@@ -23,11 +23,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from rig.errors import InputError
-from rig.mcap_layout import decode_frames
-from rig.mcap_reader import read_run
-from rig.recover import recover
-from rig.run_file import read_record
+from rig.common.errors import InputError
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import read_run
+from rig.runs.recover import recover
+from rig.runs.run_file import read_record
 
 from .benches import Bench, bench_process
 from .console import ROOT
@@ -50,7 +50,7 @@ stages:
   - {name: second, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 0.8,
      center_deg: 5, ramp_in_s: 0.2, ramp_out_s: 0.2, settle_s: 0.05}
 """
-CONTROLLER = "import sys; from rig.cli import status; sys.exit(status(sys.argv[1:]))"
+CONTROLLER = "import sys; from rig.cli.entry import status; sys.exit(status(sys.argv[1:]))"
 
 
 @dataclass

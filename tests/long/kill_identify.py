@@ -23,14 +23,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rig.bench import load_bench
-from rig.cli import status
-from rig.run import read_record
-from rig.tables import table
-from rig.truth import true_parameters
+from rig.cli.entry import status
+from rig.common.tables import table
+from rig.config.bench import load_bench
+from rig.runs.run import read_record
+from rig.runs.truth import true_parameters
 
 MISSES = 0.05
-_CONTROLLER = "import sys; from rig.cli import status; sys.exit(status(sys.argv[1:]))"
+_CONTROLLER = "import sys; from rig.cli.entry import status; sys.exit(status(sys.argv[1:]))"
 Parameters = dict[str, dict[str, Any]]
 
 

@@ -16,18 +16,18 @@ from .mutant_runner import Verdict, judge
 
 ROOT = Path(__file__).resolve().parents[2]
 TARGETS: Mapping[str, tuple[str, ...]] = {
-    "rig.phases": ("tests/rig/test_phases.py",),
-    "rig.teardown": ("tests/rig/test_teardown.py",),
-    "rig.safety": ("tests/rig/test_safety.py",),
-    "rig.drive_limits": ("tests/rig/test_drive_limits.py",),
-    "rig.stop_button": ("tests/rig/test_stop_button.py",),
-    "rig.timing": ("tests/rig/test_timing.py",),
-    "rig.cycle": ("tests/rig/test_cycle.py",),
-    "rig.guard": ("tests/rig/test_guard.py",),
-    "rig.guardian": ("tests/rig/test_guardian_process.py", "tests/rig/test_guardian.py"),
-    "drivers.cia402": ("tests/drivers/test_cia402.py",),
-    "drivers.cia402_servo": ("tests/drivers/test_cia402_servo.py",),
-    "drivers.dbc_servo": ("tests/drivers/test_dbc_servo_steps.py",),
+    "rig.control.phases": ("tests/rig/test_phases.py",),
+    "rig.wiring.teardown": ("tests/rig/test_teardown.py",),
+    "rig.control.safety": ("tests/rig/test_safety.py",),
+    "rig.wiring.drive_limits": ("tests/rig/test_drive_limits.py",),
+    "rig.terminal.stop_button": ("tests/rig/test_stop_button.py",),
+    "rig.common.timing": ("tests/rig/test_timing.py",),
+    "rig.control.cycle": ("tests/rig/test_cycle.py",),
+    "rig.wiring.guard": ("tests/rig/test_guard.py",),
+    "rig.wiring.guardian": ("tests/rig/test_guardian_process.py", "tests/rig/test_guardian.py"),
+    "drivers.canopen.cia402": ("tests/drivers/test_cia402.py",),
+    "drivers.canopen.cia402_servo": ("tests/drivers/test_cia402_servo.py",),
+    "drivers.dbc.servo": ("tests/drivers/test_dbc_servo_steps.py",),
 }
 """Module to the tests that guard it."""
 
@@ -38,27 +38,33 @@ _NOTHING_STAGED = "before a target is staged, the present and the previous one a
 _SIGN = "the sign is 1 or -1"
 _NO_WAIT = "a time that has passed already is waited for as long as none: not at all"
 ARGUED: Mapping[tuple[str, str], str] = {
-    ("drivers.cia402", "_BY_BITS: 112 -> 111"): _NO_SUCH_STATE,
-    ("drivers.cia402", "_BY_BITS: 112 -> 113"): _NO_SUCH_STATE,
-    **{("drivers.cia402_servo", f"Cia402Servo.__init__: 0 -> {other} (5)"): _NOTHING_STAGED for other in (1, -1)},
+    ("drivers.canopen.cia402", "_BY_BITS: 112 -> 111"): _NO_SUCH_STATE,
+    ("drivers.canopen.cia402", "_BY_BITS: 112 -> 113"): _NO_SUCH_STATE,
     **{
-        ("drivers.cia402_servo", f"Cia402Servo.sample: {value} * scales.sign -> {value} / scales.sign"): _SIGN
+        ("drivers.canopen.cia402_servo", f"Cia402Servo.__init__: 0 -> {other} (5)"): _NOTHING_STAGED
+        for other in (1, -1)
+    },
+    **{
+        ("drivers.canopen.cia402_servo", f"Cia402Servo.sample: {value} * scales.sign -> {value} / scales.sign"): _SIGN
         for value in (
             "current * scales.current_unit_A",
             "velocity * scales.joint_speed_unit_rad_s",
             "voltage * scales.voltage_unit_V",
         )
     },
-    ("rig.cycle", "Cycle._exchange: 0 -> -1"): "the later of two times counts, and no cycle starts before its time",
-    ("rig.guard", "_CHUNK: 4096 -> 4095"): _READ_ON,
-    ("rig.guard", "_CHUNK: 4096 -> 4097"): _READ_ON,
-    ("rig.guard", "Guard.__init__: b'' -> b'x'"): "what was heard before `ready` is dropped with it",
-    ("rig.guard", "Guard.feed: 0.0 -> -1.0"): _NO_WAIT,
-    ("rig.guard", "Guard.feed: 0.0 -> -1.0 (2)"): _NO_WAIT,
-    ("rig.guardian", "_CHUNK: 4096 -> 4095"): _READ_ON,
-    ("rig.guardian", "_CHUNK: 4096 -> 4097"): _READ_ON,
-    ("rig.safety", "check: angle < limits.angle_min -> angle <= limits.angle_min"): _OUTSIDE,
-    ("rig.safety", "check: supply < limits.supply_min -> supply <= limits.supply_min"): _OUTSIDE,
+    (
+        "rig.control.cycle",
+        "Cycle._exchange: 0 -> -1",
+    ): "the later of two times counts, and no cycle starts before its time",
+    ("rig.wiring.guard", "_CHUNK: 4096 -> 4095"): _READ_ON,
+    ("rig.wiring.guard", "_CHUNK: 4096 -> 4097"): _READ_ON,
+    ("rig.wiring.guard", "Guard.__init__: b'' -> b'x'"): "what was heard before `ready` is dropped with it",
+    ("rig.wiring.guard", "Guard.feed: 0.0 -> -1.0"): _NO_WAIT,
+    ("rig.wiring.guard", "Guard.feed: 0.0 -> -1.0 (2)"): _NO_WAIT,
+    ("rig.wiring.guardian", "_CHUNK: 4096 -> 4095"): _READ_ON,
+    ("rig.wiring.guardian", "_CHUNK: 4096 -> 4097"): _READ_ON,
+    ("rig.control.safety", "check: angle < limits.angle_min -> angle <= limits.angle_min"): _OUTSIDE,
+    ("rig.control.safety", "check: supply < limits.supply_min -> supply <= limits.supply_min"): _OUTSIDE,
 }
 """Living mutants that change nothing: (module, words) to why."""
 

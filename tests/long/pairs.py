@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rig.mcap_reader import read_run
+from rig.runs.mcap.reader import read_run
 
 from .benches import TRANSPORTS, Bench, bench_process
 from .console import Console, Streams, unwrapped

@@ -11,11 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from drivers.clock import NS
-from rig.errors import InputError
-from rig.guardian import REPORT_FILE
-from rig.mcap_layout import decode_frames
-from rig.mcap_reader import read_run
-from rig.recover import recover
+from rig.common.errors import InputError
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import read_run
+from rig.runs.recover import recover
+from rig.wiring.guardian import REPORT_FILE
 
 from .benches import Account, Bench
 from .console import Console, unwrapped

@@ -24,7 +24,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from drivers.clock import NS
-from rig.guardian import REPORT_FILE
+from rig.wiring.guardian import REPORT_FILE
 
 from .benches import TRANSPORTS, Account, Bench, bench_process
 from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams
@@ -35,6 +35,8 @@ from .process_page import Cell, Cells, said, tables, write
 PATIENCE_S = 15.0
 START_S = 40.0
 STALLED_S = 1.0
+SECOND_S = 0.15
+"""How long a run is held at its end for a second program to ask for its bench, s; less than any watchdog."""
 REPEATS = 4
 _READ_ONLY = ("unshare", "-m", "sh", "-c", 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"')
 _stopping = threading.Event()
@@ -161,6 +163,9 @@ def reach(scene: Scene) -> None:
 def aftermath(scene: Scene, ns: int) -> None:
     """Do what the operator does after that, until the run has ended or should have."""
     console, column = scene.console, scene.column
+    if scene.second is not None and scene.phase == "disable":
+        # A run that is over gives its bench to whoever asks next: it must still be there when the second one asks.
+        scene.second.until(lambda: scene.second is None or scene.second.ended, SECOND_S)
     if scene.phase != START and not PHASES[scene.phase][2]:
         console.open_gate()
     if scene.second is not None:

@@ -23,13 +23,13 @@ import time
 from pathlib import Path
 from typing import Any
 
-from rig.bench import load_bench
-from rig.cli import status
-from rig.packaged import resolve
-from rig.run_file import read_record
-from rig.tables import number, table
-from rig.timing import summary
-from rig.truth import true_parameters
+from rig.cli.entry import status
+from rig.common.tables import number, table
+from rig.common.timing import summary
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.runs.run_file import read_record
+from rig.runs.truth import true_parameters
 
 from .benches import Bench, bench_process
 from .kill import ended, start

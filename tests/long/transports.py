@@ -25,19 +25,19 @@ from unittest.mock import patch
 
 import can
 
-from drivers.canopen_link import CanopenLink
+from drivers.can.slcan_port import SlcanPort
+from drivers.canopen.link import CanopenLink
 from drivers.mock.bench import SimulatedBench
-from drivers.mock.pty import Ports
-from drivers.mock.serial_line import Station
-from drivers.mock.slcan import LawicelAdapter, SocketcandServer
+from drivers.mock.wires.pty import Ports
+from drivers.mock.wires.serial_line import Station
+from drivers.mock.wires.slcan import LawicelAdapter, SocketcandServer
 from drivers.serial_port import BytePort
-from drivers.slcan_port import SlcanPort
-from rig import connect, serial_bus
-from rig.bench import load_bench
-from rig.cli import status
-from rig.packaged import resolve
-from rig.tables import number, table
-from rig.truth import true_parameters
+from rig.cli.entry import status
+from rig.common.tables import number, table
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.runs.truth import true_parameters
+from rig.wiring import connect, serial_devices
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "drivers"))
 from lock_step import LockStep, LockStepCan, LockStepSerial, count_socketcand, served_meanwhile
@@ -63,7 +63,7 @@ def wired(transport: str) -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         stack.callback(ports.close)
         if transport == "EPOS serial, AMT21":
-            stack.enter_context(patch.object(serial_bus, "_simulated", _over_ptys(ports)))
+            stack.enter_context(patch.object(serial_devices, "_simulated", _over_ptys(ports)))
         elif transport in LINES:
             over = _over_slcan(ports) if transport == "slcan on a pty" else _over_socketcand(ports)
             stack.enter_context(patch.object(connect, "_link", over))

@@ -18,10 +18,10 @@ from unittest import mock
 import numpy as np
 from numpy.typing import NDArray
 
-from rig.cli import status
-from rig.operator import AutomaticOperator
-from rig.run import read_record
-from rig.tables import table
+from rig.cli.entry import status
+from rig.common.tables import table
+from rig.control.operator import AutomaticOperator
+from rig.runs.run import read_record
 
 STAGE = """\
 sequence: 1

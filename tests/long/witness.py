@@ -37,7 +37,7 @@ def wait_at_gate(place: str, seconds: float) -> None:
 
 def observed() -> None:
     """Have every run and resumption of this process told on."""
-    session: Any = import_module("rig.session")
+    session: Any = import_module("rig.control.session")
     plain = session.Sequencer
 
     def observe(stage: str, phase: Any) -> None:
@@ -81,16 +81,16 @@ def held_call(module: str, name: str, place: str) -> None:
 WATCHED: Mapping[str, Callable[[], None]] = {
     "run": observed,
     "resume": observed,
-    "jog": lambda: held("rig.commands.jog", "connected", "connected"),
-    "check": lambda: held("rig.commands.check", "connect", "connected"),
-    "recover": lambda: held_call("rig.recover", "read_log", "reading"),
+    "jog": lambda: held("rig.cli.commands.jog", "connected", "connected"),
+    "check": lambda: held("rig.cli.commands.check", "connect", "connected"),
+    "recover": lambda: held_call("rig.runs.recover", "read_log", "reading"),
 }
 """Command to what of it is told."""
 
 
 def main() -> None:
     """Be `rig`; where asked to, only once the harness says so, with everything imported beforehand."""
-    from rig import cli
+    from rig.cli import entry as cli
 
     WATCHED.get(sys.argv[1], lambda: None)()
     if "WITNESS_READY" in os.environ:

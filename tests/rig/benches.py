@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from rig.packaged import resolve
+from rig.config.packaged import resolve
 
 
 def variant(folder: Path, *changes: tuple[str, str], source: str = "practical") -> Path:

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Mapping
 from pathlib import Path
 
-ENTRY = "from rig.cli import main; main()"
+ENTRY = "from rig.cli.entry import main; main()"
 
 
 def rig(

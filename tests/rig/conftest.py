@@ -23,16 +23,16 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
-from rig.bench import load_bench
-from rig.configuration import Document, load_located
-from rig.cycle import Devices
-from rig.operator import AutomaticOperator
-from rig.plan import Plan, make_plan
-from rig.run import RunFolder
-from rig.sequence import Sequence
-from rig.sequencer import Outcome
-from rig.session import Inputs, execute
-from rig.stop_button import StopButton
+from rig.config.bench import load_bench
+from rig.config.configuration import Document, load_located
+from rig.config.sequence import Sequence
+from rig.control.operator import AutomaticOperator
+from rig.control.sequencer import Outcome
+from rig.control.session import Inputs, execute
+from rig.planning.plan import Plan, make_plan
+from rig.runs.run import RunFolder
+from rig.terminal.stop_button import StopButton
+from rig.wiring.devices import Devices
 
 GEAR = 100.0
 STATUSWORDS = {

@@ -13,7 +13,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from rig.locks import Lock, Resource, hold_bench, hold_folder, inherited
+from rig.common.locks import Lock, Resource, hold_bench, hold_folder, inherited
 
 PART = Resource("/dev/ttyX", "port /dev/ttyX")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import threading
 
-from rig.prove.pool import each
+from rig.results.prove.pool import each
 
 
 def hang(fifo: str) -> None:

@@ -19,10 +19,10 @@ import drivers.mock
 from drivers.mock.amt21 import SimulatedAmt21
 from drivers.mock.bench import simulated_bench
 from drivers.mock.epos_serial import SimulatedEposPort
-from drivers.mock.pty import RealTimeBench
-from drivers.mock.slcan import LawicelAdapter
-from rig.bench import load_bench
-from rig.packaged import resolve
+from drivers.mock.wires.pty import RealTimeBench
+from drivers.mock.wires.slcan import LawicelAdapter
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
 
 PACKAGED = {"serial": "practical_serial", "slcan": "practical"}
 

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.direct import simulate
+from drivers.mock.plant.parts.constants import Machine
 from identification.estimate.default import identify, solve_stages
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Dataset, Model, Recording
-from rig.alignment import aligned, taken_at
-from rig.errors import InputError
+from rig.common.errors import InputError
+from rig.runs.alignment import aligned, taken_at
 from rig.sources import load_source
 
 from ..identification.practical import CURRENT_QUANTUM_A, DURATION_S, command

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC
-from rig.cli import BAD_INPUT, BAD_VERDICT, DEVICE_FAILED, DONE, status
-from rig.packaged import resolve
+from rig.cli.entry import BAD_INPUT, BAD_VERDICT, DEVICE_FAILED, DONE, status
+from rig.config.packaged import resolve
 
 from .ordinary import ordinary_user
 

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.campaign import load_campaign
-from rig.errors import InputError
+from rig.common.errors import InputError
+from rig.config.campaign import load_campaign
 
 CONTRACT = """\
 campaign: 1

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from rig.cli import COMMANDS
+from rig.cli.entry import COMMANDS
 
-CODE = "import sys; from rig.cli import main; main()"
+CODE = "import sys; from rig.cli.entry import main; main()"
 PAGE = Path(__file__).parents[2] / "docs" / "completion.md"
 
 
@@ -46,10 +46,10 @@ def test_commands_and_options_are_completed() -> None:
 
 def test_the_names_of_commands_are_completed_without_importing_them() -> None:
     code = (
-        "import sys, click\nfrom rig.cli import cli\n"
+        "import sys, click\nfrom rig.cli.entry import cli\n"
         "found = cli.shell_complete(click.Context(cli), '')\n"
         "print(*[item.value for item in found])\n"
-        "assert not [name for name in sys.modules if name.startswith('rig.commands.')]\n"
+        "assert not [name for name in sys.modules if name.startswith('rig.cli.commands.')]\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.stderr == ""

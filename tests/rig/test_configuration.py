@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import Field, PositiveFloat
 
-from rig.configuration import Schema, load, load_located
-from rig.errors import InputError
-from rig.yaml_tree import MAX_BYTES, DocumentError, parse
+from rig.common.errors import InputError
+from rig.common.yaml_tree import MAX_BYTES, DocumentError, parse
+from rig.config.configuration import Schema, load, load_located
 
 
 class Move(Schema):

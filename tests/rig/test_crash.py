@@ -10,18 +10,20 @@ from pathlib import Path
 
 import pytest
 
-from rig import cli, crash
-from rig.cli import BAD_INPUT, CRASHED, DEVICE_FAILED, STOPPED, status
-from rig.crash import drive_words, note_drive, noting_folder
-from rig.errors import InputError, StorageError
-from rig.run_record import RUN_FILE
-from rig.teardown import SafeState
+from rig.cli import crash
+from rig.cli import entry as cli
+from rig.cli.crash import drive_words, note_drive, noting_folder
+from rig.cli.entry import BAD_INPUT, CRASHED, DEVICE_FAILED, STOPPED, status
+from rig.common.errors import InputError, StorageError
+from rig.runs.run_record import RUN_FILE
+from rig.wiring.teardown import SafeState
 
 from .command import assert_in_words, rig
 
 OFF = "the drive is de-energised (read back: switch on disabled)"
 EFFECTS = """\
-from rig import cli, effects
+from rig.cli import entry as cli
+from rig.results import effects
 def broken(shown):
     {body}
 effects.overview = broken
@@ -56,7 +58,7 @@ def effects_raise(monkeypatch: pytest.MonkeyPatch) -> Raise:
         def overview(shown: object) -> str:
             raise error
 
-        monkeypatch.setattr("rig.effects.overview", overview)
+        monkeypatch.setattr("rig.results.effects.overview", overview)
 
     return arrange
 
@@ -275,7 +277,7 @@ def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
 
 
 def test_the_documents_list_every_status() -> None:
-    root = Path(cli.__file__).parent.parent
+    root = Path(cli.__file__).parents[2]
     page = (root / "docs" / "errors.md").read_text(encoding="utf-8")
     assert [line[2] for line in page.splitlines() if line.startswith("| ") and line[2].isdigit()] == list("012345")
     readme = (root / "README.md").read_text(encoding="utf-8")

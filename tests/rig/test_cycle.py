@@ -12,11 +12,13 @@ import pytest
 
 from drivers.clock import SimulatedClock
 from drivers.interfaces import EncoderSample, PressureSample, RawFrame, ServoSample
-from rig.cycle import Cycle, Devices, TripError
-from rig.errors import StorageError
-from rig.safety import Check, GasLimits, Limits, Trip
-from rig.sample import Sample
-from rig.stop_button import OperatorStopError, StopButton
+from rig.common.errors import StorageError
+from rig.common.sample import Sample
+from rig.control.cycle import Cycle, TripError
+from rig.control.safety import Check, Trip
+from rig.planning.limits import GasLimits, Limits
+from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.devices import Devices
 
 PERIOD_NS = 1_000_000
 ANSWER_NS = 400_000

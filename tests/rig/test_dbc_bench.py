@@ -9,15 +9,15 @@ from pathlib import Path
 import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC, SERIAL_NUMBER
-from rig.bench import load_bench
-from rig.cli import status
-from rig.connect import connect
-from rig.dbc import DbcServoSection
-from rig.errors import InputError
-from rig.mcap_layout import decode_frames
-from rig.mcap_reader import read_run
-from rig.packaged import resolve
-from rig.truth import truth_of
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.dbc import DbcServoSection
+from rig.config.packaged import resolve
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import read_run
+from rig.runs.truth import truth_of
+from rig.wiring.connect import connect
 
 SHORT = """\
 sequence: 1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from rig.descriptions import Meaning, meanings, summary, unit_of
+from rig.config.descriptions import Meaning, meanings, summary, unit_of
 
 
 class Parent:

@@ -12,14 +12,14 @@ import numpy as np
 import pytest
 from markupsafe import escape
 
-import rig.diagnose
+import rig.results.diagnose.diagnose
 from identification.corrected.model import CorrectedModel
 from identification.diagnosis.result import Diagnosis, Shift
 from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
-from rig.bench import load_bench
-from rig.cli import status
-from rig.diagnose import as_json, diagnose_source
+from rig.cli.entry import status
+from rig.config.bench import load_bench
+from rig.results.diagnose.diagnose import as_json, diagnose_source
 
 from .diagnoses import AMBIGUOUS, EACH, NAMED
 
@@ -66,7 +66,7 @@ def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], list[tuple[f
             calls.append((bandwidth_Hz, float(rng.random())))
             return diagnosis
 
-        monkeypatch.setattr(rig.diagnose, "diagnose", numerics)
+        monkeypatch.setattr(rig.results.diagnose.diagnose, "diagnose", numerics)
         return calls
 
     return arrange
@@ -235,7 +235,7 @@ def test_refined_values_take_the_place_of_the_search_s(
         taken_out.append(tuple(model.effects))
         return Identification("default", "rotary", 2.0, parameters, Fit("N m", bandwidth_Hz, 0.1, 0.01), (), ("hm",))
 
-    monkeypatch.setattr(rig.diagnose, "refit", refit)
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
     file = tmp_path / "found.json"
     arguments = ["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]
     assert status(arguments) == 0
@@ -278,8 +278,8 @@ def test_many_samples_are_refined_only_where_asked(
         raise RecordingError("no motion")
 
     found(PLAIN)
-    monkeypatch.setattr(rig.diagnose, "refit", refit)
-    monkeypatch.setattr(rig.diagnose, "REFINED_SAMPLES", 10)
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", 10)
     file = tmp_path / "found.json"
     assert status(["diagnose", str(campaign), *option, "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
     assert bool(asked) == refined
@@ -294,7 +294,7 @@ def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
         raise RecordingError("no motion")
 
     found(PLAIN)
-    monkeypatch.setattr(rig.diagnose, "refit", refit)
+    monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
     file = tmp_path / "found.json"
     assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
     record = json.loads(file.read_text())

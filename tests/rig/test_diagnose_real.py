@@ -14,7 +14,7 @@ from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.terms.memory import play
 from identification.recording import Dataset, Recording
-from rig.diagnose import as_json, diagnose_source
+from rig.results.diagnose.diagnose import as_json, diagnose_source
 from rig.sources import load_source
 
 PERIOD_SAMPLES = 6240

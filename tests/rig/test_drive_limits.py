@@ -12,8 +12,8 @@ from drivers.errors import ConfigurationError, LinkError
 from drivers.interfaces import LimitSteps, ServoLimits
 from drivers.servo_limits import decode, encode, steps
 from drivers.units import ServoScales
-from rig.drive_limits import compare, loosened, require_held, require_within_own, show
-from rig.sequencer import Ending
+from rig.runs.run_record import Ending
+from rig.wiring.drive_limits import compare, loosened, require_held, require_within_own, show
 
 WANTED = ServoLimits(-0.5, 0.6, 2.0, 60.0, 25.0, 0.03, 2, 35.0)
 

@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from identification.model.nominal import NOMINAL
-from rig.bench import load_bench
-from rig.cli import status
-from rig.dry_run import PROMPT_S
-from rig.errors import InputError
-from rig.friction_model import friction_model, of_another_bench
-from rig.run import bench_constants
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.planning.friction_model import friction_model, of_another_bench
+from rig.results.run.dry_run import PROMPT_S
+from rig.runs.run import bench_constants
 
 from .benches import variant
 

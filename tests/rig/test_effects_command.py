@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from identification.diagnosis.entries import ENTRIES
-from rig.catalogue import CATALOGUE, EFFECTS
-from rig.cli import status
+from rig.cli.entry import status
+from rig.config.catalogue import CATALOGUE, EFFECTS
 
 
 def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:

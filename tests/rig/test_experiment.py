@@ -15,10 +15,10 @@ from identification.design import propose, search
 from identification.design.excitation import Excitation, Ramps
 from identification.design.pinning import Pinned
 from identification.design.propose import Proposal
-from rig.cli import status
-from rig.experiment import Experiment, _with
-from rig.experiment_output import _advice, excitation_words
-from rig.sequence import StageSection, Tone, excitation
+from rig.cli.entry import status
+from rig.config.sequence import StageSection, Tone, excitation
+from rig.results.design.experiment import Experiment, _with
+from rig.results.design.output import _advice, excitation_words
 
 SEQUENCE = """\
 sequence: 1

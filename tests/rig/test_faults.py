@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.bench import load_bench
-from rig.cli import status
-from rig.errors import InputError
-from rig.faults import FAULTS, FaultRow, load_faults
-from rig.inject import ACTIONS
-from rig.mcap_reader import read_run
-from rig.packaged import resolve
-from rig.run import read_record
-from rig.scene import ACTIONS as BENCH_ACTIONS
-from rig.scene import impossible
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.faults import FAULTS, FaultRow, load_faults
+from rig.config.packaged import resolve
+from rig.fault_injection.inject import ACTIONS
+from rig.fault_injection.scene import ACTIONS as BENCH_ACTIONS
+from rig.fault_injection.scene import impossible
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import read_record
 
 from ..long import fault_matrix, fuzz
 

@@ -15,17 +15,24 @@ from drivers.mock.plant.machine import SimulatedMachine
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Recording
 from identification.tracking import track
-from rig.bench import load_bench
-from rig.cli import status
-from rig.errors import InputError
-from rig.feedforward import Compensator, Feedforward, Offsets, load_feedforward, require_torque_offset, stage_offsets
-from rig.mcap_layout import decode_frames
-from rig.mcap_reader import read_run
-from rig.packaged import resolve
-from rig.progress import RunProgress
-from rig.run import bench_constants, load_run, read_record
-from rig.sample import Sample
-from rig.sequencer import Ending
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.common.sample import Sample
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.control.progress import RunProgress
+from rig.planning.feedforward import (
+    Compensator,
+    Feedforward,
+    Offsets,
+    load_feedforward,
+    require_torque_offset,
+    stage_offsets,
+)
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import bench_constants, load_run, read_record
+from rig.runs.run_record import Ending
 
 CYCLE_S = 1e-3
 KNOWN = Feedforward(NOMINAL, 2.0, 0.095 * 10 * 9.80665, "known.json", "0" * 64)

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.bench import load_bench
-from rig.configuration import load_located
-from rig.errors import InputError
-from rig.mcap_reader import read_run
-from rig.plan import Plan, make_plan
-from rig.plan_text import describe
-from rig.sequence import Sequence, load_sequence
-from rig.sequencer import Ending
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.configuration import load_located
+from rig.config.sequence import Sequence, load_sequence
+from rig.planning.plan import Plan, make_plan
+from rig.planning.plan_text import describe
+from rig.runs.mcap.reader import read_run
+from rig.runs.run_record import Ending
 
 LOW = "first_pass: {amplitude: 0.1, duration_s: 0.4, limit_share: 0.5}\n"
 

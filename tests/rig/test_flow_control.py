@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure
 from identification.model.valve import throat_area
-from rig.flow import FlowController, FlowSection, FlowStep
-from rig.flow_control import LawState, Regulator, angle_for, control, make_law, pressure_for
-from rig.sample import Sample
+from rig.common.sample import Sample
+from rig.config.flow import FlowController, FlowSection, FlowStep
+from rig.planning.flow_control import LawState, Regulator, angle_for, control, make_law, pressure_for
 
 CYCLE_S = 1e-3
 LAW = make_law(FlowController(), CYCLE_S, math.radians(120.0))

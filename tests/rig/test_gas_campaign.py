@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 import yaml
 
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.gas_direct import burn
+from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.gas.constants import CONSTANTS
 from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
 from identification.recording import Dataset, RecordingError
-from rig.campaign import load_campaign
-from rig.cli import status
-from rig.diagnose import burning, without_torque
-from rig.errors import InputError
-from rig.gas_model_file import GAS_FILE
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.campaign import load_campaign
+from rig.results.diagnose.diagnose import burning, without_torque
+from rig.results.diagnose.gas_model_file import GAS_FILE
 from rig.sources.load import load_source
 
 TIME = np.arange(0.0, 6.0, 0.01)

@@ -13,11 +13,11 @@ import pytest
 
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
-from rig.cli import status
-from rig.go_on import NEW_RUN, NOT_READ_BACK, go_on_words
-from rig.run_file import read_record
-from rig.run_record import STAGE_ENDS, RunRecord
-from rig.safety import Check, remedy
+from rig.cli.entry import status
+from rig.control.safety import Check, remedy
+from rig.results.run.go_on import NEW_RUN, NOT_READ_BACK, go_on_words
+from rig.runs.run_file import read_record
+from rig.runs.run_record import STAGE_ENDS, RunRecord
 
 ONE = """\
 sequence: 1

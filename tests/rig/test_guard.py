@@ -16,8 +16,8 @@ import pytest
 
 from drivers.errors import LinkError
 from drivers.units import ServoScales
-from rig.guard import Guard
-from rig.guardian import READY, TOOK_OVER
+from rig.wiring.guard import Guard
+from rig.wiring.guardian import READY, TOOK_OVER
 
 DE_ENERGISED = b"the drive is de-energised (read back: switch on disabled)\n"
 NAME = "EPOS4 at /dev/some"
@@ -83,8 +83,8 @@ class Time:
 @pytest.fixture
 def time(monkeypatch: pytest.MonkeyPatch) -> Time:
     made = Time()
-    monkeypatch.setattr("rig.guard.time.monotonic_ns", lambda: made.now_ns)
-    monkeypatch.setattr("rig.guard.select.select", made.select)
+    monkeypatch.setattr("rig.wiring.guard.time.monotonic_ns", lambda: made.now_ns)
+    monkeypatch.setattr("rig.wiring.guard.select.select", made.select)
     return made
 
 
@@ -96,7 +96,7 @@ def guardian(monkeypatch: pytest.MonkeyPatch) -> Iterator[Guardian]:
         made.started.append((words, options))
         return made
 
-    monkeypatch.setattr("rig.guard.subprocess.Popen", start)
+    monkeypatch.setattr("rig.wiring.guard.subprocess.Popen", start)
     yield made
     for pipe in (made.stdin, made.stdout, made.hears, made.speaks):
         pipe.close()
@@ -114,7 +114,7 @@ class Port:
 
 @pytest.fixture
 def guard(guardian: Guardian, time: Time, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Guard:
-    monkeypatch.setattr("rig.guard.PySerialPort", Port)
+    monkeypatch.setattr("rig.wiring.guard.PySerialPort", Port)
     made = Guard("/dev/some", 1_000_000, 5, tmp_path / "drive.eds", SCALES)
     made.open_port()
     return made
@@ -129,7 +129,7 @@ def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(guard: 
     guard.keep([7, 9])
     guard.arm(0.2)
     [(words, options)] = guardian.started
-    assert words == [sys.executable, "-m", "rig.guardian", "33", "7", "9"]
+    assert words == [sys.executable, "-m", "rig.wiring.guardian", "33", "7", "9"]
     assert options == {
         "stdin": subprocess.PIPE,
         "stdout": subprocess.PIPE,

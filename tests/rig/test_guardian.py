@@ -17,8 +17,20 @@ from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from drivers.mock.line_faults import LineFaults
 from drivers.mock.power_state import State
-from rig.guardian import READY, REPORT_FILE, SILENCE_S, TOOK_OVER, Cause, Deed, Ward, report, stop, watch, words_of
-from rig.teardown import SafeState
+from rig.wiring.guardian import (
+    READY,
+    REPORT_FILE,
+    SILENCE_S,
+    TOOK_OVER,
+    Cause,
+    Deed,
+    Ward,
+    report,
+    stop,
+    watch,
+    words_of,
+)
+from rig.wiring.teardown import SafeState
 
 from ..drivers.serial_host import SerialHost, make_serial_host
 

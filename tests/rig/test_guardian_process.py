@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-import rig.guardian as guardian
+import rig.wiring.guardian as guardian
 from drivers.clock import RealClock, SimulatedClock
 from drivers.errors import LinkError
 from drivers.interfaces import ServoState
@@ -121,7 +121,9 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
     monkeypatch.setattr(guardian, "drive_on", drive_on)
     monkeypatch.setattr(guardian, "_wait", wait)
     monkeypatch.setattr(guardian, "_speak", lambda descriptor, words: did.append(("says", descriptor, words)))
-    monkeypatch.setattr("rig.guardian.signal.signal", lambda number, handler: made.signals.append((number, handler)))
+    monkeypatch.setattr(
+        "rig.wiring.guardian.signal.signal", lambda number, handler: made.signals.append((number, handler))
+    )
     yield made
     os.close(reading)
     if made.writing >= 0:
@@ -148,7 +150,7 @@ def test_it_goes_when_it_is_released(process: Process) -> None:
 
 def test_it_waits_for_the_drive_to_be_named(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
     lines = [b'{"drive":', b" " + json.dumps(DRIVE).encode() + b"}\n", b""]
-    monkeypatch.setattr("rig.guardian.os.read", lambda descriptor, most: lines.pop(0))
+    monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
     assert guardian.main() == 0
     assert process.did == STARTED
 
@@ -197,7 +199,7 @@ def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
 def test_after_a_takeover_it_stands_by_for_the_next_power(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
     process.silences = [1]
     lines = [json.dumps({"drive": DRIVE, "armed": True}).encode() + b"\n", b'\n{"armed": true}\n', b""]
-    monkeypatch.setattr("rig.guardian.os.read", lambda descriptor, most: lines.pop(0))
+    monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
     assert guardian.main() == 0
     assert process.waits == [0.2, None, 0.2]
     assert process.servo.stopped == 2
@@ -255,7 +257,7 @@ def test_it_waits_for_input_or_for_the_time(monkeypatch: pytest.MonkeyPatch) -> 
         asked.append(arguments)
         return ([arguments[0][0]] if len(asked) == 1 else [], [], [])
 
-    monkeypatch.setattr("rig.guardian.select.select", select)
+    monkeypatch.setattr("rig.wiring.guardian.select.select", select)
     assert guardian._wait(5, 0.25) is True
     assert guardian._wait(5, None) is False
     assert asked == [([5], [], [], 0.25), ([5], [], [], None)]

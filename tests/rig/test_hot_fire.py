@@ -16,25 +16,25 @@ from identification.contact_force import contact_force
 from identification.model.gas_generator import GasGenerator, equilibrium_pressure
 from identification.model.nominal import NOMINAL
 from identification.model.valve import throat_area
-from rig.bench import load_bench
-from rig.cli import status
-from rig.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
-from rig.errors import InputError
-from rig.label_check import comparable, off_label
-from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator
-from rig.packaged import resolve
-from rig.plan import make_plan
-from rig.plan_text import describe
-from rig.progress import RunProgress
-from rig.reference import Reference
-from rig.run import load_run, read_record
-from rig.safety import Check
-from rig.sequence import load_sequence
-from rig.sequencer import Ending
-from rig.session import Inputs, execute
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.config.sequence import load_sequence
+from rig.control.operator import AutomaticOperator
+from rig.control.progress import RunProgress
+from rig.control.safety import Check
+from rig.control.session import Inputs, execute
+from rig.planning.plan import make_plan
+from rig.planning.plan_text import describe
+from rig.planning.reference import Reference
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import load_run, read_record
+from rig.runs.run_record import Ending
 from rig.sources import load_source
-from rig.stop_button import StopButton
+from rig.terminal.stop_button import StopButton
+from rig.weighing.label_check import comparable, off_label
+from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, TRANSMITTER_EDS, connect, device_files
 
 STEPS = "{steps: [{at_s: 0, flow_kg_s: 1.8}, {at_s: 1.5, flow_kg_s: 1.2}], ramp_s: 0.2}"
 HOT = f"""\

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from identification.estimate.paper_method.paper import identify_paper
-from rig.cli import status
-from rig.identify import METHODS
+from rig.cli.entry import status
+from rig.results.identify.identify import METHODS
 
 RATE = 200.0
 CAMPAIGN = """\
@@ -74,7 +74,7 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 def test_compare(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rig.identify.COMPARED_SEEDS", 1)
+    monkeypatch.setattr("rig.results.identify.identify.COMPARED_SEEDS", 1)
     out = tmp_path / "out"
     assert status(["identify", str(campaign), "--compare", "--out", str(out)]) == 0
     printed = capsys.readouterr().out

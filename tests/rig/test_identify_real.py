@@ -13,7 +13,7 @@ from identification.estimate.ladder import climb
 from identification.estimate.transfer import transfer
 from identification.model.ladder import LADDER
 from identification.result import Identification
-from rig.simulate import simulate_source
+from rig.results.simulate.simulate import simulate_source
 from rig.sources import load_source
 
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"

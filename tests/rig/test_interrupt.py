@@ -12,19 +12,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from rig.mcap_reader import read_run
-from rig.run import read_record
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import read_record
 
 CHILD = """
 import dataclasses
 import sys
-import rig.plan
-import rig.sequencer
-from drivers.cia402_servo import Cia402Servo
-from rig.cli import status
-from rig.cycle import Cycle
+import rig.planning.plan
+import rig.control.sequencer
+from drivers.canopen.cia402_servo import Cia402Servo
+from rig.cli.entry import status
+from rig.control.cycle import Cycle
 
-next_phase, follow, quick_stop = rig.sequencer.next_phase, Cycle.follow, Cia402Servo.quick_stop
+next_phase, follow, quick_stop = rig.control.sequencer.next_phase, Cycle.follow, Cia402Servo.quick_stop
 
 def announce(phase, event):
     following = next_phase(phase, event)
@@ -40,10 +40,10 @@ def brake(self):
     print("braking", flush=True)
     sys.stdin.readline()
 
-limits = rig.plan._limits
+limits = rig.planning.plan._limits
 # A busy machine is late; the signals are on trial here.
-rig.plan._limits = lambda values, bench: dataclasses.replace(limits(values, bench), lateness=30.0)
-rig.sequencer.next_phase, Cycle.follow = announce, count
+rig.planning.plan._limits = lambda values, bench: dataclasses.replace(limits(values, bench), lateness=30.0)
+rig.control.sequencer.next_phase, Cycle.follow = announce, count
 if sys.argv.pop(1) == "hold":
     Cia402Servo.quick_stop = brake
 sys.exit(status(sys.argv[1:]))

@@ -14,12 +14,12 @@ import pytest
 
 from drivers.errors import LinkError
 from drivers.interfaces import ServoLimits
-from rig.bench import load_bench
-from rig.cli import status
-from rig.errors import InputError
-from rig.jog import move, plan_jog
-from rig.sequencer import Ending
-from rig.stop_button import StopButton
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.control.jog import move, plan_jog
+from rig.runs.run_record import Ending
+from rig.terminal.stop_button import StopButton
 
 BENCH = load_bench("practical").value
 

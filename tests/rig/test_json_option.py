@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from rig import places
-from rig.cli import status
+from rig.cli.entry import status
+from rig.common import places
 
 SEQUENCE = """\
 sequence: 1
@@ -51,7 +51,7 @@ def test_a_missing_folder_is_bad_input_before_anything_is_done(
     def connected(*arguments: Any) -> None:
         raise AssertionError("a bench was connected to")
 
-    for name in ("rig.attendance", "rig.commands.check"):
+    for name in ("rig.control.attendance", "rig.cli.commands.check"):
         monkeypatch.setattr(f"{name}.connect", connected)
     assert status([*command, "--json", "missing/x.json"]) == 2
     assert "missing/x.json: the folder missing does not exist" in capsys.readouterr().err

@@ -22,10 +22,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig import lock_holder, locks
-from rig.errors import InputError, InUseError, StorageError
-from rig.lock_holder import Holder
-from rig.locks import OWNER_FILE, Lock, Resource, file_name, hold_bench, hold_folder
+from rig.common import lock_holder, locks
+from rig.common.errors import InputError, InUseError, StorageError
+from rig.common.lock_holder import Holder
+from rig.common.locks import OWNER_FILE, Lock, Resource, file_name, hold_bench, hold_folder
 
 from .lock_child import PART
 
@@ -382,7 +382,7 @@ def test_releasing_never_raises(kind: str, tmp_path: Path) -> None:
 
 def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(kind: str, tmp_path: Path) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from rig.locks import Resource, hold_bench, hold_folder\n"
+        "import os, sys; from pathlib import Path; from rig.common.locks import Resource, hold_bench, hold_folder\n"
         "bench, folder = sys.argv[1] == 'bench', Path(sys.argv[2])\n"
         "os.closerange(0, 3)\n"
         "lock = hold_bench('b', [Resource('k', 'l')], 'rig', folder) if bench else hold_folder(folder, 'rig')\n"
@@ -491,8 +491,8 @@ def test_a_new_name_does_not_change_since_when(kind: str, tmp_path: Path, monkey
 CONTEND = """
 import os, sys
 from pathlib import Path
-from rig.errors import InUseError
-from rig.locks import hold_folder
+from rig.common.errors import InUseError
+from rig.common.locks import hold_folder
 folder, mark, rounds, clashes = Path(sys.argv[1]), Path(sys.argv[2]), 0, 0
 sys.stdin.readline()
 while rounds < 150:

@@ -11,12 +11,12 @@ import pytest
 import yaml
 
 from identification.recording import Bench as Constants
-from rig.bench import Bench, load_bench
-from rig.cli import status
-from rig.errors import InputError
-from rig.model_bench import base_bench, bench_text, model_bench
-from rig.model_file import model_of
-from rig.run import bench_constants, load_run
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import Bench, load_bench
+from rig.results.diagnose.model_bench import base_bench, bench_text, model_bench
+from rig.results.diagnose.model_file import model_of
+from rig.runs.run import bench_constants, load_run
 
 SEQUENCE = """\
 sequence: 1

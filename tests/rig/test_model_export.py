@@ -17,7 +17,7 @@ from identification.corrected.model import CorrectedModel
 from identification.diagnosis.entries import MOTION
 from identification.diagnosis.result import Curve
 from identification.recording import Bench, Recording
-from rig.model_export import python_text, yaml_text
+from rig.results.diagnose.model_export import python_text, yaml_text
 
 PARAMETERS = {
     "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052, "mu_s": 0.086,

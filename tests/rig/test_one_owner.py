@@ -14,23 +14,23 @@ from pathlib import Path
 
 import pytest
 
-from drivers.canopen_link import CanopenLink
+from drivers.canopen.link import CanopenLink
 from drivers.errors import LinkError
-from rig import connect as connect_module
-from rig import locks
-from rig.bench import load_bench
-from rig.cli import status
-from rig.connect import connect
-from rig.errors import InputError, InUseError
-from rig.locks import OWNER_FILE, Resource, hold_bench, hold_folder
-from rig.recover import recover
-from rig.resources import resources
-from rig.run import create_folder
-from rig.run_file import read_record
+from rig.cli.entry import status
+from rig.common import locks
+from rig.common.errors import InputError, InUseError
+from rig.common.locks import OWNER_FILE, Resource, hold_bench, hold_folder
+from rig.config.bench import load_bench
+from rig.runs.recover import recover
+from rig.runs.run import create_folder
+from rig.runs.run_file import read_record
+from rig.wiring import connect as connect_module
+from rig.wiring.connect import connect
+from rig.wiring.resources import resources
 
 from .pty_bench import PtyBench, pty_bench
 
-RIG = [sys.executable, "-c", "import sys; from rig.cli import main; main()"]
+RIG = [sys.executable, "-c", "import sys; from rig.cli.entry import main; main()"]
 MASS, ANGLE = "Mass on the lever", "Joint angle"
 """What the prompts begin with."""
 

@@ -12,14 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from rig.output import Inlet, Outlet, complain, reader_gone
+from rig.terminal.output import Inlet, Outlet, complain, reader_gone
 
 from .command import assert_in_words, rig
 
 ROWS = """\
 import click
 from pathlib import Path
-from rig import cli
+from rig.cli import entry as cli
 
 @click.command("rows")
 @click.argument("code", type=int)

@@ -7,10 +7,11 @@ from pathlib import Path
 import pytest
 
 from identification.recording import Dataset
-from rig import paper, paper_study
-from rig.cli import status
-from rig.paper import TABLE_1, TABLE_2
-from rig.paper_figures import valve
+from rig.cli.entry import status
+from rig.results.paper import parameters as paper
+from rig.results.paper import study as paper_study
+from rig.results.paper import valve
+from rig.results.paper.parameters import TABLE_1, TABLE_2
 
 
 @pytest.fixture(scope="module")

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from identification.model.nominal import NOMINAL
-from rig.feedforward import Feedforward
-from rig.packaged import resolve
-from rig.paper_figures import chosen, loop, ramp, sine, sweep, uniform, valve
-from rig.paper_figures.exhibit import Exhibit, columns, write_exhibits
+from rig.config.packaged import resolve
+from rig.planning.feedforward import Feedforward
+from rig.results.paper import chosen, loop, ramp, sine, sweep, uniform, valve
+from rig.results.paper.exhibit import Exhibit, columns, write_exhibits
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:

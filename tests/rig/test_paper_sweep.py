@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.mock.plant.constants import GasGenerator, Joint, Machine
-from rig.paper_sweep import PAPER_DEG_S, SLOW_DEG_S, sweep
+from drivers.mock.plant.parts.constants import GasGenerator, Joint, Machine
+from rig.results.paper.sweep_gains import PAPER_DEG_S, SLOW_DEG_S, sweep
 
 
 @pytest.mark.parametrize(("speed", "lag"), [(PAPER_DEG_S, (0.45, 0.60)), (SLOW_DEG_S, (0.02, 0.08))])

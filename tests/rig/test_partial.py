@@ -11,12 +11,12 @@ import pytest
 from scipy.io import loadmat
 
 from identification.recording import RecordingError
-from rig import identify
-from rig.cli import status
-from rig.errors import InputError
-from rig.mcap_reader import read_run
-from rig.partial import partial_names, partial_warnings, without_partial
-from rig.run import LEAST_SAMPLES, RunFolder, discard, load_run
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.results.identify import identify
+from rig.runs.mcap.reader import read_run
+from rig.runs.partial import partial_names, partial_warnings, without_partial
+from rig.runs.run import LEAST_SAMPLES, RunFolder, discard, load_run
 
 FIRST, SECOND = 600, 1200
 """A cycle well inside the first excitation of the short sequence, and one inside the second."""

@@ -6,7 +6,8 @@ import itertools
 
 import pytest
 
-from rig.phases import TRANSITIONS, Event, Phase, next_phase
+from rig.common.phase import Phase
+from rig.control.phases import TRANSITIONS, Event, next_phase
 
 TABLE = {
     ("load", "done"): "prepare",

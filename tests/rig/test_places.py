@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from rig.errors import InputError
-from rig.places import replacing, require_file, require_folder, write_json, write_text
+from rig.common.errors import InputError
+from rig.common.places import replacing, require_file, require_folder, write_json, write_text
 
 
 def names(folder: Path) -> list[str]:

@@ -8,9 +8,9 @@ import pytest
 
 from identification.design.pinning import NAMES
 from identification.model.nominal import NOMINAL
-from rig.errors import InputError
-from rig.planned_nominal import believed
-from rig.results import IDENTIFY_SCHEMA
+from rig.common.errors import InputError
+from rig.common.result_files import IDENTIFY_SCHEMA
+from rig.results.design.planned_nominal import believed
 
 
 def result(folder: Path) -> Path:

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import load_bench
-from rig.cli import status
-from rig.findings import Cause
-from rig.packaged import names
-from rig.plausibility import CONSTANTS, implausible
+from rig.cli.entry import status
+from rig.common.findings import Cause
+from rig.config.bench import load_bench
+from rig.config.packaged import names
+from rig.wiring.plausibility import CONSTANTS, implausible
 
 from .benches import variant
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from rig.prove.pool import each
+from rig.results.prove.pool import each
 
 PATIENCE_S = 60.0
 """Of the test, where workers never start or never end."""

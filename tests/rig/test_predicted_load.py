@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 
 from identification.model.nominal import NOMINAL
-from rig.bench import load_bench
-from rig.cli import status
-from rig.configuration import load_located
-from rig.friction_model import FrictionModel, friction_model
-from rig.plan import Plan, make_plan
-from rig.predicted_load import LOOP_S, PredictedPeak, moves_to_start, peak_torque, predicted_peaks
-from rig.run import bench_constants, load_run
-from rig.sequence import Array, Sequence, load_sequence
+from rig.cli.entry import status
+from rig.config.bench import load_bench
+from rig.config.configuration import load_located
+from rig.config.sequence import Array, Sequence, load_sequence
+from rig.planning.friction_model import FrictionModel, friction_model
+from rig.planning.plan import Plan, make_plan
+from rig.planning.predicted_load import LOOP_S, PredictedPeak, moves_to_start, peak_torque, predicted_peaks
+from rig.runs.run import bench_constants, load_run
 
 CYCLE_S = 1e-3
 PER_KG = 10 * 9.80665 * 0.095

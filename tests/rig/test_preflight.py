@@ -10,20 +10,20 @@ from typing import Any
 
 import pytest
 
-import rig.connect
+import rig.wiring.connect
 from drivers.interfaces import RawFrame, ServoLimits, ServoState
 from drivers.mock.bench import SimulatedBench, simulated_bench
-from drivers.mock.dictionary import key
-from rig.bench import load_bench
-from rig.cli import status
-from rig.connect import DRIVE_EDS, ENCODER_EDS, connect
-from rig.findings import Cause, Finding, refusals, verdict, warnings
-from rig.operator import AutomaticOperator, StopButton
-from rig.packaged import names
-from rig.preflight import bench_findings, device_findings
-from rig.provenance import utc_now
-from rig.sequencer import Ending
-from rig.session import execute
+from drivers.mock.canopen.dictionary import key
+from rig.cli.entry import status
+from rig.common.findings import Cause, Finding, refusals, verdict, warnings
+from rig.common.provenance import utc_now
+from rig.config.bench import load_bench
+from rig.config.packaged import names
+from rig.control.operator import AutomaticOperator, StopButton
+from rig.control.session import execute
+from rig.runs.run_record import Ending
+from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
+from rig.wiring.preflight import bench_findings, device_findings
 
 from .benches import variant
 
@@ -176,7 +176,7 @@ def tampered(monkeypatch: pytest.MonkeyPatch, tamper: Tamper) -> None:
         tamper(bench)
         return bench
 
-    monkeypatch.setattr(rig.connect, "simulated_bench", made)
+    monkeypatch.setattr(rig.wiring.connect, "simulated_bench", made)
 
 
 def rates(bench: SimulatedBench, index: int, value: int) -> None:
@@ -293,7 +293,7 @@ def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> Non
 
         return Context()
 
-    monkeypatch.setattr("rig.commands.check.connect", watched)
+    monkeypatch.setattr("rig.cli.commands.check.connect", watched)
     assert status(["check", name]) == 0
     assert powered == [False]
     can = [frame for frame in frames if frame.identifier < 0x800]

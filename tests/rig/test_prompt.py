@@ -12,10 +12,10 @@ from typing import Any
 import pytest
 
 from drivers.clock import SimulatedClock
-from rig.operator import ConsoleOperator, parse_mass_kg
-from rig.prompt import InputEndedError, Prompt
-from rig.screen import Screen
-from rig.stop_button import STOP_SIGNALS, OperatorStopError, StopButton
+from rig.control.operator import ConsoleOperator, parse_mass_kg
+from rig.terminal.prompt import InputEndedError, Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import STOP_SIGNALS, OperatorStopError, StopButton
 
 
 class Pipe:
@@ -100,7 +100,7 @@ class Impatient(SimulatedClock):
 
 def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("rig.prompt.select.select", lambda r, w, x, s: waits.append(s) or ([], [], []))
+    monkeypatch.setattr("rig.terminal.prompt.select.select", lambda r, w, x, s: waits.append(s) or ([], [], []))
     prompt = Prompt(silent(), pipe.stream, patience_s=60.0, clock=Impatient())
     with pytest.raises(OperatorStopError, match="nobody answered the prompt within 60 s; `rig resume` goes on"):
         prompt.ask("Mass: ")
@@ -119,7 +119,7 @@ def test_every_stop_signal_is_heard_at_the_prompt(pipe: Pipe, monkeypatch: pytes
             raise AssertionError("the signal was not heard")
         return [], writing, []
 
-    monkeypatch.setattr("rig.prompt.select.select", waiting)
+    monkeypatch.setattr("rig.terminal.prompt.select.select", waiting)
     operator = ConsoleOperator(silent(), Prompt(silent(), pipe.stream))
     before = signal.getsignal(number)
     with StopButton() as stop, pytest.raises(OperatorStopError, match="at the weight prompt"), stop.interruptible():

@@ -9,16 +9,16 @@ from typing import Any
 
 import pytest
 
-from rig.cli import status
-from rig.errors import InputError
-from rig.prove import run as proving
-from rig.prove.draw import assignment
-from rig.prove.family import FAMILIES
-from rig.prove.judge import Judgement
-from rig.prove.row import row_of
-from rig.prove.score import confusion, power, rate, score, worse
-from rig.prove.seal import unseal
-from rig.provenance import sha256
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.common.provenance import sha256
+from rig.results.prove import run as proving
+from rig.results.prove.draw import assignment
+from rig.results.prove.family import FAMILIES
+from rig.results.prove.judge import Judgement
+from rig.results.prove.row import row_of
+from rig.results.prove.score import confusion, power, rate, score, worse
+from rig.results.prove.seal import unseal
 
 SEED = 3
 
@@ -298,7 +298,7 @@ def test_a_proof_from_the_command_line(
         return clairvoyant(source, seed)
 
     monkeypatch.setattr(proving, "unseal", lambda path, digest: opened.append(path.name) or unseal(path, digest))
-    monkeypatch.setattr("rig.prove.judge.judge", judge)
+    monkeypatch.setattr("rig.results.prove.judge.judge", judge)
     out = tmp_path / "proof"
     arguments = ["prove", "--rigs", "3", "--seed", str(SEED), "--out", str(out), "--json", str(tmp_path / "p.json")]
     assert status(arguments) == 0

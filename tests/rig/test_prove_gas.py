@@ -13,13 +13,13 @@ import pytest
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.pack import problems
 from identification.diagnosis.entries import ENTRIES
-from rig.cli import status
-from rig.prove import gas_simulate
-from rig.prove.excitation import CYCLE_S
-from rig.prove.gas_draw import GAS_OUTSIDE_SIZES, GAS_SIZES, draw_gas, gas_assignment
-from rig.prove.gas_excitation import GasExperiment, gas_experiments
-from rig.prove.judge import Judgement
-from rig.prove.seal import unseal
+from rig.cli.entry import status
+from rig.results.prove import gas_simulate
+from rig.results.prove.excitation import CYCLE_S
+from rig.results.prove.gas_draw import GAS_OUTSIDE_SIZES, GAS_SIZES, draw_gas, gas_assignment
+from rig.results.prove.gas_excitation import GasExperiment, gas_experiments
+from rig.results.prove.judge import Judgement
+from rig.results.prove.seal import unseal
 from rig.sources.load import load_source
 
 ONE = ("one", ("leakage",))
@@ -101,7 +101,7 @@ def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
     plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
     monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)
-    monkeypatch.setattr("rig.prove.judge.judge", blind)
+    monkeypatch.setattr("rig.results.prove.judge.judge", blind)
     out = tmp_path / "proof"
     assert status(["prove", "--gas", "--rigs", "4", "--seed", "2", "--out", str(out)]) == 0
     result = json.loads((out / "prove.json").read_text())

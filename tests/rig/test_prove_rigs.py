@@ -13,18 +13,18 @@ import pytest
 from drivers.mock.plant.effects.outside import OUTSIDE
 from drivers.mock.plant.effects.pack import effect_vector, problems
 from drivers.mock.plant.effects.table import CATALOGUE
-from rig.errors import InputError
-from rig.prove.absorbed import floors, left_over
-from rig.prove.draw import Kind, Rig, apportion, assignment, draw
-from rig.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
-from rig.prove.folder import write
-from rig.prove.generate import as_recorded
-from rig.prove.score import STRONG
-from rig.prove.seal import seal, unseal
-from rig.prove.simulate import SETTLE_S, campaign, strength, twin_of
-from rig.prove.sizes import OUTSIDE_SIZES, SIZES
+from rig.common.errors import InputError
+from rig.results.prove.absorbed import floors, left_over
+from rig.results.prove.draw import Kind, Rig, apportion, assignment, draw
+from rig.results.prove.excitation import CYCLE_S, WIDE, Experiment, experiments
+from rig.results.prove.folder import write
+from rig.results.prove.generate import as_recorded
+from rig.results.prove.score import STRONG
+from rig.results.prove.seal import seal, unseal
+from rig.results.prove.simulate import SETTLE_S, campaign, strength, twin_of
+from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
+from rig.runs.truth import true_parameters
 from rig.sources import load_source
-from rig.truth import true_parameters
 
 HIDES = ("backlash", "asymmetric_coulomb")
 

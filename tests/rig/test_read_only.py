@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import rig
-from rig.run import read_record
+from rig.runs.run import read_record
 
 from .command import assert_in_words
 from .test_bad_inputs import SEQUENCE
@@ -24,10 +24,10 @@ from ordinary import ordinary_user
 with ordinary_user():
     {body}
 """
-RUN = "from rig.cli import main; main()"
+RUN = "from rig.cli.entry import main; main()"
 FIGURE = """\
 import click
-    from rig import cli
+    from rig.cli import entry as cli
     @click.command("figure")
     def command():
         from identification.plots.style import figure

@@ -10,16 +10,16 @@ from typing import Any
 
 import pytest
 
-import rig.connect
+import rig.wiring.connect
 from drivers.mock.bench import SimulatedBench, simulated_bench
-from rig.bench import load_bench
-from rig.bench_text import Watcher, bench_line, watcher, watcher_of
-from rig.cli import status
-from rig.findings import Cause
-from rig.plan import bench_limits
-from rig.readings import NOT_AVAILABLE, Readings, reading_findings
-from rig.safety import Limits
-from rig.serial_bus import UNWATCHED_SHARE
+from rig.cli.entry import status
+from rig.common.findings import Cause
+from rig.config.bench import load_bench
+from rig.config.serial_bus import UNWATCHED_SHARE
+from rig.control.readings import NOT_AVAILABLE, Readings, reading_findings
+from rig.planning.limits import Limits
+from rig.planning.plan import bench_limits
+from rig.wiring.bench_text import Watcher, bench_line, watcher, watcher_of
 
 from .benches import variant
 
@@ -135,7 +135,7 @@ def moved(*arguments: Any) -> SimulatedBench:
 def test_check_shows_what_the_bench_shows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(rig.connect, "simulated_bench", moved)
+    monkeypatch.setattr(rig.wiring.connect, "simulated_bench", moved)
     path = variant(tmp_path, ("supply_V: 60", "supply_V: 40"))
     assert status(["check", str(path), "--json", str(tmp_path / "c.json")]) == 1
     shown = capsys.readouterr().out

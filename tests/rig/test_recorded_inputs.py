@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from rig.cli import status
-from rig.progress import RunProgress
-from rig.provenance import sha256
-from rig.recorded_inputs import input_entry, recorded_input
-from rig.run import read_record
-from rig.truth import truth_of
+from rig.cli.entry import status
+from rig.common.provenance import sha256
+from rig.control.progress import RunProgress
+from rig.runs.recorded_inputs import input_entry, recorded_input
+from rig.runs.run import read_record
+from rig.runs.truth import truth_of
 
 STAGES = """\
 sequence: 1
@@ -32,7 +32,7 @@ DIGEST = sha256(CONTENT)
 @pytest.fixture
 def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Start a run with relative paths and stop it in its second stage; the run folder is returned."""
-    bench = Path(__file__).parents[2] / "rig" / "benches" / "practical.yaml"
+    bench = Path(__file__).parents[2] / "rig" / "config" / "benches" / "practical.yaml"
     place = tmp_path / "bench"
     (place / "files").mkdir(parents=True)
     shutil.copy(bench, place / "files" / "own.yaml")

@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from mcap.reader import make_reader
 
 from drivers.interfaces import RawFrame
-from rig.errors import StorageError
-from rig.mcap_layout import (
+from rig.common.errors import StorageError
+from rig.common.sample import Sample
+from rig.runs.mcap.layout import (
     SAMPLE_SIZES,
     SAMPLE_TOPIC,
     decode_frames,
@@ -27,9 +28,8 @@ from rig.mcap_layout import (
     encode_sample,
     sample_descriptor,
 )
-from rig.mcap_reader import NotARecordingError, read_run
-from rig.recorder import Recorder, open_recorder
-from rig.sample import Sample
+from rig.runs.mcap.reader import NotARecordingError, read_run
+from rig.runs.recorder import Recorder, open_recorder
 
 numbers = st.floats(allow_nan=True)
 samples = st.builds(
@@ -293,8 +293,8 @@ def test_not_a_recording(tmp_path: Path, content: bytes) -> None:
 CHILD = """
 import sys
 from pathlib import Path
-from rig.recorder import open_recorder
-from rig.sample import Sample
+from rig.runs.recorder import open_recorder
+from rig.common.sample import Sample
 recorder = open_recorder(Path(sys.argv[1]))
 k = 0
 while True:

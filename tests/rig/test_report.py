@@ -9,8 +9,8 @@ import pytest
 
 from identification.estimate.paper_method.paper import identify_paper
 from identification.recording import Bench, Dataset, Recording
-from rig.report import write_report
-from rig.results import Provenance
+from rig.common.result_files import Provenance
+from rig.results.report import write_report
 
 RATE = 50.0
 

@@ -12,10 +12,10 @@ import pytest
 
 from drivers.errors import DriveFault
 from drivers.interfaces import ServoState
-from rig.cli import status
-from rig.mcap_reader import read_run
-from rig.resume import prepare
-from rig.sequencer import Ending
+from rig.cli.entry import status
+from rig.runs.mcap.reader import read_run
+from rig.runs.resume import prepare
+from rig.runs.run_record import Ending
 
 
 @pytest.fixture

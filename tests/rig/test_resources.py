@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import Bench, Bus, EncoderSection, load_bench
-from rig.locks import Resource
-from rig.resources import resources
-from rig.serial_bus import Amt21Section, SerialBus
+from rig.common.locks import Resource
+from rig.config.bench import Bench, Bus, EncoderSection, load_bench
+from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.wiring.resources import resources
 
 
 def can_bench(interface: str, channel: str | None) -> Bench:

@@ -8,8 +8,8 @@ import pytest
 
 from identification.recording import Bench, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
-from rig.places import write_json
-from rig.results import Provenance, finite, identification_record
+from rig.common.places import write_json
+from rig.common.result_files import Provenance, finite, identification_record
 
 
 def result() -> Identification:

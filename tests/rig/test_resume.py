@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 
 from drivers.mock.dbc_drive import DRIVE_DBC
-from rig.cli import status
-from rig.connect import DRIVE_EDS, ENCODER_EDS
-from rig.mcap_reader import read_run
-from rig.packaged import resolve
-from rig.progress import RunProgress
-from rig.run import load_run, read_record
+from rig.cli.entry import status
+from rig.config.packaged import resolve
+from rig.control.progress import RunProgress
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import load_run, read_record
+from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS
 
 STAGES = """\
 sequence: 1

@@ -19,18 +19,18 @@ from scipy.io import loadmat
 
 from drivers.clock import SimulatedClock
 from drivers.interfaces import RawFrame, ServoState
-from drivers.mock.bus import SimulatedBus
-from rig.cli import COMMANDS, status
-from rig.connect import DRIVE_EDS, ENCODER_EDS, connect
-from rig.mcap_layout import decode_frames
-from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator
-from rig.packaged import resolve
-from rig.progress import RunProgress
-from rig.run import load_run, read_record
-from rig.session import execute
+from drivers.mock.wires.bus import SimulatedBus
+from rig.cli.entry import COMMANDS, status
+from rig.config.packaged import resolve
+from rig.control.operator import AutomaticOperator
+from rig.control.progress import RunProgress
+from rig.control.session import execute
+from rig.runs.mcap.layout import decode_frames
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import load_run, read_record
 from rig.sources import load_source
-from rig.stop_button import StopButton
+from rig.terminal.stop_button import StopButton
+from rig.wiring.connect import DRIVE_EDS, ENCODER_EDS, connect
 
 
 @pytest.fixture(autouse=True)
@@ -75,7 +75,7 @@ def test_the_group_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_help_imports_nothing_heavy() -> None:
-    code = "import sys, rig.cli; rig.cli.status(['--help']); print(sorted(sys.modules), file=sys.stderr)"
+    code = "import sys, rig.cli.entry; rig.cli.entry.status(['--help']); print(sorted(sys.modules), file=sys.stderr)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     for heavy in ("numpy", "numba", "canopen", "can", "pydantic", "yaml"):
         assert f"'{heavy}'" not in done.stderr
@@ -453,10 +453,10 @@ def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) 
     path = tmp_path / "b.yaml"
     path.write_text(resolve("practical", "benches").read_text().replace("node: 1,", "node: 3,"))
     code = (
-        "import sys, rig.cli, rig.connect, drivers.mock.bench as mock;"
+        "import sys, rig.cli.entry, rig.wiring.connect, drivers.mock.bench as mock;"
         "made = mock.simulated_bench;"
-        "rig.connect.simulated_bench = lambda m, s, b, d, e, p, r: made(m, s, b, 1, e);"
-        "sys.exit(rig.cli.status(sys.argv[1:]))"
+        "rig.wiring.connect.simulated_bench = lambda m, s, b, d, e, p, r: made(m, s, b, 1, e);"
+        "sys.exit(rig.cli.entry.status(sys.argv[1:]))"
     )
     options = ["--verbose"] if verbose else []
     done = subprocess.run([sys.executable, "-c", code, *options, "check", str(path)], capture_output=True, text=True)
@@ -483,6 +483,6 @@ def test_a_real_bus_where_nobody_answers(
             self.sleep_until_ns(super().now_ns() + 50_000_000)
             return super().now_ns()
 
-    monkeypatch.setattr("rig.connect.RealClock", Impatient)
+    monkeypatch.setattr("rig.wiring.connect.RealClock", Impatient)
     assert status(["check", str(path)]) == 4
     assert capsys.readouterr().err.startswith("device error: ")

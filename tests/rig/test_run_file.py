@@ -13,9 +13,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from rig.cli import status
-from rig.errors import InputError
-from rig.run import load_run, read_record
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.runs.run import load_run, read_record
 
 SEQUENCE = """\
 sequence: 1

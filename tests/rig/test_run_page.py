@@ -18,22 +18,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from drivers.interfaces import ServoState
-from rig.bench import load_bench
-from rig.cli import status
-from rig.configuration import load_located
-from rig.cycle import Cycle
-from rig.operator import AutomaticOperator, OperatorStopError
-from rig.plan import make_plan
-from rig.run import RunFolder
-from rig.run_file import read_record
-from rig.run_page import panels, sections
-from rig.run_page.channels import NAMES
-from rig.run_page.limits import limit_steps, read_attachments
-from rig.run_page.sections import NEVER_MOVED, Recorded
-from rig.run_record import RunRecord
-from rig.run_report import write_run_report
-from rig.safety import Check, Limits
-from rig.sequence import Sequence
+from rig.cli.entry import status
+from rig.config.bench import load_bench
+from rig.config.configuration import load_located
+from rig.config.sequence import Sequence
+from rig.control.cycle import Cycle
+from rig.control.operator import AutomaticOperator, OperatorStopError
+from rig.control.safety import Check
+from rig.planning.limits import Limits
+from rig.planning.plan import make_plan
+from rig.results.run.page import panels, sections
+from rig.results.run.page.channels import NAMES
+from rig.results.run.page.limits import limit_steps, read_attachments
+from rig.results.run.page.sections import NEVER_MOVED, Recorded
+from rig.results.run.report import write_run_report
+from rig.runs.run import RunFolder
+from rig.runs.run_file import read_record
+from rig.runs.run_record import RunRecord
 
 INSIDE = 600
 """A cycle well inside the first excitation of the short sequence."""
@@ -168,9 +169,9 @@ def test_the_page_holds_all_it_needs(runner: Any, fake_bench: Any) -> None:
 
 
 def test_the_end_of_a_run_waits_for_no_plotting_library() -> None:
-    code = "import sys, rig.aftermath; print(sorted(sys.modules))"
+    code = "import sys, rig.cli.aftermath; print(sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "'rig.run_page.chart'" in done.stdout
+    assert "'rig.results.run.page.chart'" in done.stdout
     for heavy in ("matplotlib", "jinja2"):
         assert f"'{heavy}'" not in done.stdout
 
@@ -366,7 +367,7 @@ def test_a_failure_in_drawing_leaves_the_rest_of_the_page(
     def fails(*arguments: Any) -> None:
         raise ZeroDivisionError("a defect of this page")
 
-    for module in ("rig.run_report", "rig.run_page.sections"):
+    for module in ("rig.results.run.report", "rig.results.run.page.sections"):
         monkeypatch.setattr(f"{module}.{name}", fails, raising=False)
     html = broken(whole, tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
     assert "ZeroDivisionError: a defect of this page" in html

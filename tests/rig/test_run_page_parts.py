@@ -14,14 +14,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.recording import Array, Bench
-from rig.run_page.channels import ENABLED, NAMES, STATES, Deriver
-from rig.run_page.chart import Bound, Chart, Curve, Mark, Shade, TimeAxis, draw
-from rig.run_page.envelope import Bins, Envelope, Flags, in_columns, of_samples
-from rig.run_page.panels import PANELS, Panel, Tripped, chart
-from rig.run_page.phases import BRAKING, MOVING, Moment, Span, spans, with_braking
-from rig.run_record import SegmentRecord
-from rig.safety import Check
-from rig.sample import Sample
+from rig.common.sample import Sample
+from rig.control.safety import Check
+from rig.results.run.page.channels import ENABLED, NAMES, STATES, Deriver
+from rig.results.run.page.chart import Bound, Chart, Curve, Mark, Shade, TimeAxis, draw
+from rig.results.run.page.envelope import Bins, Envelope, Flags, in_columns, of_samples
+from rig.results.run.page.panels import PANELS, Panel, Tripped, chart
+from rig.results.run.page.phases import BRAKING, MOVING, Moment, Span, spans, with_braking
+from rig.runs.run_record import SegmentRecord
 
 
 def samples(values: Array, broken: Flags | None = None) -> Bins:

@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from drivers.interfaces import RawFrame
-from rig import mcap_stream, run_samples
-from rig.errors import InputError
-from rig.mcap_reader import read_run
-from rig.mcap_records import DamageError
-from rig.mcap_stream import sample_blocks
-from rig.recorder import open_recorder
-from rig.run_record import Load, SegmentRecord
-from rig.sample import Sample
+from rig.common.errors import InputError
+from rig.common.sample import Sample
+from rig.runs import run_samples
+from rig.runs.mcap import stream as mcap_stream
+from rig.runs.mcap.reader import read_run
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.stream import sample_blocks
+from rig.runs.recorder import open_recorder
+from rig.runs.run_record import Load, SegmentRecord
 
 CYCLES = 3000
 

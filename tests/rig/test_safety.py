@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rig.safety import Check, GasLimits, Latch, Limits, Trip, check, check_stage_time
-from rig.sample import Sample
+from rig.common.sample import Sample
+from rig.control.safety import Check, Latch, Trip, check, check_stage_time
+from rig.planning.limits import GasLimits, Limits
 
 LIMITS = Limits(
     angle_min=-0.5,

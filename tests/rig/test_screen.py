@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from drivers.clock import SimulatedClock
-from rig.screen import DRAIN_S, QUEUE_BYTES, Outlet, Screen
+from rig.terminal.screen import DRAIN_S, QUEUE_BYTES, Outlet, Screen
 
 
 class Terminal:

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from identification.diagnosis.entries import ENTRIES, MOTION
-from rig.bench import load_bench
-from rig.cli import status
-from rig.plan import make_plan
-from rig.separate import RECIPES, separating_sequence
-from rig.sequence import load_sequence
+from rig.cli.entry import status
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.planning.plan import make_plan
+from rig.results.diagnose.separate import RECIPES, separating_sequence
 
 BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
 """Effects that only another supply voltage, or the encoder moved by hand, splits from their likes."""

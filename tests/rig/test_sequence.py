@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drivers.mock.plant import constants
-from rig.bench import load_bench
-from rig.errors import InputError
-from rig.packaged import names, resolve
-from rig.plan import Plan, make_plan
-from rig.sequence import Ramp, StageSection, Tone, approach, excitation, load_sequence
+from drivers.mock.plant.parts import constants
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.packaged import names, resolve
+from rig.config.sequence import Ramp, StageSection, Tone, approach, excitation, load_sequence
+from rig.planning.plan import Plan, make_plan
 
 HEAD = "sequence: 1\nname: s\nstages:\n"
 GOOD = "tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 2"

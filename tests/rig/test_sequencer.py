@@ -12,12 +12,12 @@ import pytest
 
 from drivers.errors import DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
-from rig.mcap_reader import read_run
-from rig.mcap_writer import McapWriter
-from rig.operator import AutomaticOperator
-from rig.run import load_run, read_record
-from rig.sequencer import Ending
-from rig.stop_button import OperatorStopError, StopButton
+from rig.control.operator import AutomaticOperator
+from rig.runs.mcap.reader import read_run
+from rig.runs.mcap.writer import McapWriter
+from rig.runs.run import load_run, read_record
+from rig.runs.run_record import Ending
+from rig.terminal.stop_button import OperatorStopError, StopButton
 
 
 def throw(error: BaseException) -> Callable[[], None]:

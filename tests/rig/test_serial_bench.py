@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from rig import cli
-from rig.bench import load_bench
-from rig.connect import connect
-from rig.errors import InputError
-from rig.packaged import resolve
-from rig.run import read_record
-from rig.serial_bus import UNWATCHED_SHARE, SerialBus
+from rig.cli import entry as cli
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.config.serial_bus import UNWATCHED_SHARE, SerialBus
+from rig.runs.run import read_record
+from rig.wiring.connect import connect
 
 SEQUENCE = """
 sequence: 1

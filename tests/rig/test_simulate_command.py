@@ -11,7 +11,7 @@ import pytest
 
 from identification.recording import Bench, Controller, Recording
 from identification.simulate.closed_loop import replay
-from rig.cli import status
+from rig.cli.entry import status
 
 FRICTION = {"J": 0.2, "Mc": 6.0, "Ms": 11.0, "omega_sf": 0.06, "sigma_2": 5.0}
 CAMPAIGN = """\

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from rig.cli import status
+from rig.cli.entry import status
 
 CAMPAIGN = """\
 campaign: 1

@@ -7,9 +7,9 @@ import dataclasses
 import numpy as np
 import pytest
 
-from drivers.mock.plant.constants import Loops, Machine, Motor, Sensing
 from drivers.mock.plant.machine import SimulatedMachine
-from rig.simulated_loops import unstable_current_loop
+from drivers.mock.plant.parts.constants import Loops, Machine, Motor, Sensing
+from rig.config.simulated_loops import unstable_current_loop
 
 SMALL = Motor(resistance_ohm=0.6, inductance_H=1e-4, torque_constant_N_m_A=0.02, back_emf_constant_V_s_rad=0.02)
 

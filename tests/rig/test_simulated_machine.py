@@ -10,14 +10,14 @@ import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.mock.plant.constants import Loops, Machine, Motor
-from rig.bench import Bench, load_bench
-from rig.connect import connect
-from rig.errors import InputError
-from rig.packaged import names, resolve
-from rig.simulated_loops import unstable_current_loop
-from rig.simulated_machine import derived
-from rig.yaml_tree import parse
+from drivers.mock.plant.parts.constants import Loops, Machine, Motor
+from rig.common.errors import InputError
+from rig.common.yaml_tree import parse
+from rig.config.bench import Bench, load_bench
+from rig.config.packaged import names, resolve
+from rig.config.simulated_loops import unstable_current_loop
+from rig.config.simulated_machine import derived
+from rig.wiring.connect import connect
 
 SMALL = """\
 bench: 1

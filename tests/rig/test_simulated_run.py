@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from rig import simulated_run
-from rig.bench import load_bench
-from rig.errors import InputError
-from rig.packaged import resolve
-from rig.sequence import load_sequence
-from rig.simulated_run import run_simulated
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.config.sequence import load_sequence
+from rig.control import simulated_run
+from rig.control.simulated_run import run_simulated
 
 SHORT = """\
 sequence: 1

@@ -8,9 +8,9 @@ import pytest
 
 from identification.estimate.default import identify
 from identification.model.nominal import NOMINAL
-from rig.bench import load_bench
-from rig.sequence import load_sequence
-from rig.simulated_run import run_simulated
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
 
 SINE = """\
 sequence: 1

@@ -11,7 +11,7 @@ import pytest
 import scipy.io
 
 from identification.recording import Array, Dataset, Recording
-from rig.errors import InputError
+from rig.common.errors import InputError
 from rig.sources import load_source
 
 N = 2000
@@ -330,7 +330,9 @@ def test_a_run_folder_goes_to_its_own_reader(tmp_path: Path, monkeypatch: pytest
     (tmp_path / "run.json").write_text("{}")
     loaded = Dataset(())
     asked = (tmp_path, partial)
-    monkeypatch.setattr("rig.run.load_run", lambda folder, *, partial: loaded if (folder, partial) == asked else None)
+    monkeypatch.setattr(
+        "rig.runs.run.load_run", lambda folder, *, partial: loaded if (folder, partial) == asked else None
+    )
     assert load_source(tmp_path, partial=partial) is loaded
 
 

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from mcap.writer import Writer
 
-from rig.campaign import ReadSection
-from rig.errors import InputError
-from rig.provenance import sha256_file
+from rig.common.errors import InputError
+from rig.common.provenance import sha256_file
+from rig.config.campaign import ReadSection
 from rig.sources.arrays import MatTable, NpzTable
 from rig.sources.delimited import DelimitedTable
 from rig.sources.formats import open_table

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from rig.stop_button import OperatorStopError, StopButton
+from rig.terminal.stop_button import OperatorStopError, StopButton
 
 CAUSES = {
     "SIGINT": "Ctrl-C",
@@ -93,7 +93,7 @@ def test_a_system_may_lack_a_signal(missing: str, monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_system_may_lack_the_pause_signal(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("rig.stop_button.PAUSE_SIGNAL", None)
+    monkeypatch.setattr("rig.terminal.stop_button.PAUSE_SIGNAL", None)
     before = handlers()
     with StopButton():
         assert [name for name, handler in handlers().items() if handler is before[name]] == ["SIGUSR1"]

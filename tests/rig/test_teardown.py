@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from drivers.errors import LinkError, StateError
 from drivers.interfaces import ServoLimits, ServoState
-from rig.errors import StorageError
-from rig.teardown import SafeState, attempt_all, give_back, make_safe
+from rig.common.errors import StorageError
+from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 CYCLE_NS = 10_000_000
 OFF, ON, BRAKING = ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED, ServoState.QUICK_STOP_ACTIVE

@@ -13,10 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rig as rig_package
-from rig.mcap_reader import read_run
-from rig.places import write_json, write_text
-from rig.run import read_record
-from rig.text import stored_path, valid, valid_record
+from rig.common.places import write_json, write_text
+from rig.common.text import stored_path, valid, valid_record
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import read_record
 
 from .command import assert_in_words, rig
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from rig.timing import EDGES_US, Histogram, Timing, summary
+from rig.common.timing import EDGES_US, Histogram, Timing, summary
 
 
 def test_bins_hold_what_is_up_to_their_end() -> None:

@@ -9,8 +9,8 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from rig.cli import status
-from rig.mcap_reader import read_run
+from rig.cli.entry import status
+from rig.runs.mcap.reader import read_run
 
 SEQUENCE = """\
 sequence: 1

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from rig.bench import load_bench
-from rig.cli import status
-from rig.errors import InputError
-from rig.mcap_reader import read_run
-from rig.packaged import resolve
-from rig.redact import redacted
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.config.packaged import resolve
+from rig.config.redact import redacted
+from rig.runs.mcap.reader import read_run
+from rig.runs.truth import truth_of
 from rig.sources import load_source
-from rig.truth import truth_of
 
 SEQUENCE = """\
 sequence: 1

@@ -14,7 +14,7 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
-from rig.uncertainty_output import (
+from rig.results.uncertainty import (
     bootstrap_table,
     profile_table,
     uncertainty_notes,

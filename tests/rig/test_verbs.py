@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from drivers.clock import SimulatedClock
-from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator, ConsoleOperator, Verb
-from rig.recover import recover
-from rig.run import load_run, read_record
-from rig.sequencer import Ending
-from rig.stop_button import PAUSE_SIGNAL, StopButton
+from rig.control.operator import AutomaticOperator, ConsoleOperator, Verb
+from rig.runs.mcap.reader import read_run
+from rig.runs.recover import recover
+from rig.runs.run import load_run, read_record
+from rig.runs.run_record import Ending
+from rig.terminal.stop_button import PAUSE_SIGNAL, StopButton
 
 
 class Scripted(AutomaticOperator):

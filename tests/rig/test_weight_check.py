@@ -12,16 +12,17 @@ import numpy as np
 import pytest
 
 from identification.recording import Dataset, Recording
-from rig.bench import load_bench
-from rig.cli import status
-from rig.errors import InputError
-from rig.friction_level import FrictionLevel, friction_level
-from rig.label_check import comparable, off_label
-from rig.mcap_reader import read_run
-from rig.operator import AutomaticOperator
-from rig.reference import NEEDED, Reference, load_reference, moment_per_kg
-from rig.run import bench_constants, read_record
-from rig.weight_check import LoadedLevel, Verdict, suspects, tolerance_kg, weigh
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.config.bench import load_bench
+from rig.control.operator import AutomaticOperator
+from rig.planning.reference import NEEDED, Reference, load_reference, moment_per_kg
+from rig.runs.mcap.reader import read_run
+from rig.runs.run import bench_constants, read_record
+from rig.runs.run_record import Verdict
+from rig.weighing.friction_level import FrictionLevel, friction_level
+from rig.weighing.label_check import comparable, off_label
+from rig.weighing.weight_check import LoadedLevel, suspects, tolerance_kg, weigh
 
 BENCH = bench_constants(load_bench("practical").value)
 TRUE = {

@@ -6,14 +6,14 @@ against, and where the valve goes the pressure follows.
 
 from __future__ import annotations
 
-from drivers.mock.plant.compiled import Vector, compiled
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.kernel import advance_hiding
 from drivers.mock.plant.effects.sensing import Histories
 from drivers.mock.plant.effects.state import JOINT, RUN, SEEN
-from drivers.mock.plant.friction import MOMENT
 from drivers.mock.plant.gas import ARM, FORCE, LOOPS_PER_STEP, MASS, PENDING, step_gas
-from drivers.mock.plant.loops import LOOP_S, THETA, advance
+from drivers.mock.plant.parts.compiled import Vector, compiled
+from drivers.mock.plant.parts.friction import MOMENT
+from drivers.mock.plant.parts.loops import LOOP_S, THETA, advance
 
 REFERENCE_FORCE_N = 3000.0
 """Contact force at which ``load_exponent`` changes nothing."""

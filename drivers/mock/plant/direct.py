@@ -7,8 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant import constants
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts import constants
 
 
 def simulate(

@@ -12,9 +12,9 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects import gas as hidden
-from drivers.mock.plant.valve import throat_area
+from drivers.mock.plant.parts.compiled import Vector, inlined
+from drivers.mock.plant.parts.valve import throat_area
 
 # State vector.
 (

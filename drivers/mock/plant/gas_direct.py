@@ -7,10 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant import constants
-from drivers.mock.plant.compiled import Vector, compiled
 from drivers.mock.plant.gas import BURNT, FORCE, GAS_SIZE, MASS, OUTFLOW, PRESSURE, THROAT, VOLUME, step_gas
 from drivers.mock.plant.gas_pack import gas_vector, lit, steady_pressures, valve_throat
+from drivers.mock.plant.parts import constants
+from drivers.mock.plant.parts.compiled import Vector, compiled
 
 Array = NDArray[np.float64]
 

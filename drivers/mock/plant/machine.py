@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.errors import ConfigurationError
-from drivers.mock.plant import constants, friction, gas, loops
+from drivers.mock.plant import gas
 from drivers.mock.plant.burning import advance_loaded, felt_force
 from drivers.mock.plant.effects import state as extra
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.pack import bare_vector, effect_vector
 from drivers.mock.plant.gas_pack import gas_vector, lit, unlit
+from drivers.mock.plant.parts import constants, friction, loops
 from drivers.mock.plant.record import (
     CHAMBER_PRESSURE,
     FOLLOWING,

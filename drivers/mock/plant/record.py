@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.plant.burning import advance_loaded
-from drivers.mock.plant.compiled import Vector, compiled
 from drivers.mock.plant.effects.sensing import Histories
 from drivers.mock.plant.effects.state import RUN, SEEN, SUPPLY
 from drivers.mock.plant.gas import PRESSURE
-from drivers.mock.plant.loops import (
+from drivers.mock.plant.parts.compiled import Vector, compiled
+from drivers.mock.plant.parts.loops import (
     LOOP_S,
     MEASURED,
     SUM_CURRENT,

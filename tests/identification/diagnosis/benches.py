@@ -8,8 +8,8 @@ from functools import lru_cache
 import numpy as np
 
 from drivers.mock.direct import record
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.joint import Joint, fit
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.view import views

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.gas_direct import burn
+from drivers.mock.plant.parts.constants import Machine
 from identification.model.gas_generator import GasGenerator
 from identification.recording import Array, Bench, Dataset, Recording
 

@@ -15,8 +15,8 @@ import pytest
 from scipy.optimize import minimize_scalar
 
 from drivers.mock.direct import record
-from drivers.mock.plant.constants import Machine
 from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine
 from identification.diagnosis.equations import Equation, equations
 from identification.diagnosis.joint import Added, Joint, fit
 from identification.diagnosis.nominal import Nominal

@@ -11,17 +11,17 @@ from pathlib import Path
 import pytest
 from jsonschema import Draft7Validator
 
-from rig.authoring.bench import QUESTIONS, bench_text, remarks
-from rig.authoring.questions import Number, Numbers, Question, ask_all
-from rig.bench import load_bench
-from rig.campaign import load_campaign
-from rig.cli import status
-from rig.errors import InputError
-from rig.prompt import InputEndedError
-from rig.run import load_run
-from rig.sequence import load_sequence
+from rig.cli.authoring.bench import QUESTIONS, bench_text, remarks
+from rig.cli.authoring.questions import Number, Numbers, Question, ask_all
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.common.yaml_tree import parse
+from rig.config.bench import load_bench
+from rig.config.campaign import load_campaign
+from rig.config.sequence import load_sequence
+from rig.runs.run import load_run
 from rig.sources.load import load_source
-from rig.yaml_tree import parse
+from rig.terminal.prompt import InputEndedError
 
 SMALL = (
     *("--lever-ratio", "1", "--moment-arm", "0.15", "--supply", "24", "--gear-ratio", "51"),

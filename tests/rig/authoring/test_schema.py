@@ -11,15 +11,15 @@ from typing import Any
 import pytest
 from jsonschema import Draft7Validator
 
-from rig.authoring.schema import KINDS, json_schema
-from rig.bench import load_bench
-from rig.campaign import load_campaign
-from rig.cli import status
-from rig.errors import InputError
-from rig.faults import load_faults
-from rig.packaged import names, resolve
-from rig.sequence import load_sequence
-from rig.yaml_tree import parse
+from rig.cli.authoring.schema import KINDS, json_schema
+from rig.cli.entry import status
+from rig.common.errors import InputError
+from rig.common.yaml_tree import parse
+from rig.config.bench import load_bench
+from rig.config.campaign import load_campaign
+from rig.config.faults import load_faults
+from rig.config.packaged import names, resolve
+from rig.config.sequence import load_sequence
 
 CAMPAIGNS = sorted((Path(__file__).parents[2] / "campaigns").glob("*.yaml"))
 FAULTS = """\

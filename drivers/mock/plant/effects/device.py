@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects.table import (
     GRAVITY_TORQUE,
     GRAVITY_ZERO,
@@ -17,6 +16,7 @@ from drivers.mock.plant.effects.table import (
     SWING_FRACTION,
     SWING_FREQUENCY,
 )
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 _STOP_DAMPING_S = 2e-3
 """Damping of an end stop over its stiffness, s; chosen: a rubber pad."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects.outside import outside_level
 from drivers.mock.plant.effects.table import PRESLIDING_STIFFNESS
-from drivers.mock.plant.friction import (
+from drivers.mock.plant.parts.compiled import Vector, inlined
+from drivers.mock.plant.parts.friction import (
     ALPHA,
     DM,
     DMU,
@@ -63,9 +63,9 @@ def bristle_level(speed: float, p: Vector, moment: float) -> float:
 def step_slipping(
     omega: float, before: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float]:
-    """Advance J domega/dt = torque - friction by ``h``, as :func:`drivers.mock.plant.friction.step_velocity` does.
+    """Advance J domega/dt = torque - friction by ``h``; friction may differ by side.
 
-    Friction may differ by side here.
+    With the same friction on both sides it is :func:`drivers.mock.plant.parts.friction.step_velocity`.
 
     Returns:
         Speed after the step, impulse of friction against the motion (N m s), friction magnitude at the new speed.

@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects.outside import scatter
 from drivers.mock.plant.effects.table import Parameter
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 (
     LAYER_RATE,

@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from drivers.mock.plant.compiled import Vector, compiled, inlined
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.device import device_torque
 from drivers.mock.plant.effects.friction import WORK_SIZE, level, step_bristles, step_slipping
@@ -43,8 +42,9 @@ from drivers.mock.plant.effects.state import (
     TWO_MASSES,
 )
 from drivers.mock.plant.effects.working import remember, renew
-from drivers.mock.plant.friction import INERTIA
-from drivers.mock.plant.loops import (
+from drivers.mock.plant.parts.compiled import Vector, compiled, inlined
+from drivers.mock.plant.parts.friction import INERTIA
+from drivers.mock.plant.parts.loops import (
     CURRENT,
     EMF_PER_SPEED,
     FRICTION_WORK,
@@ -191,7 +191,7 @@ def advance_hiding(
     noise: Vector,
     path: Vector,
 ) -> None:
-    """Advance ``loops`` drive-loop periods, as :func:`drivers.mock.plant.loops.advance` does, with effects.
+    """Advance ``loops`` drive-loop periods, as :func:`drivers.mock.plant.parts.loops.advance` does, with effects.
 
     ``x`` and ``histories`` are the extra state; ``e`` the effect vector.
     """

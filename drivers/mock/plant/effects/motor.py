@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects.table import (
     BRUSH_CURRENT,
     BRUSH_VOLTAGE,
@@ -17,6 +16,7 @@ from drivers.mock.plant.effects.table import (
     RIPPLE_PHASE,
     SATURATION_KNEE,
 )
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 COPPER_PER_K = 0.00393
 """Rise of a copper winding's resistance."""

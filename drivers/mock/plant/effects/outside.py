@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects.table import CATALOGUE_SIZE, Parameter
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 (
     TIMED_TORQUE,

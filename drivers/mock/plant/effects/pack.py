@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant import constants
 from drivers.mock.plant.effects.gas import GAS_CATALOGUE, GAS_OUTSIDE
 from drivers.mock.plant.effects.kernel import CONSTANTS_AT
 from drivers.mock.plant.effects.outside import OUTSIDE
@@ -23,6 +22,7 @@ from drivers.mock.plant.effects.state import (
     TWO_MASSES,
 )
 from drivers.mock.plant.effects.table import CATALOGUE, Parameter
+from drivers.mock.plant.parts import constants
 
 Effects = Mapping[str, Mapping[str, float]]
 KNOWN: Mapping[str, Mapping[str, Parameter]] = {**CATALOGUE, **OUTSIDE}

@@ -7,9 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.state import HISTORY, JOINT, LOOP, RECORDING, RUN, SEEN, SLIPPED, TIME
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 Histories = NDArray[np.float64]
 """Joint angles and mean currents of the last loop periods, shape (2, HISTORY)."""

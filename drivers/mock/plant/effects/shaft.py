@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects.table import (
     GAP,
     HYSTERESIS_DEFLECTION,
@@ -17,6 +16,7 @@ from drivers.mock.plant.effects.table import (
     MESH_PHASE,
     STIFFNESS,
 )
+from drivers.mock.plant.parts.compiled import Vector, inlined
 
 HARD_N_M_RAD = 1e6
 """Stiffness of teeth and shaft where nothing says otherwise: 20 N m twist it by 20 microradian, an encoder count."""

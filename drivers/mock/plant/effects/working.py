@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from drivers.mock.plant.compiled import Vector, inlined
 from drivers.mock.plant.effects import table
 from drivers.mock.plant.effects.device import load_factor
 from drivers.mock.plant.effects.friction import DRAG, LAGGED, SIDE, VISCOUS_SIDE, bristle_level
@@ -19,7 +18,8 @@ from drivers.mock.plant.effects.state import (
     TIME,
     TRANSMITTED,
 )
-from drivers.mock.plant.friction import DM, DMU, FRICTION_SIZE, MC, MOMENT, OMEGA_SF, SIGMA_2
+from drivers.mock.plant.parts.compiled import Vector, inlined
+from drivers.mock.plant.parts.friction import DM, DMU, FRICTION_SIZE, MC, MOMENT, OMEGA_SF, SIGMA_2
 
 _RENEWAL_RAD = 1e-3
 """Sliding after which what rest has added to static friction is gone; chosen."""

@@ -1,0 +1,1 @@
+"""The AMT21 encoder over RS-485."""

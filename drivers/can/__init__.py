@@ -1,0 +1,1 @@
+"""CAN ports: python-can adapters, the serial-line protocol slcan, bit timing."""

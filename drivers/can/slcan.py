@@ -1,0 +1,99 @@
+"""Frames of the LAWICEL protocol ("slcan") of CAN adapters on a serial line, both ways. No I/O.
+
+A frame is one line of ASCII that ends in a carriage return: ``t`` identifier (3 hexadecimal
+digits), length (1 digit), data (2 digits a byte); ``T`` with 8 digits of identifier in extended
+format; ``r`` and ``R`` for remote frames, without data. An adapter that stamps its frames appends 4
+digits.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+from drivers.can.port import EXTENDED_FLAG, REMOTE_FLAG
+
+CLOSE: Final = b"C\r"
+OPEN: Final = b"O\r"
+SPEEDS: Final[Mapping[int, bytes]] = {
+    10_000: b"S0\r",
+    20_000: b"S1\r",
+    50_000: b"S2\r",
+    83_300: b"S9\r",
+    100_000: b"S3\r",
+    125_000: b"S4\r",
+    250_000: b"S5\r",
+    500_000: b"S6\r",
+    750_000: b"S7\r",
+    1_000_000: b"S8\r",
+}
+"""Bit rate to the command that sets it."""
+
+_END: Final = re.compile(rb"[\r\a]")
+_FRAME: Final = re.compile(rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])([0-9A-Fa-f]*)")
+_FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED_FLAG | REMOTE_FLAG}
+_STAMP: Final = 4
+_ANSWERS: Final = frozenset({b"", b"z", b"Z"})
+"""Of an adapter to a command that it obeys, and, empty before BEL, to one that it refuses."""
+MAX_LINE: Final = 64
+"""Characters of a line; the longest frame has 30."""
+
+
+def encode(identifier: int, data: bytes) -> bytes:
+    """Return the line that sends a base-format data frame."""
+    return f"t{identifier:03X}{len(data)}{data.hex().upper()}\r".encode()
+
+
+class LineDecoder:
+    """Takes bytes as they come and gives whole frames; never raises.
+
+    A line that is neither a frame to the last digit nor an answer to a command is dropped whole and
+    counted: a part of it could pass for a frame that nobody sent. The line after it is read as if
+    nothing had been.
+
+    Attributes:
+        bad: Lines dropped so far.
+    """
+
+    def __init__(self) -> None:
+        self.bad = 0
+        self._rest = bytearray()
+
+    def feed(self, data: bytes) -> list[tuple[int, bytes]]:
+        """Return the frames that ``data`` completes, oldest first: identifier with flags, and data."""
+        frames = []
+        *ends, rest = _END.split(data)
+        for end in ends:
+            line = self._line(end)
+            frame = _parsed(line)
+            if frame is not None:
+                frames.append(frame)
+            elif line not in _ANSWERS:
+                self.bad += 1
+        self._keep(rest)
+        return frames
+
+    def _line(self, end: bytes) -> bytes:
+        """Return the line that ends so; of one that is too long what makes it a bad one."""
+        self._keep(end)
+        line = bytes(self._rest)
+        self._rest.clear()
+        return line
+
+    def _keep(self, piece: bytes) -> None:
+        self._rest += piece
+        del self._rest[MAX_LINE:]
+
+
+def _parsed(line: bytes) -> tuple[int, bytes] | None:
+    """Return the frame in a line, or None."""
+    found = _FRAME.fullmatch(line)
+    if found is None:
+        return None
+    base, base_identifier, extended, extended_identifier, length, digits = found.groups()
+    kind = base or extended
+    count = 2 * int(length) if kind in b"tT" else 0
+    if len(digits) not in (count, count + _STAMP):
+        return None
+    return int(base_identifier or extended_identifier, 16) | _FLAGS[kind], bytes.fromhex(digits[:count].decode())

@@ -1,0 +1,400 @@
+"""A position servo behind the CiA 402 profile, in cyclic synchronous position mode, over any transport."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Final
+
+from drivers import servo_limits
+from drivers.canopen import cia402
+from drivers.canopen.cia402 import Command, controlword, decode_state
+from drivers.canopen.emergency import explain
+from drivers.clock import NS
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, ObjectAccessError, StateError
+from drivers.interfaces import (
+    Identity,
+    LimitSteps,
+    Link,
+    Servo,
+    ServoLimits,
+    ServoReadings,
+    ServoSample,
+    ServoState,
+)
+from drivers.objects import IDENTITY, ObjectAddress, PdoLayout, ProcessChannel, read_identity, refusal
+from drivers.units import RATED, ServoScales, Unwrapper
+
+_OUTPUT: Final = 1
+_MOTION: Final = 1
+_SPEED: Final = 2
+_VOLTAGE: Final = 3
+_SUPPLY: Final = 4
+_SUPPLY_EVERY: Final = 10
+FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, _SUPPLY_EVERY))
+"""Data bytes of each PDO, and in how many cycles it goes once; with a voltage object of 16 bits."""
+FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
+"""The same where the torque offset is mapped."""
+TORQUE_OFFSET: Final = (0x60B2, 0)
+WATCH_S: Final = 0.1
+"""The drive stops by itself when it hears no heartbeat for so long, s."""
+_ABORT_IS_FAULT: Final = 1
+_POSITION: Final = (0x6064, 0)
+_TARGET: Final = (0x607A, 0)
+_CURRENT: Final = (0x6078, 0)
+_SPEED_ACTUAL: Final = (0x606C, 0)
+_DC_LINK: Final = (0x6079, 0)
+_TIME: Final = (0x1013, 0)
+_CYCLE: Final = (0x60C2, 1)
+_CYCLE_EXPONENT: Final = (0x60C2, 2)
+_ON_ABORT: Final = (0x6007, 0)
+_MODE: Final = (0x6060, 0)
+_MODE_DISPLAY: Final = (0x6061, 0)
+_ERROR_CODE: Final = (0x603F, 0)
+_SINGLE: Final = (_CYCLE, _CYCLE_EXPONENT, _ON_ABORT, _MODE, _MODE_DISPLAY, _ERROR_CODE, *RATED)
+"""Objects that are read or written by themselves, beside identity, limits and process data."""
+_US: Final = 1e-6
+_MILLI: Final = 1e-3
+_INT32: Final = range(-(1 << 31), 1 << 31)
+_INT16: Final = range(-(1 << 15), 1 << 15)
+
+
+class Cia402Servo(Servo):
+    """A drive in cyclic synchronous position mode. Only :meth:`enable` ever moves it toward power.
+
+    Args:
+        channel: The device.
+        link: The link it is on; exchanged here only while :meth:`enable` walks the states.
+        scales: Its units, from the bench file.
+        watch_s: The drive stops by itself when the control loop is silent for this long.
+        state_timeout_s: How long it may take to reach a state.
+        torque_offset: Map 60B2h, so that :meth:`set_torque_offset` can be used.
+    """
+
+    def __init__(
+        self,
+        channel: ProcessChannel,
+        link: Link,
+        scales: ServoScales,
+        watch_s: float = WATCH_S,
+        state_timeout_s: float = 1.0,
+        torque_offset: bool = False,
+    ) -> None:
+        self._channel = channel
+        self._link = link
+        self._clock = link.clock
+        self._scales = scales
+        self.watch_s = self._watch_s = watch_s
+        self._timeout_s = state_timeout_s
+        self._cycle_ns = 0
+        self._word = cia402.DISABLE_VOLTAGE
+        self._target = 0
+        self._takes_offset = torque_offset
+        self._offset = 0
+        self._previous = 0
+        self._staged_in = 0
+        self._time = Unwrapper(1 << 32)
+
+    def identity(self) -> Identity:
+        """Read who it is."""
+        return read_identity(self._channel)
+
+    def state(self) -> ServoState:
+        """Read the drive's state from the device (6041h)."""
+        return decode_state(self._channel.read(*cia402.STATUSWORD))
+
+    def read_limits(self) -> ServoLimits:
+        """Read back the limits the drive itself holds."""
+        return servo_limits.read(self._channel, self._scales)
+
+    def limit_steps(self) -> LimitSteps:
+        """Return one unit of each limit's object, at the joint."""
+        return servo_limits.steps(self._scales)
+
+    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+        """Yield each limit that its object cannot hold."""
+        for address, value in servo_limits.encode(limits, self._scales).items():
+            yield from refusal(self._channel.require_fit, *address, value)
+
+    def write_limits(self, limits: ServoLimits) -> None:
+        """Write limits into the drive and verify them by reading back.
+
+        Raises:
+            ConfigurationError: The drive holds another value, or one does not fit.
+            ObjectAccessError: The drive refuses one.
+        """
+        servo_limits.write(self._channel, self._scales, limits)
+
+    def readings(self) -> ServoReadings:
+        """Read each value by itself; one that the drive does not have is NaN."""
+        scales = self._scales
+        counts, speed, current, supply, temperature = map(
+            self._read_or_nan, (_POSITION, _SPEED_ACTUAL, _CURRENT, _DC_LINK, scales.temperature_object)
+        )
+        return ServoReadings(
+            counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+            speed * scales.joint_speed_unit_rad_s * scales.sign,
+            current * scales.current_unit_A * scales.sign,
+            supply * _MILLI,
+            temperature * scales.temperature_unit_C,
+        )
+
+    def fault(self) -> DriveFault:
+        """Read why the drive is in fault (603Fh)."""
+        code = self._channel.read(*_ERROR_CODE)
+        return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
+
+    def description_refusals(self) -> Iterator[DeviceError]:
+        """Yield what the EDS lacks that this profile needs. Sends nothing."""
+        for address in (*IDENTITY, *_SINGLE, *servo_limits.OBJECTS):
+            yield from refusal(self._channel.require_fit, *address, 0)
+        yield from refusal(self._channel.require_mappable, *self._layouts())
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield units that differ from the bench file, a cycle that cannot be set, and objects that are not there."""
+        yield from self._unit_refusals(cycle_s)
+        channel = self._channel
+        outputs, inputs = self._layouts()
+        unmappable = list(refusal(channel.require_mappable, outputs, inputs))
+        yield from unmappable
+        if not unmappable:
+            for layout in inputs:
+                for address in layout.objects:
+                    yield from refusal(channel.read, *address)
+
+    def prepare(self, cycle_s: float) -> None:
+        """Check units, map process data, set the cycle, and prove that the heartbeat watch can be set. No power.
+
+        The watch itself runs from :meth:`enable` to :meth:`disable`, so that the loop may pause in between.
+
+        Raises:
+            ConfigurationError: Scale or unit differ from the bench file, or the drive did not take a setting.
+            StateError: The drive is energised.
+        """
+        state = self.state()
+        if state.energised:
+            raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
+        self._word = cia402.DISABLE_VOLTAGE
+        channel = self._channel
+        for error in self._unit_refusals(cycle_s):
+            raise error
+        servo_limits.store(channel, _CYCLE, round(cycle_s * 1e3))
+        servo_limits.store(channel, _CYCLE_EXPONENT, -3)
+        servo_limits.store(channel, _ON_ABORT, _ABORT_IS_FAULT)
+        self._offset = 0
+        channel.map_process_data(*self._layouts(), cycle_s=cycle_s)
+        self._cycle_ns = round(cycle_s * NS)
+        self._time = Unwrapper(1 << 32)
+        channel.watch(self._watch_s)
+        channel.unwatch()
+        self._stage(channel.read(*_POSITION))
+
+    def enable(self) -> None:
+        """Energise and hold the present position, exchanging all the while.
+
+        Raises:
+            StateError: Not prepared, not allowed in this state, or not reached in time; the drive is left
+                de-energised.
+            DriveFault: The drive is in fault.
+        """
+        if not self._cycle_ns:
+            raise StateError("the drive is not prepared: call prepare() first")
+        state = self.state()
+        if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+            raise self.fault()
+        controlword(state, Command.ENABLE)
+        try:
+            self._channel.watch(self._watch_s)
+            self._word = cia402.DISABLE_VOLTAGE
+            self._offset = 0
+            self._stage(self._channel.read(*_POSITION))
+            self._select_mode()
+            self._walk()
+        except DeviceError:
+            with suppress(DeviceError):
+                self.disable()
+            raise
+
+    def disable(self) -> None:
+        """Take the power off, verify by reading 6041h that it is, and end the heartbeat watch.
+
+        Raises:
+            StateError: The drive still reports an energised state.
+            LinkError: The drive cannot be reached; it stops by itself when its watch runs out.
+        """
+        self._command(Command.DISABLE)
+        self._await(lambda state: not state.energised, "a de-energised state")
+        if self._takes_offset:
+            self._channel.write(*TORQUE_OFFSET, 0)
+        self._channel.unwatch()
+
+    def quick_stop(self) -> None:
+        """Brake with the drive's own ramp (605Ah, 6085h); never leads to power.
+
+        Raises:
+            StateError: The drive neither stops nor is it stopped.
+            LinkError: The drive cannot be reached.
+        """
+        self._command(Command.QUICK_STOP)
+        self._await(lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault")
+
+    def reset_fault(self) -> None:
+        """Clear a fault. Ends in SWITCH ON DISABLED; never restarts motion.
+
+        Raises:
+            StateError: There is no fault to reset, or it comes back.
+        """
+        word = controlword(self.state(), Command.RESET_FAULT)
+        self._command(Command.DISABLE)
+        if word == cia402.FAULT_RESET:
+            self._channel.write(*cia402.CONTROLWORD, word)
+            self._channel.write(*cia402.CONTROLWORD, cia402.DISABLE_VOLTAGE)
+        self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled")
+
+    def set_target(self, angle_rad: float) -> None:
+        """Stage the joint angle that the next exchange sends.
+
+        Raises:
+            ConfigurationError: The angle is beyond what 607Ah can hold.
+        """
+        counts = self._scales.counts(angle_rad)
+        if counts not in _INT32:
+            raise ConfigurationError(f"target {angle_rad:g} rad is {counts} counts, beyond 32 bits: check the scales")
+        self._stage(counts)
+
+    def set_torque_offset(self, torque_N_m: float) -> None:
+        """Stage a joint torque that the drive adds to its own, to the nearest per mille of its rated torque (60B2h).
+
+        Zero is staged instead while the drive is not told to be in operation.
+
+        Raises:
+            ConfigurationError: The drive was not prepared for it, or the torque is beyond what 60B2h can hold.
+        """
+        if not self._takes_offset:
+            super().set_torque_offset(torque_N_m)
+        units = round(self._scales.sign * torque_N_m / self._scales.joint_torque_unit_N_m)
+        if units not in _INT16:
+            raise ConfigurationError(f"torque offset {torque_N_m:g} N m is {units} per mille of 6076h, beyond 16 bits")
+        self._offset = units if self._word == cia402.ENABLE_OPERATION else 0
+        self._stage(self._target)
+
+    def sample(self) -> ServoSample:
+        """Return the sample of the last exchange."""
+        channel, scales = self._channel, self._scales
+        statusword, position, current = channel.latest(_MOTION)
+        velocity, time_us = channel.latest(_SPEED)
+        (voltage,) = channel.latest(_VOLTAGE)
+        supply, temperature = channel.latest(_SUPPLY)
+        following = 0.0
+        if statusword & 0x6F == 0x27:
+            # What was sent with the exchange before is what the drive has interpolated up to this one's SYNC.
+            demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
+            following = (demand - position) * scales.joint_rad_per_count
+        return ServoSample(
+            self._time.update(time_us) * _US,
+            position * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
+            velocity * scales.joint_speed_unit_rad_s * scales.sign,
+            current * scales.current_unit_A * scales.sign,
+            voltage * scales.voltage_unit_V * scales.sign,
+            supply * _MILLI,
+            temperature * scales.temperature_unit_C,
+            following,
+            statusword,
+            channel.fresh,
+        )
+
+    def _stage(self, counts: int) -> None:
+        if self._channel.cycle != self._staged_in:
+            self._previous = self._target
+            self._staged_in = self._channel.cycle
+        self._target = counts
+        if self._takes_offset:
+            self._channel.stage(_OUTPUT, self._word, counts, self._offset)
+        else:
+            self._channel.stage(_OUTPUT, self._word, counts)
+
+    def _unit_refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield what mapping the process data does not find out by itself."""
+        yield from self._scales.mismatches(self._channel)
+        milliseconds = round(cycle_s * 1e3)
+        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
+            yield ConfigurationError(f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)")
+        if self._takes_offset:
+            yield from self._offset_refusals()
+
+    def _layouts(self) -> tuple[list[PdoLayout], list[PdoLayout]]:
+        scales = self._scales
+        outputs: tuple[ObjectAddress, ...] = (cia402.CONTROLWORD, _TARGET)
+        return [PdoLayout(_OUTPUT, (*outputs, TORQUE_OFFSET) if self._takes_offset else outputs)], [
+            PdoLayout(_MOTION, (cia402.STATUSWORD, _POSITION, _CURRENT)),
+            PdoLayout(_SPEED, (_SPEED_ACTUAL, _TIME)),
+            PdoLayout(_VOLTAGE, (scales.voltage_object,)),
+            PdoLayout(_SUPPLY, (_DC_LINK, scales.temperature_object), _SUPPLY_EVERY),
+        ]
+
+    def _read_or_nan(self, address: ObjectAddress) -> float:
+        try:
+            return self._channel.read(*address)
+        except (ConfigurationError, ObjectAccessError):
+            return math.nan
+
+    def _offset_refusals(self) -> Iterator[ConfigurationError]:
+        for error in refusal(self._channel.read, *TORQUE_OFFSET):
+            words = f"{self._channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
+            offset_error = ConfigurationError(words)
+            offset_error.__cause__ = error
+            yield offset_error
+
+    def _command(self, command: Command) -> None:
+        # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the command.
+        self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
+        self._offset = 0
+        if self._cycle_ns:
+            self._stage(self._target)
+        self._channel.insist(*cia402.CONTROLWORD, self._word)
+
+    def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
+        deadline = self._clock.now_ns() + self._timeout_s * NS
+        while not reached(state := self.state()):
+            if self._clock.now_ns() >= deadline:
+                raise StateError(
+                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, wanted {wanted}: "
+                    "take its power away by hand"
+                )
+
+    def _cycles(self) -> Iterator[bool]:
+        # Exchanges at the cycle's pace; yields whether there is time left.
+        due = self._clock.now_ns()
+        deadline = due + self._timeout_s * NS
+        while True:
+            due += self._cycle_ns
+            self._clock.sleep_until_ns(due)
+            self._link.exchange()
+            yield self._clock.now_ns() < deadline
+
+    def _select_mode(self) -> None:
+        self._channel.write(*_MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
+        for in_time in self._cycles():
+            mode = self._channel.read(*_MODE_DISPLAY)
+            if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
+                return
+            if not in_time:
+                raise StateError(f"mode of operation is {mode} (6061h), wanted 8: the drive does not offer CSP (6502h)")
+
+    def _walk(self) -> None:
+        for in_time in self._cycles():
+            statusword, position, _ = self._channel.latest(_MOTION)
+            state = decode_state(statusword)
+            if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+                raise self.fault()
+            if state is ServoState.OPERATION_ENABLED and self._channel.fresh:
+                return
+            if not in_time:
+                raise StateError(
+                    f"the drive is still in state '{state.value}' after {self._timeout_s:g} s of enabling: "
+                    "check its supply and its enable input"
+                )
+            if self._channel.fresh:
+                self._word = controlword(state, Command.ENABLE)
+                self._stage(position)

@@ -1,0 +1,314 @@
+"""CANopen over any python-can interface, without threads: the link owns the receive loop and is pumped by its user."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, Self
+
+import can
+import canopen
+
+from drivers.can.port import ERROR_FLAG, FramePort, PythonCanPort, raw_frame
+from drivers.can.slcan_port import open_slcan
+from drivers.can.timing import ANSWER_SHARE
+from drivers.canopen.eds_file import read_eds
+from drivers.canopen.emergency import explain
+from drivers.canopen.node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
+from drivers.clock import NS, Clock
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
+from drivers.interfaces import Link, RawFrame
+from drivers.port_errors import close_all, words
+
+MASTER_ID: Final = 0x7F
+"""Node identifier of this program's own heartbeat."""
+_FRAMES_KEPT: Final = 1 << 16
+_MASTER_HEARTBEAT_S: Final = 0.025
+_OPERATIONAL_HEARTBEAT: Final = bytes([OPERATIONAL])
+_SILENCE_NS: Final = round(HEARTBEATS_MISSED * HEARTBEAT_S * NS)
+_SYNC: Final = 0x080
+_SDO_ANSWER: Final = 0x580
+_HIGHEST_ID: Final = 0x7FF
+
+
+class _Network(canopen.Network):
+    """canopen's dispatcher, sending through the link."""
+
+    def __init__(self, send: Callable[[int, bytes], None]) -> None:
+        super().__init__()
+        self._send = send
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a frame; canopen's own requests come this way."""
+        if remote:
+            raise NotImplementedError("remote frames are not used here")
+        self._send(can_id, bytes(data))
+
+
+class CanopenLink(Link):
+    """A CANopen network with this program as its only master.
+
+    Args:
+        clock: Real or simulated; goes with the bus.
+        connect: Opens the bus.
+        name: What to call the bus in messages.
+        master_id: Node identifier of the master's heartbeat.
+        sdo_timeout_s: How long a device may take to answer an SDO request.
+
+    Attributes:
+        cycle: Number of exchanges so far.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        connect: Callable[[], FramePort],
+        name: str = "CAN bus",
+        master_id: int = MASTER_ID,
+        sdo_timeout_s: float = 0.3,
+    ) -> None:
+        self.clock = clock
+        self.cycle = 0
+        self.master_id = master_id
+        self.sdo_timeout_s = sdo_timeout_s
+        self._name = name
+        self._connect = connect
+        self._port: FramePort | None = None
+        self._network = _Network(self.send)
+        self._nodes: dict[int, CanopenNode] = {}
+        self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
+        self._cycle_s: float | None = None
+        self._answer_ns = 0
+        self._heartbeat_every = 1
+        self._missing = 0
+        self._troubles: list[tuple[int, LinkError | DriveFault]] = []
+
+    @classmethod
+    def on_interface(
+        cls,
+        clock: Clock,
+        interface: str,
+        channel: str,
+        bitrate: int,
+        bus_options: Mapping[str, Any] | None = None,
+        sdo_timeout_s: float = 0.3,
+    ) -> Self:
+        """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``, ``pcan``...).
+
+        ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can. ``slcan`` is a
+        port of this package, see :class:`~drivers.can.slcan_port.SlcanPort`.
+        """
+        options = dict(bus_options or {})
+
+        def connect() -> FramePort:
+            if interface == "slcan":
+                return open_slcan(channel, clock, bitrate, **options)
+            return PythonCanPort(can.Bus(channel=channel, interface=interface, bitrate=bitrate, **options), clock)
+
+        name = f"{interface} {channel} at {bitrate} bit/s"
+        return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)
+
+    def add_node(self, node_id: int, eds: Path) -> CanopenNode:
+        """Declare a device on the bus.
+
+        Raises:
+            ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
+        """
+        if not 1 <= node_id <= 127 or node_id == self.master_id or node_id in self._nodes:
+            raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
+        dictionary = read_eds(eds, node_id)
+        node = CanopenNode(node_id, dictionary, self)
+        self._network.add_node(node.remote)
+        self._nodes[node_id] = node
+        return node
+
+    def open(self) -> None:
+        """Open the bus. Sends nothing.
+
+        Raises:
+            LinkError: It cannot be opened.
+        """
+        if self._port is not None:
+            return
+        try:
+            self._port = self._connect()
+        except DeviceError:
+            raise
+        except Exception as error:
+            raise LinkError(
+                f"{self._name} cannot be opened: {words(error)}; "
+                "check the interface, its driver and the rights to use it"
+            ) from error
+
+    def close(self) -> None:
+        """Close the bus; safe to call twice and after a failure. Raises nothing."""
+        port, self._port = self._port, None
+        if port is not None:
+            close_all(port.shutdown)
+
+    def set_cycle(self, cycle_s: float, who: str) -> None:
+        """Set the cycle time, the same for all devices.
+
+        Raises:
+            ConfigurationError: Another device has another one.
+        """
+        if self._cycle_s is not None and self._cycle_s != cycle_s:
+            raise ConfigurationError(f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s")
+        self._cycle_s = cycle_s
+        self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
+        self._heartbeat_every = max(1, int(_MASTER_HEARTBEAT_S / cycle_s))
+
+    def exchange(self) -> None:
+        """Send every device's outputs and SYNC, and collect what it brings.
+
+        The master's heartbeat goes out here and nowhere else (but for the one that starts a device's watch), so it
+        stops when the control loop does. Waits for process data at most 80 % of the cycle.
+
+        Raises:
+            LinkError: The bus failed, or a device was lost, stopped or restarted.
+            DriveFault: A device sent an emergency message.
+        """
+        self._receive(0.0)
+        self.cycle += 1
+        self._missing = 0
+        heard_since = self.clock.now_ns() - _SILENCE_NS
+        for node in self._nodes.values():
+            if node.heard_ns < heard_since and node.monitored:
+                self._troubles.append((node.node_id, self._lost(node)))
+            node.cycle = self.cycle
+            node.missing = node.expected
+            for identifier, data in node.outputs.items():
+                self.send(identifier, data)
+            self._missing += node.expected
+        self.send(_SYNC, b"")
+        if self.cycle % self._heartbeat_every == 0:
+            self.heartbeat()
+        deadline = self.clock.now_ns() + self._answer_ns
+        while self._missing and (left := deadline - self.clock.now_ns()) > 0:
+            self._receive(left / NS)
+        if self._troubles:
+            self._raise_troubles()
+
+    def take_frames(self) -> list[RawFrame]:
+        """Return the raw frames seen since the last call, oldest first; at most the last 65 536."""
+        frames = list(self._frames)
+        self._frames.clear()
+        return frames
+
+    def send(self, identifier: int, data: bytes) -> None:
+        """Send one frame.
+
+        Raises:
+            LinkError: The bus refuses it.
+        """
+        port = self._port or self._opened()
+        try:
+            port.transmit(identifier, data)
+        except Exception as error:
+            raise LinkError(
+                f"{self._name} cannot send: {words(error)}; check cabling, termination, and that a device is powered"
+            ) from error
+        self._frames.append(raw_frame((self.clock.now_ns(), identifier, data, True)))
+
+    def heartbeat(self) -> None:
+        """Send the master's heartbeat."""
+        self.send(0x700 + self.master_id, _OPERATIONAL_HEARTBEAT)
+
+    def pump(self, ready: Callable[[], bool], timeout_s: float) -> bool:
+        """Receive and dispatch frames until ``ready()``; False after ``timeout_s``.
+
+        Raises:
+            LinkError: The bus failed.
+        """
+        deadline = self.clock.now_ns() + round(timeout_s * NS)
+        while not ready():
+            left = deadline - self.clock.now_ns()
+            if left <= 0:
+                return False
+            self._receive(left / NS)
+        return True
+
+    def _opened(self) -> FramePort:
+        if self._port is None:
+            raise LinkError(f"{self._name} is not open: call open() first")
+        return self._port
+
+    def _receive(self, timeout_s: float) -> None:
+        """Dispatch what has come in, waiting for it where there is nothing."""
+        port = self._port or self._opened()
+        try:
+            frames = port.collect(timeout_s)
+        except Exception as error:
+            raise LinkError(
+                f"{self._name} cannot receive: {words(error)}; check the interface and its cable"
+            ) from error
+        for frame in frames:
+            self._handle(frame)
+
+    def _handle(self, frame: RawFrame) -> None:
+        time_ns, identifier, data, _ = frame
+        if identifier > _HIGHEST_ID:
+            if identifier & ERROR_FLAG:
+                text = f"{self._name}: error frame; check termination (120 ohm at both ends), cabling and bit rate"
+                self._troubles.append((0, LinkError(text)))
+            return
+        self._frames.append(frame)
+        node = self._nodes.get(identifier & 0x7F)
+        if node is None:
+            return
+        slot = node.inputs.get(identifier)
+        if slot is not None:
+            # A frame of the wrong length updates nothing, and its cycle counts as missed.
+            if len(data) == slot.size:
+                slot.values = slot.layout.unpack(data)
+                if slot.cycle != self.cycle and not slot.slack:
+                    node.missing -= 1
+                    self._missing -= 1
+                slot.cycle = self.cycle
+            return
+        function = identifier & 0x780
+        if function == 0x080 and len(data) == 8:
+            self._emergency(node, data)
+        elif function == 0x700 and len(data) == 1:
+            self._heard(node, data[0] & 0x7F, time_ns)
+        elif function == _SDO_ANSWER and len(data) == 8:
+            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks raise. One that a
+            # callback cannot take counts as lost: who waits for the answer has a time limit.
+            with suppress(Exception):
+                self._network.notify(identifier, bytearray(data), time_ns / NS)
+
+    def _emergency(self, node: CanopenNode, data: bytes) -> None:
+        code = int.from_bytes(data[:2], "little")
+        if code >> 8:
+            fault = DriveFault(code, f"{node.label} sent an emergency message: {explain(code)}")
+            self._troubles.append((node.node_id, fault))
+        else:
+            # "Error reset": whatever the device reported before is over.
+            self._troubles = [
+                (origin, trouble)
+                for origin, trouble in self._troubles
+                if origin != node.node_id or isinstance(trouble, LinkError)
+            ]
+
+    def _heard(self, node: CanopenNode, state: int, time_ns: int) -> None:
+        node.heard_ns = time_ns
+        node.nmt_state = state
+        if node.monitored and state != OPERATIONAL:
+            what = "restarted" if state == INITIALISING else f"left OPERATIONAL for {NMT_NAMES.get(state, state)}"
+            lost = LinkError(f"{node.label} {what}; check its supply, then prepare it again")
+            self._troubles.append((node.node_id, lost))
+
+    def _lost(self, node: CanopenNode) -> LinkError:
+        silent_s = (self.clock.now_ns() - node.heard_ns) / NS
+        return LinkError(
+            f"{node.label} sent no heartbeat for {silent_s:.3f} s (limit {_SILENCE_NS / NS:g} s); "
+            "check its supply and the bus cable"
+        )
+
+    def _raise_troubles(self) -> None:
+        troubles = [trouble for _, trouble in self._troubles]
+        self._troubles = []
+        # A lost bus explains whatever else happened; of several faults the first is the cause.
+        raise next((trouble for trouble in troubles if isinstance(trouble, LinkError)), troubles[0])

@@ -1,0 +1,1 @@
+"""Servos whose frames a DBC file describes."""

@@ -1,0 +1,237 @@
+"""One drive with its own CAN frames: what it said last, what it is told next, with counters and checksums. No I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from drivers.clock import NS
+from drivers.dbc.wiring import BoundMessage, Images, Wiring
+from drivers.errors import DriveFault, StateError
+from drivers.interfaces import ServoState
+
+PERIODS_KEPT: Final = 2.5
+"""A message that comes on its own time counts as fresh for this many of its periods."""
+
+
+class Slot:
+    """The last good frame of one message.
+
+    A frame of the wrong length, with a wrong checksum, or with a life counter that stood still or ran backwards updates
+    nothing. After a counter that ran backwards the next frame is taken again, as after a restart of the drive.
+
+    Attributes:
+        message: Which.
+        data: The frame.
+        count: Good frames so far.
+        cycle: Exchange in which it came.
+        time_ns: When it came.
+        refused: Frames that were not good.
+    """
+
+    def __init__(self, message: BoundMessage) -> None:
+        self.message = message
+        self.data = bytes(message.size)
+        self.count = 0
+        self.cycle = -1
+        self.time_ns = 0
+        self.refused = 0
+        self._counter = message.counter
+        self._checksum = message.checksum
+        self._last: int | None = None
+
+    def accept(self, data: bytes, cycle: int, time_ns: int) -> bool:
+        """Take a frame if it is good."""
+        if not self._good(data):
+            self.refused += 1
+            return False
+        self.data = data
+        self.count += 1
+        self.cycle = cycle
+        self.time_ns = time_ns
+        return True
+
+    def _good(self, data: bytes) -> bool:
+        if len(data) != self.message.size:
+            return False
+        checksum = self._checksum
+        if checksum is not None and self.message.algorithm(checksum.insert(data, 0)) != checksum.bits(data):
+            return False
+        counter = self._counter
+        if counter is None:
+            return True
+        number, last = counter.bits(data), self._last
+        self._last = number
+        return last is None or 0 < (number - last & counter.mask) <= (counter.mask + 1) // 2
+
+
+class _Output:
+    """One message of the host: the order in force, the target where it carries it, life counter, checksum."""
+
+    def __init__(self, message: BoundMessage) -> None:
+        self.message = message
+        self.image = bytes(message.size)
+        self.every = 1
+        self._count = 0
+
+    def frame(self) -> bytes:
+        """Return the next frame."""
+        data, message = self.image, self.message
+        if (counter := message.counter) is not None:
+            self._count = self._count + 1 & counter.mask
+            data = counter.insert(data, self._count)
+        if (checksum := message.checksum) is not None:
+            data = checksum.insert(data, message.algorithm(data))
+        return data
+
+
+class DbcChannel:
+    """The drive as its link sees it.
+
+    Args:
+        wiring: Its messages.
+        label: What to call it in messages.
+
+    Attributes:
+        slots: Its messages by CAN identifier.
+        cycle: Number of exchanges so far.
+        heard: Frames of it so far, good or not.
+        commanded: Whether it has been sent anything; a bus that was only listened to is left as it was found.
+    """
+
+    def __init__(self, wiring: Wiring, label: str) -> None:
+        self.wiring = wiring
+        self.label = label
+        self.cycle = 0
+        self.heard = 0
+        self.commanded = False
+        by_name = {name: Slot(message) for name, message in wiring.received.items()}
+        self.slots = {slot.message.identifier: slot for slot in by_name.values()}
+        self._by_name = by_name
+        self._sampled = [by_name[name] for name in sorted(wiring.sampled)]
+        self._answers: list[Slot] = []
+        self._timed: list[Slot] = []
+        self._outputs = {name: _Output(message) for name, message in wiring.sent.items()}
+        self._settings = {name: _Output(message) for name, message in wiring.settings.items()}
+        self._pinned: dict[str, float] = {}
+        self._limit_slots = [by_name[name] for name in sorted({limit.held.message for limit in wiring.limits.values()})]
+        self._limits_heard = 0
+        self._target_bits = 0
+        self._holding = False
+        self._begun_ns = 0
+        self.order(wiring.disable)
+
+    def slot(self, message: str) -> Slot:
+        """Return the slot of a message by name."""
+        return self._by_name[message]
+
+    def set_cycle(self, cycle_s: float) -> None:
+        """Work out in how many cycles each message of the host goes once."""
+        for output in self._outputs.values():
+            output.every = max(1, round(output.message.period_s / cycle_s))
+        self._answers = [slot for slot in self._sampled if slot.message.period_s <= cycle_s]
+        self._timed = [slot for slot in self._sampled if slot.message.period_s > cycle_s]
+
+    def order(self, images: Images, *, hold: bool = False) -> None:
+        """Put an order into every frame from now on.
+
+        Args:
+            images: The order's frames.
+            hold: The drive is running and is to stay so; the order falls back to disable when it stops by itself.
+        """
+        for name, image in images.items():
+            self._outputs[name].image = image
+        self._holding = hold
+        self.aim(self._target_bits)
+
+    def aim(self, bits: int) -> None:
+        """Put a target into every frame from now on, as raw bits."""
+        self._target_bits = bits
+        target = self.wiring.target
+        output = self._outputs[target.message]
+        output.image = target.signal.insert(output.image, bits)
+
+    def frames(self, *, all_now: bool = False) -> Iterator[tuple[int, bytes]]:
+        """Yield identifier and data of each frame that is due in this cycle, or of all."""
+        self.commanded = True
+        for output in self._outputs.values():
+            if all_now or self.cycle % output.every == 0:
+                yield output.message.identifier, output.frame()
+
+    def settings(self, images: Images) -> list[tuple[int, bytes]]:
+        """Return identifier and data of the frames that carry settings."""
+        for name, image in images.items():
+            self._settings[name].image = image
+        return [(output.message.identifier, output.frame()) for output in self._settings.values()]
+
+    def limits(self) -> dict[str, float]:
+        """Return the limits in the last good frames that carry them, by the name they have in the map."""
+        held = {name: limit.held for name, limit in self.wiring.limits.items()}
+        return {name: quantity.read(self._by_name[quantity.message].data) for name, quantity in held.items()}
+
+    def pin(self, limits: dict[str, float]) -> None:
+        """Expect the drive to go on holding these limits; none to expect nothing."""
+        self._pinned = limits
+
+    def begin(self, now_ns: int) -> None:
+        """Start an exchange."""
+        self.cycle += 1
+        self._begun_ns = now_ns
+
+    def receive(self, slot: Slot, data: bytes, time_ns: int) -> None:
+        """Take a frame from the bus."""
+        self.heard += 1
+        slot.accept(data, self.cycle, time_ns)
+
+    @property
+    def answered(self) -> bool:
+        """Whether every message that answers the command has come in this exchange."""
+        cycle = self.cycle
+        return all([slot.cycle == cycle for slot in self._answers])
+
+    @property
+    def fresh(self) -> bool:
+        """Whether every message of a sample came whole and in time, those on their own period included."""
+        begun = self._begun_ns
+        return self.answered and all(
+            [slot.count and begun - slot.time_ns <= PERIODS_KEPT * slot.message.period_s * NS for slot in self._timed]
+        )
+
+    @property
+    def state(self) -> ServoState | None:
+        """State in the last good frame that carries it; None for a value that is not in the map."""
+        wiring = self.wiring
+        return wiring.states.get(wiring.status.raw(self._by_name[wiring.status_message].data))
+
+    def settle(self) -> None:
+        """End an exchange: a drive that has stopped by itself is not asked to run again.
+
+        Raises:
+            DriveFault: It went into fault while it was running.
+            StateError: It holds other limits than those written into it; told once.
+        """
+        self._check_limits()
+        if not self._holding or (state := self.state) is ServoState.OPERATION_ENABLED:
+            return
+        self.order(self.wiring.disable)
+        if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
+            raise self.fault()
+
+    def _check_limits(self) -> None:
+        heard = sum(slot.count for slot in self._limit_slots)
+        if heard == self._limits_heard:
+            return
+        self._limits_heard = heard
+        changed = [name for name, value in self.limits().items() if self._pinned.get(name, value) != value]
+        if changed:
+            self._pinned = {}
+            raise StateError(
+                f"{self.label} no longer holds the limits written into it ({', '.join(changed)}): it has restarted, "
+                "or something else has written into it; check its supply and what else is on the bus"
+            )
+
+    def fault(self) -> DriveFault:
+        """Return the fault that the drive reports."""
+        quantity = self.wiring.inputs.get("fault_code")
+        code = round(quantity.read(self._by_name[quantity.message].data)) if quantity is not None else 0
+        return DriveFault(code, f"{self.label} is in fault: see its manual for the code, remove the cause, then reset")

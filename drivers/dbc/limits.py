@@ -1,0 +1,153 @@
+"""Limits of a drive with its own CAN frames: those it can be told, and those set with its maker's tool."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Final
+
+from drivers.dbc.wiring import BoundLimit, BoundQuantity, Images, Wiring
+from drivers.errors import ConfigurationError
+from drivers.interfaces import Identity, LimitSteps, ServoLimits
+
+_LOWER: Final = frozenset({"angle_min"})
+_ROUNDING: Final = 1e-6
+
+
+@dataclass(frozen=True)
+class DbcDrive:
+    """What the bench file says about the drive beside its signals.
+
+    Attributes:
+        identity: Who it is; ``serial_number`` and ``revision`` are overridden by signals where the map names them.
+        held: Limits set in the drive with its maker's tool; those it says over the bus are asked for instead.
+        gear_ratio: Motor turns per joint turn.
+        torque_constant_N_m_A: Turns a torque signal into a current.
+        offset_rad: Joint angle at position 0.
+        watchdog_s: The drive stops by itself when no command comes for this long; None if it never does.
+    """
+
+    identity: Identity
+    held: ServoLimits
+    gear_ratio: float
+    torque_constant_N_m_A: float
+    offset_rad: float
+    watchdog_s: float | None
+
+
+def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
+    """Return limits in the map's terms: angles, speed and following error at the motor, the torque's as a current."""
+    gear = drive.gear_ratio
+    window = limits.following_error_rad
+    return {
+        "angle_min": (limits.angle_min_rad - drive.offset_rad) * gear,
+        "angle_max": (limits.angle_max_rad - drive.offset_rad) * gear,
+        "speed": limits.speed_rad_s * gear,
+        "current": min(limits.current_A, limits.torque_N_m / (drive.torque_constant_N_m_A * gear)),
+        "following_error": math.inf if window is None else window * gear,
+    }
+
+
+def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
+    """Return what the drive holds at the joint: what it told, and what it cannot tell as the bench file says."""
+    gear, limits = drive.gear_ratio, drive.held
+    if "angle_min" in told:
+        limits = replace(limits, angle_min_rad=told["angle_min"] / gear + drive.offset_rad)
+    if "angle_max" in told:
+        limits = replace(limits, angle_max_rad=told["angle_max"] / gear + drive.offset_rad)
+    if "speed" in told:
+        limits = replace(limits, speed_rad_s=told["speed"] / gear)
+    if "current" in told:
+        torque = told["current"] * drive.torque_constant_N_m_A * gear
+        limits = replace(limits, current_A=told["current"], torque_N_m=torque)
+    if "following_error" in told:
+        limits = replace(limits, following_error_rad=told["following_error"] / gear)
+    return limits
+
+
+def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
+    """Return one unit of each signal that says what the drive holds, at the joint.
+
+    Zero for what the drive does not say, and for a floating-point signal.
+    """
+    held = {name: limit.held for name, limit in wiring.limits.items()}
+    units = {name: 0.0 if quantity.signal.real else abs(quantity.gain) for name, quantity in held.items()}
+    gear = drive.gear_ratio
+    current = units.get("current", 0.0)
+    return LimitSteps(
+        angle_rad=max(units.get("angle_min", 0.0), units.get("angle_max", 0.0)) / gear,
+        speed_rad_s=units.get("speed", 0.0) / gear,
+        torque_N_m=current * drive.torque_constant_N_m_A * gear,
+        current_A=current,
+        following_error_rad=units.get("following_error", 0.0) / gear,
+        quick_stop_deceleration_rad_s2=0.0,
+    )
+
+
+def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
+    """Return the frames that carry the limits, each rounded to the drive's unit and never to a wider limit.
+
+    Raises:
+        ConfigurationError: One does not fit its signal.
+    """
+    frames = {name: bytes(message.size) for name, message in wiring.settings.items()}
+    for name, limit in wiring.limits.items():
+        quantity = limit.set
+        try:
+            bits = quantity.signal.pack(_tighter(name, quantity, wanted[name]))
+        except (ValueError, OverflowError) as error:
+            raise ConfigurationError(f"limit {name}: {error}; tighten it in the bench file") from error
+        frames[quantity.message] = quantity.signal.insert(frames[quantity.message], bits)
+    return frames
+
+
+def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
+    raw = (value - quantity.bias) / quantity.gain
+    # The margin keeps a value that came from whole units at them.
+    if (name in _LOWER) is (quantity.gain > 0):
+        return math.ceil(raw - _ROUNDING)
+    return math.floor(raw + _ROUNDING)
+
+
+def verify(wanted: Mapping[str, float], held: Mapping[str, float], limits: Mapping[str, BoundLimit], who: str) -> None:
+    """Check that the drive holds what was written, to two of its own units, and nothing wider.
+
+    Raises:
+        ConfigurationError: Names each limit that it does not hold.
+    """
+    wrong = []
+    for name, found in held.items():
+        unit = abs(limits[name].set.gain)
+        room = found - wanted[name] if name in _LOWER else wanted[name] - found
+        if not -_ROUNDING * max(1.0, abs(wanted[name])) <= room <= 2 * unit:
+            wrong.append(f"{name} reads {found:g} after writing {wanted[name]:g}")
+    if wrong:
+        raise ConfigurationError(
+            f"{who} does not take these limits (at the motor, SI units): {'; '.join(wrong)}; "
+            "check its range in the manual"
+        )
+
+
+def require_room(limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str) -> None:
+    """Check that limits which can only be set with the maker's tool leave room for the bench's.
+
+    Raises:
+        ConfigurationError: Names each that is tighter than the bench's, so that the drive would stop first.
+    """
+    rows = (
+        ("angle_min", -limits.angle_min_rad, -held.angle_min_rad, "rad below zero"),
+        ("angle_max", limits.angle_max_rad, held.angle_max_rad, "rad"),
+        ("speed", limits.speed_rad_s, held.speed_rad_s, "rad/s"),
+        ("current", limits.current_A, held.current_A, "A"),
+    )
+    tight = [
+        f"{name} {wanted:g} {unit} (drive: {own:g} {unit})"
+        for name, wanted, own, unit in rows
+        if name not in settable and not wanted <= own * (1 + _ROUNDING)
+    ]
+    if tight:
+        raise ConfigurationError(
+            f"limits looser than those set in {who}: {', '.join(tight)}; lower them in the bench file, or raise the "
+            "drive's with its maker's tool and write them under servo.held"
+        )

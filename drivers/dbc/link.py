@@ -1,0 +1,133 @@
+"""A CAN bus with drives that speak frames of their own, described by DBC files, beside CANopen devices."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import partial
+from types import MappingProxyType
+from typing import Final
+
+from drivers.canopen.link import CanopenLink
+from drivers.clock import NS
+from drivers.dbc.channel import DbcChannel, Slot
+from drivers.dbc.wiring import Wiring
+from drivers.errors import ConfigurationError
+from drivers.interfaces import RawFrame
+from drivers.port_errors import close_all
+
+_RESERVED: Final = {0x000: "the NMT command", 0x080: "SYNC"}
+_BACKLOG_READS: Final = 64
+
+
+class DbcLink(CanopenLink):
+    """A bus as of :class:`CanopenLink`, with drives of the other kind on it as well.
+
+    The commands go out first in every exchange, then SYNC, so that drive and encoder sample within one frame time.
+    Closing the link sends every drive that was commanded its stop frame.
+    """
+
+    _channels: tuple[DbcChannel, ...] = ()
+    _routes: Mapping[int, tuple[DbcChannel, Slot]] = MappingProxyType({})
+
+    def add_channel(self, wiring: Wiring, label: str) -> DbcChannel:
+        """Declare a drive on the bus."""
+        channel = DbcChannel(wiring, label)
+        self._channels = (*self._channels, channel)
+        return channel
+
+    def open(self) -> None:
+        """Open the bus. Sends nothing.
+
+        Raises:
+            LinkError: It cannot be opened.
+            ConfigurationError: Two devices use one identifier.
+        """
+        for conflict in self.conflicts():
+            raise ConfigurationError(conflict)
+        routes = {
+            identifier: (channel, slot) for channel in self._channels for identifier, slot in channel.slots.items()
+        }
+        self._routes = routes
+        super().open()
+
+    def conflicts(self) -> Iterator[str]:
+        """Yield in words each CAN identifier of a drive that something else on this bus uses as well."""
+        taken: set[int] = set()
+        for channel in self._channels:
+            wiring = channel.wiring
+            sent = (*wiring.sent.values(), *wiring.settings.values())
+            for identifier in dict.fromkeys((wiring.stop_frame[0], *(m.identifier for m in sent), *channel.slots)):
+                if identifier in taken or (owner := self._canopen_owner(identifier)):
+                    who = "another drive" if identifier in taken else owner
+                    yield f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
+            taken.update(channel.slots)
+
+    def _canopen_owner(self, identifier: int) -> str:
+        node = identifier & 0x7F
+        if identifier > 0x080 and (node in self._nodes or node == self.master_id):
+            return f"CANopen node {node}"
+        return _RESERVED.get(identifier, "")
+
+    def close(self) -> None:
+        """Send each drive that was commanded its stop frame, then close the bus.
+
+        Safe to call twice and after a failure. Raises nothing.
+        """
+        commanded = [channel for channel in self._channels if channel.commanded] if self._port is not None else []
+        stops = [partial(self.send, *channel.wiring.stop_frame) for channel in commanded]
+        close_all(*stops, super().close)
+
+    def exchange(self) -> None:
+        """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the cycle.
+
+        Raises:
+            LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.
+            DriveFault: A device sent an emergency message, or a drive went into fault while it was running.
+        """
+        self._receive(0.0)
+        now = self.clock.now_ns()
+        deadline = now + self._answer_ns
+        for channel in self._channels:
+            channel.begin(now)
+            for identifier, data in channel.frames():
+                self.send(identifier, data)
+        super().exchange()
+        if not self._answered():
+            self.pump(self._answered, (deadline - self.clock.now_ns()) / NS)
+        for channel in self._channels:
+            channel.settle()
+
+    def _answered(self) -> bool:
+        return all([channel.answered for channel in self._channels])
+
+    def command(self, channel: DbcChannel) -> None:
+        """Send a drive its order at once, outside the cycle.
+
+        Raises:
+            LinkError: The bus refuses it.
+        """
+        for identifier, data in channel.frames(all_now=True):
+            self.send(identifier, data)
+
+    def await_frame(self, channel: DbcChannel, slot: Slot, timeout_s: float) -> bool:
+        """Wait for a good frame that comes after this call; False after the time-out.
+
+        Raises:
+            LinkError: The bus failed.
+        """
+        for _ in range(_BACKLOG_READS):
+            heard = channel.heard
+            self._receive(0.0)
+            if channel.heard == heard:
+                break
+        count = slot.count
+        return self.pump(lambda: slot.count != count, timeout_s)
+
+    def _handle(self, frame: RawFrame) -> None:
+        route = self._routes.get(frame.identifier)
+        if route is None:
+            super()._handle(frame)
+            return
+        self._frames.append(frame)
+        channel, slot = route
+        channel.receive(slot, frame.data, frame.time_ns)

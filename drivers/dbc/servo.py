@@ -1,0 +1,401 @@
+"""A position servo that speaks CAN frames of its own, by its DBC file and a map from signals to verbs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Final
+
+from drivers.canopen import cia402
+from drivers.clock import NS
+from drivers.dbc import limits as dbc_limits
+from drivers.dbc.channel import PERIODS_KEPT, DbcChannel, Slot
+from drivers.dbc.limits import DbcDrive
+from drivers.dbc.link import DbcLink
+from drivers.dbc.wiring import Images
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.interfaces import Identity, LimitSteps, Servo, ServoLimits, ServoReadings, ServoSample, ServoState
+from drivers.objects import refusal
+from drivers.units import Unwrapper
+
+_ANSWER_S: Final = 0.3
+_RETRY_S: Final = 0.02
+_FAULTS: Final = (ServoState.FAULT, ServoState.FAULT_REACTION)
+_STATUSWORDS: Final = {state: value for _, value, state in cia402.STATUS}
+_UNKNOWN_STATE: Final = _STATUSWORDS[ServoState.NOT_READY]
+
+
+class DbcServo(Servo):
+    """A drive behind its own frames. Only :meth:`enable` ever moves it toward power.
+
+    Args:
+        link: The link it is on.
+        channel: The drive.
+        drive: What is known of it.
+        state_timeout_s: How long it may take to reach a state.
+    """
+
+    def __init__(self, link: DbcLink, channel: DbcChannel, drive: DbcDrive, state_timeout_s: float = 1.0) -> None:
+        self._link = link
+        self._clock = link.clock
+        self._channel = channel
+        self._wiring = wiring = channel.wiring
+        self._drive = drive
+        self._timeout_s = state_timeout_s
+        self._inputs = inputs = wiring.inputs
+        self._reads = {name: (channel.slot(quantity.message), quantity.read) for name, quantity in inputs.items()}
+        self._effort = "current" if "current" in inputs else "torque"
+        self._effort_per_A = 1.0 if "current" in inputs else drive.torque_constant_N_m_A
+        self._status = channel.slot(wiring.status_message)
+        self._command_period_s = wiring.sent[wiring.target.message].period_s
+        self.watch_s = drive.watchdog_s
+        link.has_watchdog = link.has_watchdog and drive.watchdog_s is not None
+        self._cycle_ns = 0
+        self._target = self._previous = 0.0
+        self._staged_in = 0
+        self._time = self._unwrapper()
+
+    def identity(self) -> Identity:
+        """Return who it is, as the bench file and the drive's own frames say.
+
+        Raises:
+            LinkError: The drive is silent.
+        """
+        told = self._drive.identity
+        return Identity(
+            name=told.name,
+            vendor_id=told.vendor_id,
+            product_code=told.product_code,
+            revision=self._told("revision", told.revision),
+            serial_number=self._told("serial_number", told.serial_number),
+        )
+
+    def state(self) -> ServoState:
+        """Wait for the drive's next status frame and return its state.
+
+        Raises:
+            LinkError: The drive is silent.
+            StateError: The map does not name the status value.
+        """
+        self._await_frame(self._wiring.status_message)
+        state = self._channel.state
+        if state is None:
+            raw = self._wiring.status.raw(self._status.data)
+            raise StateError(f"{self._channel.label} reports status {raw:g}, which the map does not name: add it")
+        return state
+
+    def read_limits(self) -> ServoLimits:
+        """Return the limits that the drive holds: what it says, else what the bench file says was set in it.
+
+        Raises:
+            LinkError: The drive is silent.
+        """
+        return dbc_limits.decode(self._held(), self._drive)
+
+    def limit_steps(self) -> LimitSteps:
+        """Return one unit of each signal that says what the drive holds, at the joint."""
+        return dbc_limits.steps(self._wiring, self._drive)
+
+    def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
+        """Yield what does not fit its signal, and what is looser than limits set with the maker's tool."""
+        wiring, drive = self._wiring, self._drive
+        yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
+        yield from refusal(dbc_limits.require_room, limits, drive.held, wiring.limits, self._channel.label)
+
+    def write_limits(self, limits: ServoLimits) -> None:
+        """Write the limits that the drive can be told, and check that all it holds are kept by these.
+
+        Raises:
+            ConfigurationError: The drive holds another value than the one written, or one that was set with its
+                maker's tool is tighter, so that the drive would stop first.
+            LinkError: The drive is silent.
+        """
+        wanted = dbc_limits.encode(limits, self._drive)
+        settable = self._wiring.limits
+        self._channel.pin({})
+        for identifier, data in self._channel.settings(dbc_limits.images(self._wiring, wanted)):
+            self._link.send(identifier, data)
+        held = self._held()
+        dbc_limits.verify(wanted, held, settable, self._channel.label)
+        self._channel.pin(held)
+        dbc_limits.require_room(limits, self._drive.held, settable, self._channel.label)
+
+    def readings(self) -> ServoReadings:
+        """Wait for the next frame of each message that carries a value.
+
+        A message that only comes as an answer to a command is not asked for; its values are NaN.
+        """
+        names = ("position", "velocity", self._effort, "supply_voltage", "temperature")
+        position, velocity, effort, supply, temperature = self._unasked(*names)
+        gear = self._drive.gear_ratio
+        angle = position + self._drive.offset_rad * gear
+        return ServoReadings(angle, velocity / gear, effort / self._effort_per_A, supply, temperature)
+
+    def fault(self) -> DriveFault:
+        """Return the fault that the drive reports."""
+        return self._channel.fault()
+
+    def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
+        """Yield a cycle too slow for the drive's watchdog, and a position that does not fit the target signal.
+
+        A message that only comes as an answer to a command is not waited for.
+        """
+        yield from refusal(self._require_watchdog, cycle_s)
+        (position,) = self._unasked("position")
+        if not math.isnan(position):
+            yield from refusal(self._target_bits, position)
+
+    def prepare(self, cycle_s: float) -> None:
+        """Set the cycle, and see every message of the drive come in whole. No power.
+
+        Raises:
+            ConfigurationError: The cycle is too slow for the drive's watchdog, another device has another one, or the
+                drive's position does not fit the target signal.
+            StateError: The drive is energised.
+            LinkError: A message does not come, or never whole.
+        """
+        state = self.state()
+        if state.energised:
+            raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
+        self._require_watchdog(cycle_s)
+        channel = self._channel
+        self._link.set_cycle(cycle_s, channel.label)
+        channel.set_cycle(cycle_s)
+        channel.order(self._wiring.disable)
+        for name in self._wiring.received:
+            self._hear(name)
+        self._cycle_ns = round(cycle_s * NS)
+        self._time = self._unwrapper()
+        self._stage(self._value("position"))
+
+    def enable(self) -> None:
+        """Energise and hold the present position, exchanging all the while.
+
+        Raises:
+            StateError: Not prepared, not allowed in this state, or not reached in time; the drive is left
+                de-energised.
+            DriveFault: The drive is in fault.
+        """
+        if not self._cycle_ns:
+            raise StateError("the drive is not prepared: call prepare() first")
+        state = self.state()
+        if state in _FAULTS:
+            raise self._channel.fault()
+        if state not in self._wiring.enable:
+            raise StateError(f"'enable' is not allowed in state '{state.value}': disable it first")
+        try:
+            self._walk()
+        except DeviceError:
+            with suppress(DeviceError):
+                self.disable()
+            raise
+
+    def disable(self) -> None:
+        """Take the power off, send the stop frame, and verify by the drive's own status that it is off.
+
+        Raises:
+            StateError: The drive still reports an energised state.
+            LinkError: The drive cannot be reached; it stops by itself when its watchdog runs out.
+        """
+        self._command(self._wiring.disable)
+        self._link.send(*self._wiring.stop_frame)
+        self._await(lambda state: not state.energised, "a de-energised state", self._wiring.disable)
+
+    def quick_stop(self) -> None:
+        """Brake with the drive's own ramp; never leads to power.
+
+        Raises:
+            StateError: The drive neither stops nor is it stopped.
+            LinkError: The drive cannot be reached.
+        """
+        # The order for the cyclic exchange changes first: whatever happens next, it cannot undo the stop.
+        self._channel.order(self._wiring.stop)
+        self._link.send(*self._wiring.stop_frame)
+        self._command(self._wiring.stop)
+        self._await(
+            lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault", self._wiring.stop
+        )
+
+    def reset_fault(self) -> None:
+        """Clear a fault. Ends de-energised; never restarts motion.
+
+        Raises:
+            StateError: There is no fault to reset, or it comes back.
+        """
+        # The table of CiA 402 says in which states there is a fault to reset.
+        word = cia402.controlword(self.state(), cia402.Command.RESET_FAULT)
+        disable, reset = self._wiring.disable, self._wiring.reset
+        # Drives act on the edge of a reset, so each one lies between two orders to stay off.
+        orders = (disable, reset, disable) if word == cia402.FAULT_RESET else (disable,)
+        self._command(*orders)
+        self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled", *orders)
+
+    def set_target(self, angle_rad: float) -> None:
+        """Stage the joint angle that the next exchange sends.
+
+        Raises:
+            ConfigurationError: The angle is beyond what its signal can hold.
+        """
+        self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
+
+    def sample(self) -> ServoSample:
+        """Return the sample of the last exchange; ``statusword`` is what a CiA 402 drive would show in this state."""
+        channel, drive = self._channel, self._drive
+        state = channel.state
+        position = self._value("position")
+        following = 0.0
+        if state is ServoState.OPERATION_ENABLED:
+            # What was sent with the exchange before is what the drive has interpolated up to this one.
+            demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
+            following = (demand - position) / drive.gear_ratio
+        return ServoSample(
+            self._device_time(),
+            position + drive.offset_rad * drive.gear_ratio,
+            self._value("velocity") / drive.gear_ratio,
+            self._value(self._effort) / self._effort_per_A,
+            self._value("voltage") if "voltage" in self._reads else math.nan,
+            self._value("supply_voltage"),
+            self._value("temperature"),
+            following,
+            _UNKNOWN_STATE if state is None else _STATUSWORDS[state],
+            channel.fresh,
+        )
+
+    def _require_watchdog(self, cycle_s: float) -> None:
+        slowest, watchdog_s = max(cycle_s, self._command_period_s), self._drive.watchdog_s
+        if watchdog_s is not None and slowest > watchdog_s / 2:
+            raise ConfigurationError(
+                f"commands go every {slowest * 1e3:g} ms, the drive stops after {watchdog_s * 1e3:g} ms without one: "
+                "at most half of that; raise cycle_Hz"
+            )
+
+    def _unasked(self, *names: str) -> list[float]:
+        """Return quantities in the next good frames that carry them; NaN where none comes without a command."""
+        slots = {name: self._reads[name][0] for name in names}
+        messages = {slot.message.name: slot for slot in slots.values()}
+        heard = {
+            message: self._link.await_frame(self._channel, slot, _patience_s(slot))
+            for message, slot in messages.items()
+        }
+        return [self._value(name) if heard[slot.message.name] else math.nan for name, slot in slots.items()]
+
+    def _held(self) -> dict[str, float]:
+        """Return the limits that the drive says it holds, as it says them next."""
+        for message in sorted({limit.held.message for limit in self._wiring.limits.values()}):
+            self._await_frame(message)
+        return self._channel.limits()
+
+    def _value(self, name: str) -> float:
+        slot, read = self._reads[name]
+        return read(slot.data)
+
+    def _unwrapper(self) -> Unwrapper:
+        time = self._inputs.get("time")
+        return Unwrapper(1 if time is None else 1 << time.signal.width)
+
+    def _device_time(self) -> float:
+        quantity = self._inputs.get("time")
+        if quantity is None:
+            return self._status.time_ns / NS
+        raw = quantity.signal.raw(self._channel.slot(quantity.message).data)
+        whole = raw if quantity.signal.real else self._time.update(int(raw))
+        return whole * quantity.gain + quantity.bias
+
+    def _told(self, name: str, otherwise: int) -> int:
+        quantity = self._inputs.get(name)
+        if quantity is None:
+            return otherwise
+        self._await_frame(quantity.message)
+        return round(self._value(name))
+
+    def _await_frame(self, name: str) -> None:
+        slot = self._channel.slot(name)
+        refused = slot.refused
+        if not self._link.await_frame(self._channel, slot, _patience_s(slot)):
+            raise self._silent(slot, refused)
+
+    def _hear(self, name: str) -> None:
+        """Send the order in force until a message has come; some come only as an answer."""
+        slot = self._channel.slot(name)
+        count, refused = slot.count, slot.refused
+        deadline = self._clock.now_ns() + _patience_s(slot) * NS
+        while slot.count == count:
+            if self._clock.now_ns() >= deadline:
+                raise self._silent(slot, refused)
+            self._link.command(self._channel)
+            self._link.pump(lambda: slot.count != count, _RETRY_S)
+
+    def _silent(self, slot: Slot, refused: int) -> LinkError:
+        bad = slot.refused - refused
+        why = f"{bad} came with a bad length, checksum or counter: check the map" if bad else "check its supply and bus"
+        message = slot.message
+        return LinkError(
+            f"{self._channel.label} sent no good {message.name} ({message.identifier:03X}h) "
+            f"in {_patience_s(slot):g} s: {why}"
+        )
+
+    def _stage(self, motor_rad: float) -> None:
+        bits = self._target_bits(motor_rad)
+        channel = self._channel
+        if channel.cycle != self._staged_in:
+            self._previous = self._target
+            self._staged_in = channel.cycle
+        self._target = motor_rad
+        channel.aim(bits)
+
+    def _target_bits(self, motor_rad: float) -> int:
+        try:
+            return self._wiring.target.bits(motor_rad)
+        except ValueError as error:
+            raise ConfigurationError(f"target {motor_rad:g} rad at the motor: {error}; check the scales") from error
+
+    def _command(self, *orders: Images) -> None:
+        for order in orders:
+            self._channel.order(order)
+            self._link.command(self._channel)
+
+    def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Images) -> None:
+        # Repeats the orders, as a frame may have been lost.
+        deadline = self._clock.now_ns() + self._timeout_s * NS
+        while not reached(state := self.state()):
+            if self._clock.now_ns() >= deadline:
+                raise StateError(
+                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, wanted {wanted}: "
+                    "take its power away by hand"
+                )
+            self._command(*orders)
+
+    def _walk(self) -> None:
+        channel, wiring = self._channel, self._wiring
+        channel.order(wiring.disable)
+        for in_time in self._cycles():
+            state = channel.state
+            if state in _FAULTS:
+                raise channel.fault()
+            if channel.fresh and state is ServoState.OPERATION_ENABLED:
+                channel.order(wiring.enable[ServoState.OPERATION_ENABLED], hold=True)
+                return
+            if not in_time:
+                shown = "unknown" if state is None else state.value
+                raise StateError(
+                    f"the drive is still in state '{shown}' after {self._timeout_s:g} s of enabling: "
+                    "check its supply and its enable input"
+                )
+            if channel.fresh and state is not None and state in wiring.enable:
+                channel.order(wiring.enable[state])
+                self._stage(self._value("position"))
+
+    def _cycles(self) -> Iterator[bool]:
+        # Exchanges at the cycle's pace; yields whether there is time left.
+        due = self._clock.now_ns()
+        deadline = due + self._timeout_s * NS
+        while True:
+            due += self._cycle_ns
+            self._clock.sleep_until_ns(due)
+            self._link.exchange()
+            yield self._clock.now_ns() < deadline
+
+
+def _patience_s(slot: Slot) -> float:
+    return max(_ANSWER_S, PERIODS_KEPT * slot.message.period_s)

@@ -1,0 +1,1 @@
+"""The EPOS serial protocol: frames, link, node."""

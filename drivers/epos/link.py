@@ -1,0 +1,272 @@
+"""EPOS4 drives on a serial line, strictly half duplex: one request, one answer, and nothing else in flight."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from drivers.can.timing import ANSWER_SHARE
+from drivers.canopen.eds_file import read_eds
+from drivers.clock import NS, Clock
+from drivers.epos.frames import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
+from drivers.epos.node import IDENTITY, EposSerialNode, Guard
+from drivers.errors import ConfigurationError, DeviceError, LinkError
+from drivers.interfaces import Link, RawFrame
+from drivers.port_errors import close_all, words
+from drivers.serial_port import BytePort, raw_frames
+
+_FRAMES_KEPT: Final = 1 << 16
+_LINE: Final = 0
+_QUIET_NS: Final = 50_000_000
+_ATTEMPTS: Final = 3
+_LONGEST_WAIT_NS: Final = 50_000_000
+"""Longest time in one wait for bytes: the guard is fed in between."""
+_ACCEPTED: Final = ERROR.pack(0)
+_SUBINDICES: Final = (1, 2, 3, 4)
+
+
+class EposSerialLink(Link):
+    """A serial line with this program as its only master.
+
+    An answer does not say what it answers: after one was lost, a late one could be taken for the next. The line counts
+    as out of step then, and before anything else is believed a part of the drive's identity is asked for, and what
+    comes before it is dropped.
+
+    The protocol has no watchdog in the drive: when the control loop stops, the drive goes on holding its last target.
+
+    Args:
+        clock: Real or simulated; goes with the port.
+        connect: Opens the port.
+        name: What to call the line in messages.
+        answer_s: How long a drive may take to answer outside the cycle.
+        guard: Stands by while a drive may be under power; None for nobody.
+        silence_s: How long a drive may be without a whole answer in the cycle.
+
+    Attributes:
+        cycle: Number of exchanges so far.
+        lost: Requests without a good answer so far.
+    """
+
+    has_watchdog = False
+
+    def __init__(
+        self,
+        clock: Clock,
+        connect: Callable[[], BytePort],
+        name: str = "serial line",
+        answer_s: float = 0.2,
+        guard: Guard | None = None,
+        silence_s: float = 0.2,
+    ) -> None:
+        self.clock = clock
+        self.guard = guard
+        self.cycle = 0
+        self.lost = 0
+        self._name = name
+        self._connect = connect
+        self._answer_wait_ns = round(answer_s * NS)
+        self._silence_ns = round(silence_s * NS)
+        self._port: BytePort | None = None
+        self._decoder = FrameDecoder()
+        self._in_step = False
+        self._marks: deque[tuple[bytes, bytes]] = deque()
+        self._nodes: dict[int, EposSerialNode] = {}
+        self._frames: deque[RawFrame] = deque(maxlen=_FRAMES_KEPT)
+        self._cycle_s: float | None = None
+        self._answer_ns = 0
+
+    def add_node(self, node_id: int, eds: Path) -> EposSerialNode:
+        """Declare the drive on the line, or one behind its CAN gateway.
+
+        Raises:
+            ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
+        """
+        if not 1 <= node_id <= 127 or node_id in self._nodes:
+            raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
+        dictionary = read_eds(eds, node_id)
+        node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self)
+        return node
+
+    def open(self) -> None:
+        """Open the port. Sends nothing.
+
+        Raises:
+            LinkError: It cannot be opened.
+        """
+        if self._port is not None:
+            return
+        try:
+            self._port = self._connect()
+        except DeviceError:
+            raise
+        except Exception as error:
+            raise LinkError(
+                f"{self._name} cannot be opened: {words(error)}; check the port, the adapter and the rights to use it"
+            ) from error
+        self._in_step = False
+        self._marks.clear()
+
+    def close(self) -> None:
+        """Close the port; safe to call twice and after a failure. Raises nothing."""
+        port, self._port = self._port, None
+        if port is not None:
+            close_all(port.close)
+
+    def set_cycle(self, cycle_s: float, who: str) -> None:
+        """Set the cycle time, the same for all devices, and learn what to find the step by.
+
+        Raises:
+            ConfigurationError: Another device has another one.
+            LinkError: No answer.
+        """
+        if self._cycle_s is not None and self._cycle_s != cycle_s:
+            raise ConfigurationError(f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s")
+        self._cycle_s = cycle_s
+        self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
+        self._learn_marks()
+
+    def exchange(self) -> None:
+        """Write every drive's outputs and read its inputs, at most for 80 % of the cycle.
+
+        A lost answer ends the cycle: what is left of it is not asked for, and the values stay.
+
+        Raises:
+            LinkError: The line is gone, or a drive has been silent for too long.
+        """
+        self.cycle += 1
+        now = self.clock.now_ns()
+        ask = partial(self._ask, deadline_ns=now + self._answer_ns)
+        for node in self._nodes.values():
+            node.exchange(self.cycle, ask)
+            if node.monitored:
+                self._check_silence(node)
+
+    def _check_silence(self, node: EposSerialNode) -> None:
+        now = self.clock.now_ns()
+        if node.fresh or not node.heard_ns:
+            node.heard_ns = now
+        elif now - node.heard_ns > self._silence_ns:
+            raise LinkError(
+                f"{node.label} gave no whole answer for {(now - node.heard_ns) / NS:.3f} s "
+                f"(limit {self._silence_ns / NS:g} s); check its supply and the serial cable"
+            )
+
+    def take_frames(self) -> list[RawFrame]:
+        """Return what has gone over the line since the last call, oldest first, eight bytes to a frame."""
+        frames = list(self._frames)
+        self._frames.clear()
+        return frames
+
+    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
+        """Send one request and return the data of its answer, outside the cycle.
+
+        Args:
+            opcode: The service.
+            data: Its fields.
+            what: What to call it in messages.
+            repeat: Try again where the answer is lost; for what may be done twice.
+            insist: Send it even while the line is out of step, as what can't be heard may still hear: for stops.
+
+        Raises:
+            LinkError: No good answer.
+        """
+        frame = encode(opcode, data)
+        attempts = _ATTEMPTS if repeat else 1
+        for _ in range(attempts):
+            if insist and not self._in_step:
+                self._send(frame)
+                self._receive(self.clock.now_ns() + _QUIET_NS)
+            answer = self._ask(frame, self.clock.now_ns() + 2 * self._answer_wait_ns)
+            if answer is not None:
+                return answer
+        raise LinkError(
+            f"{self._name}, {what}: no good answer within {attempts * self._answer_wait_ns / NS:g} s; "
+            "check power, cable, rate and node identifier"
+        )
+
+    def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
+        """Send a frame and return the data of its answer; None where none came in time that can be believed."""
+        if not self._in_step and not self._find_step(deadline_ns):
+            return None
+        self._send(frame)
+        found = self._receive(min(deadline_ns, self.clock.now_ns() + self._answer_wait_ns))
+        if len(found) == 1 and found[0].opcode == Opcode.ANSWER and len(found[0].data) >= ERROR.size:
+            return found[0].data
+        self._in_step = False
+        self.lost += 1
+        return None
+
+    def _find_step(self, deadline_ns: int) -> bool:
+        """Make sure that no old answer is still under way."""
+        if self._marks:
+            # Asked for in turn, so that a late mark is not taken for the one just asked for.
+            self._marks.rotate(1)
+            request, wanted = self._marks[0]
+            self._send(request)
+            while found := self._receive(deadline_ns):
+                if found[-1].data == wanted:
+                    self._in_step = True
+                    return True
+                # Of a line that never falls silent there is always more to read.
+                if self.clock.now_ns() >= deadline_ns:
+                    break
+            return False
+        while self._receive(self.clock.now_ns() + _QUIET_NS):
+            if self.clock.now_ns() >= deadline_ns:
+                return False
+        self._in_step = True
+        return True
+
+    def _learn_marks(self) -> None:
+        """Read parts of the drives' identities that differ, to tell old answers by."""
+        marks: dict[bytes, bytes] = {}
+        for node in self._nodes.values():
+            for subindex in _SUBINDICES:
+                fields = OBJECT.pack(node.node_id, IDENTITY, subindex)
+                answer = self.request(Opcode.READ_OBJECT, fields, node.label)
+                # Zero, and why something was refused, are what other objects answer as well.
+                if answer.startswith(_ACCEPTED) and any(answer):
+                    marks[answer] = encode(Opcode.READ_OBJECT, fields)
+        self._marks = deque((request, answer) for answer, request in marks.items())
+
+    def _send(self, frame: bytes) -> None:
+        port = self._opened()
+        if self.guard is not None:
+            self.guard.feed()
+        self._decoder.clear()
+        try:
+            port.discard()
+            port.write(frame)
+        except Exception as error:
+            raise self._gone(error) from error
+        self._frames.extend(raw_frames(self.clock.now_ns(), _LINE, frame, True))
+
+    def _receive(self, deadline_ns: int) -> list[Frame]:
+        """Return the next frames that come in; none where none does by the deadline."""
+        port = self._opened()
+        clock = self.clock
+        while True:
+            left = deadline_ns - clock.now_ns()
+            if self.guard is not None:
+                self.guard.feed()
+            try:
+                data = port.read(min(max(left, 0), _LONGEST_WAIT_NS) / NS)
+            except Exception as error:
+                raise self._gone(error) from error
+            if data:
+                self._frames.extend(raw_frames(clock.now_ns(), _LINE, data, False))
+                if found := self._decoder.feed(data):
+                    return found
+            if left <= 0:
+                return []
+
+    def _opened(self) -> BytePort:
+        if self._port is None:
+            raise LinkError(f"{self._name} is not open: call open() first")
+        return self._port
+
+    def _gone(self, error: Exception) -> LinkError:
+        return LinkError(f"{self._name} is gone: {words(error)}; check the adapter and its cable")

@@ -1,0 +1,229 @@
+"""What every simulated CANopen device does: NMT, heartbeat both ways, EMCY, SDO server, SYNC and process data."""
+
+from __future__ import annotations
+
+import struct
+from enum import IntEnum
+from pathlib import Path
+from typing import Final
+
+from drivers.clock import SimulatedClock
+from drivers.mock.canopen import dictionary as od
+from drivers.mock.canopen.dictionary import DeviceDictionary, SdoAbortError, key
+from drivers.mock.canopen.process_data import ProcessData
+from drivers.mock.canopen.sdo_server import SdoServer
+from drivers.mock.wires.bus import SimulatedBus
+from drivers.mock.wires.timer import Timer
+
+_MS: Final = 1_000_000
+_TIME_STAMP: Final = key(0x1013)
+_HISTORY: Final = 8
+
+HEARTBEAT_LOST: Final = 0x8130
+PDO_TOO_SHORT: Final = 0x8210
+
+GENERIC: Final = 0x01
+COMMUNICATION: Final = 0x10
+PROFILE: Final = 0x20
+"""Bits of the error register 1001h."""
+
+
+class Nmt(IntEnum):
+    """NMT state as the heartbeat carries it."""
+
+    INITIALISING = 0
+    STOPPED = 4
+    OPERATIONAL = 5
+    PRE_OPERATIONAL = 127
+
+
+class SimulatedNode:
+    """Base of the simulated devices; a subclass fills the hooks at the end.
+
+    Args:
+        bus: Where it is attached.
+        clock: Simulated time.
+        node_id: 1 to 127.
+        eds: Its object dictionary.
+        clock_offset_us: What the device's own microsecond clock shows when simulated time is 0.
+    """
+
+    def __init__(self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, eds: Path, clock_offset_us: int) -> None:
+        self.node_id = node_id
+        self.state = Nmt.INITIALISING
+        self.objects = DeviceDictionary(eds, node_id)
+        self._values = self.objects.values
+        self._clock = clock
+        self._clock_offset_us = clock_offset_us
+        self._port = bus.attach()
+        self._process_data = ProcessData(self.objects, self._port, clock, self._outputs, self._rpdo_too_short)
+        self._sdo = SdoServer(self.objects, self.refresh)
+        self._producer = Timer(clock, self._send_heartbeat)
+        self._watch = Timer(clock, self._check_heartbeat)
+        self._watched: int | None = None
+        self._heard_ns = 0
+        self.objects.written[0x1017] = lambda _sub, _value: self._start_producer()
+        if key(0x1016, 1) in self.objects.entries:
+            self.objects.written[0x1016] = lambda _sub, _value: self._start_consumer()
+        self.objects.checks[0x1003] = self._check_history
+        self.objects.written[0x1003] = lambda _sub, _value: self.objects.reset(0x1003, 0x1003)
+        self._port.listen(0x000, self._on_nmt)
+        self._port.listen(0x080, self._on_sync)
+
+    def boot(self) -> None:
+        """Announce itself and enter PRE-OPERATIONAL, as after power-on."""
+        self._port.listen(0x600 + self.node_id, self._on_sdo)
+        self._port.send(0x700 + self.node_id, bytes([Nmt.INITIALISING]))
+        self._set_state(Nmt.PRE_OPERATIONAL)
+        self._start_producer()
+
+    def emergency(self, code: int, register: int, info: bytes = b"") -> None:
+        """Send an EMCY frame, set 1001h and lengthen the history 1003h."""
+        values = self._values
+        bits = self.objects.integer(0x1001) | register | GENERIC
+        values[key(0x1001)] = bits
+        newest = key(0x1003, 1)
+        for at in range(newest + _HISTORY - 1, newest, -1):
+            values[at] = values[at - 1]
+        values[newest] = code
+        values[key(0x1003)] = min(_HISTORY, self.objects.integer(0x1003) + 1)
+        self._send_emergency(code, bits, info)
+
+    def clear_errors(self) -> None:
+        """Report that every error is gone."""
+        if self.objects.integer(0x1001):
+            self._values[key(0x1001)] = 0
+            self._send_emergency(0, 0, b"")
+
+    def _send_emergency(self, code: int, register: int, info: bytes) -> None:
+        if self.state is not Nmt.STOPPED:
+            self._port.send(0x80 + self.node_id, struct.pack("<HB5s", code, register, info))
+
+    def _on_sdo(self, data: bytes) -> None:
+        if self.state is Nmt.STOPPED:
+            return
+        response = self._sdo.answer(data)
+        if response is not None:
+            self._port.send(0x580 + self.node_id, response)
+
+    def _on_sync(self, _data: bytes) -> None:
+        if self.state is not Nmt.OPERATIONAL:
+            return
+        self.latch()
+        self._process_data.apply()
+        self.act()
+        self._process_data.send_synchronous()
+
+    def _outputs(self) -> None:
+        self.act()
+        self.announce()
+
+    def announce(self) -> None:
+        """Send event-driven process data that changed outside a SYNC."""
+        self._process_data.send_changes()
+
+    def stamp(self, time_ns: int) -> None:
+        """Put the device's own time (1013h, microseconds modulo 2^32) at ``time_ns`` into the dictionary."""
+        self._values[_TIME_STAMP] = (time_ns // 1000 + self._clock_offset_us) & 0xFFFFFFFF
+
+    def _rpdo_too_short(self, length: int) -> None:
+        self.emergency(PDO_TOO_SHORT, COMMUNICATION, bytes([length]))
+
+    def _on_nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in (0, self.node_id):
+            return
+        match data[0]:
+            case 1:
+                self._set_state(Nmt.OPERATIONAL)
+            case 2:
+                self._set_state(Nmt.STOPPED)
+                self.connection_lost(0)
+            case 128:
+                self._set_state(Nmt.PRE_OPERATIONAL)
+            case 129 | 130:
+                self._restart(application=data[0] == 129)
+
+    def _restart(self, application: bool) -> None:
+        self._set_state(Nmt.INITIALISING)
+        self._watch.stop()
+        self._watched = None
+        self._sdo.reset()
+        self.halt()
+        self.objects.reset(0, 0xFFFF if application else 0x1FFF)
+        self.restore()
+        self._start_consumer()
+        self.boot()
+
+    def _set_state(self, state: Nmt) -> None:
+        self.state = state
+        self._process_data.activate(state is Nmt.OPERATIONAL)
+
+    def _start_producer(self) -> None:
+        period_ms = self.objects.integer(0x1017)
+        self._producer.stop()
+        if period_ms:
+            self._producer.start(self._clock.now_ns() + period_ms * _MS)
+
+    def _send_heartbeat(self) -> None:
+        self._port.send(0x700 + self.node_id, bytes([self.state]))
+        self._start_producer()
+
+    def _start_consumer(self) -> None:
+        self._watch.stop()
+        if self._watched is not None:
+            self._port.ignore(0x700 + self._watched)
+            self._watched = None
+        if key(0x1016, 1) not in self.objects.entries:
+            return
+        setting = self.objects.integer(0x1016, 1)
+        if setting & 0xFFFF and setting >> 16:
+            self._watched = setting >> 16
+            self._heard_ns = -1
+            self._port.listen(0x700 + self._watched, self._on_heartbeat)
+
+    def _on_heartbeat(self, _data: bytes) -> None:
+        # CiA 301: the watch starts with the first heartbeat, not with the configuration.
+        first = self._heard_ns < 0
+        self._heard_ns = self._clock.now_ns()
+        if first:
+            self._watch.start(self._heard_ns + self._heartbeat_limit_ns())
+
+    def _heartbeat_limit_ns(self) -> int:
+        return (self.objects.integer(0x1016, 1) & 0xFFFF) * _MS
+
+    def _check_heartbeat(self) -> None:
+        due = self._heard_ns + self._heartbeat_limit_ns()
+        if due > self._clock.now_ns():
+            self._watch.start(due)
+            return
+        self._heard_ns = -1
+        self.emergency(HEARTBEAT_LOST, COMMUNICATION)
+        self.connection_lost(HEARTBEAT_LOST)
+        behaviour = self.objects.integer(0x1029, 1)
+        if behaviour == 0 and self.state is Nmt.OPERATIONAL:
+            self._set_state(Nmt.PRE_OPERATIONAL)
+        elif behaviour == 2:
+            self._set_state(Nmt.STOPPED)
+
+    def _check_history(self, subindex: int, value: int) -> None:
+        if subindex == 0 and value:
+            raise SdoAbortError(od.OUT_OF_RANGE)
+
+    def refresh(self) -> None:
+        """Bring measured values in the dictionary up to date before an SDO upload."""
+        self.stamp(self._clock.now_ns())
+
+    def latch(self) -> None:
+        """Sample all inputs at a SYNC."""
+
+    def act(self) -> None:
+        """Let outputs take effect."""
+
+    def connection_lost(self, code: int) -> None:
+        """React to the loss of the master; ``code`` is the error code, 0 after an NMT stop."""
+
+    def halt(self) -> None:
+        """Make safe at once, before a restart."""
+
+    def restore(self) -> None:
+        """Put the device's own state back to that after power-on; the dictionary holds its defaults."""

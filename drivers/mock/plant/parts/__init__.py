@@ -1,0 +1,1 @@
+"""Parts of the simulated machine that effects build on: constants, friction, loops, valve."""

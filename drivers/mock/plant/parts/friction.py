@@ -1,0 +1,83 @@
+"""Set-valued Stribeck friction at the joint, and the velocity step that is implicit in it.
+
+Eq. 9 (system load) plus eq. 12 and 13 (working load), with the sgn(omega) that the paper leaves out: friction opposes
+motion, and at rest it balances the drive up to the static limit.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.mock.plant.parts.compiled import Vector, inlined
+
+# Layout of the friction vector handed to compiled code.
+MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, ALPHA, MOMENT, INERTIA, FRICTION_SIZE = range(12)
+
+
+@inlined
+def friction(speed: float, p: Vector) -> tuple[float, float]:
+    """Return (|M_f| + |M_L|, its slope) while slipping at ``speed`` >= 0 rad/s, in N m and N m s/rad.
+
+    The magnitude at 0 is the static limit; the slope there is that of the viscous part alone.
+    """
+    alpha = p[ALPHA]
+    ratio = speed / p[OMEGA_SF]
+    x = ratio * ratio if alpha == 2.0 else ratio**alpha
+    bristle = p[DM] * math.exp(-x)
+    magnitude = p[MC] + p[SIGMA_2] * speed + bristle
+    slope = p[SIGMA_2]
+    if speed > 0.0:
+        slope -= bristle * alpha * x / speed
+    moment = p[MOMENT]
+    if moment > 0.0:
+        ratio = speed / p[OMEGA_SL]
+        x = ratio * ratio if alpha == 2.0 else ratio**alpha
+        bristle = moment * p[DMU] * math.exp(-x)
+        magnitude += moment * (p[MU_C] + p[MU_2] * speed) + bristle
+        slope += moment * p[MU_2]
+        if speed > 0.0:
+            slope -= bristle * alpha * x / speed
+    return magnitude, slope
+
+
+@inlined
+def step_velocity(omega: float, before: float, torque: float, h: float, p: Vector) -> tuple[float, float, float]:
+    """Advance J domega/dt = torque - friction by ``h``.
+
+    Trapezoidal and implicit in friction while it slips; a shaft that would pass through zero stops there, and one at
+    rest stays exactly there until the torque exceeds the static limit, so that it neither creeps nor chatters. Needs
+    h < 2 J / |steepest negative slope| for the step to have one solution.
+
+    Args:
+        omega: Speed, rad/s.
+        before: Friction magnitude at that speed, N m (the last step's third result).
+        torque: Drive torque over the step, N m.
+        h: Step, s.
+        p: Friction vector.
+
+    Returns:
+        Speed after the step, impulse of friction against the motion (N m s), friction magnitude at the new speed.
+    """
+    static = p[MC] + p[DM] + p[MOMENT] * (p[MU_C] + p[DMU])
+    if omega == 0.0:
+        if abs(torque) <= static:
+            return 0.0, 0.0, static
+        side = 1.0 if torque > 0.0 else -1.0
+    else:
+        side = 1.0 if omega > 0.0 else -1.0
+    inertia = p[INERTIA]
+    start = side * omega
+    drive = side * torque
+    if inertia * start <= h * (0.5 * (before + static) - drive):
+        return 0.0, inertia * start, static
+    speed = max(start + h * (drive - before) / inertia, 1e-9)
+    after = before
+    for _ in range(20):
+        after, slope = friction(speed, p)
+        residual = inertia * (speed - start) / h + 0.5 * (before + after) - drive
+        change = min(residual / (inertia / h + 0.5 * slope), 0.5 * speed)
+        speed -= change
+        after -= slope * change
+        if abs(change) <= 1e-7 * speed:  # Newton converges quadratically: what is left is below rounding
+            break
+    return side * speed, 0.5 * h * (before + after), after

@@ -1,0 +1,50 @@
+"""Exact areas of the flow regulator's valve (Fig. 3): what the plate covers of the opening, and what it leaves free.
+
+The plate is a strip of width b that swings in its own plane about a pivot at distance L1 from the opening's centre; its
+centre line passes through the pivot, and the centre of its hole lies on it at L1 too. Turned by theta, the line passes
+the opening's centre at L1 sin(theta) and the hole's centre is 2 L1 sin(theta/2) away, so that
+
+    A_t = (opening beside the strip) + (opening and hole),    A_s = pi D^2/4 - A_t.
+
+The plate is clear where L1 sin(theta) = (b + D)/2, at 29.65 deg.
+"""
+
+from __future__ import annotations
+
+import math
+
+from drivers.mock.plant.parts.compiled import inlined
+
+
+@inlined
+def disc_beyond(radius: float, distance: float) -> float:
+    """Return the area of a disc on the far side of a line at this signed distance from its centre."""
+    t = min(max(distance / radius, -1.0), 1.0)
+    return radius * radius * (math.acos(t) - t * math.sqrt(1.0 - t * t))
+
+
+@inlined
+def lens(large: float, small: float, distance: float) -> float:
+    """Return the area common to two discs of these radii, ``large`` >= ``small``, their centres ``distance`` apart."""
+    if distance >= large + small:
+        return 0.0
+    if distance <= large - small:
+        return math.pi * small * small
+    chord = 0.5 * (distance + (large * large - small * small) / distance)
+    return disc_beyond(large, chord) + disc_beyond(small, distance - chord)
+
+
+@inlined
+def throat_area(angle: float, arm: float, hole: float, opening: float, half_width: float) -> float:
+    """Return A_t, m^2, at a valve angle.
+
+    Args:
+        angle: Of the valve, rad; the same both ways.
+        arm: L1, m.
+        hole: Radius d/2, m.
+        opening: Radius D/2, m.
+        half_width: b/2, m; more than the hole's radius.
+    """
+    aside = arm * math.sin(abs(angle))
+    free = disc_beyond(opening, half_width - aside) + disc_beyond(opening, half_width + aside)
+    return free + lens(opening, hole, 2.0 * arm * math.sin(0.5 * abs(angle)))

@@ -1,0 +1,198 @@
+"""Simulated devices behind pseudo-terminals and sockets: what a host program opens like hardware."""
+
+from __future__ import annotations
+
+import os
+import pty
+import select
+import socket
+import threading
+import tty
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Self
+
+from drivers.clock import NS, RealClock, SimulatedClock
+from drivers.mock.wires.serial_line import Station
+
+_CHUNK: Final = 4096
+_IDLE_S: Final = 0.05
+
+
+@dataclass
+class Traffic:
+    """Bytes that a station has taken from the host program and given to it so far."""
+
+    station: Station
+    taken: int = 0
+    given: int = 0
+
+
+class Ports:
+    """Pseudo-terminals and sockets with a station behind each.
+
+    Attributes:
+        traffic: Of each port, by the path or number that the host program opens.
+    """
+
+    def __init__(self) -> None:
+        self.traffic: dict[str | int, Traffic] = {}
+        self._stations: dict[int, Traffic] = {}
+        self._listeners: dict[int, tuple[socket.socket, Traffic | Callable[[], Station]]] = {}
+        self._owned: list[int] = []
+        self._ends: dict[str | int, list[int]] = {}
+
+    def open_pty(self, station: Station) -> str:
+        """Put a station behind a pseudo-terminal; returns the path that the host program opens.
+
+        What a host that does not read leaves no room for is lost, as in an adapter.
+        """
+        ours, theirs = pty.openpty()
+        tty.setraw(theirs)
+        os.set_blocking(ours, False)
+        # The far end stays open here as well, so that the host may close and open it again.
+        self._owned += [ours, theirs]
+        path = os.ttyname(theirs)
+        self._ends[path] = [ours, theirs]
+        self._stations[ours] = self.traffic[path] = Traffic(station)
+        return path
+
+    def open_socket(self, station: Station) -> int:
+        """Put a station behind a TCP port of 127.0.0.1 that serves one connection; returns its number."""
+        listener = socket.create_server(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        self.traffic[port] = traffic = Traffic(station)
+        self._listeners[listener.fileno()] = listener, traffic
+        return port
+
+    def open_server(self, connected: Callable[[], Station]) -> int:
+        """Serve any number of connections to a TCP port of 127.0.0.1; returns its number.
+
+        Args:
+            connected: Called at each connection; returns the station behind it.
+        """
+        listener = socket.create_server(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+        self._listeners[listener.fileno()] = listener, connected
+        self._ends[port] = []
+        return port
+
+    def unplug(self, name: str | int) -> None:
+        """Take a pseudo-terminal or server away: what the host program has open fails from now on."""
+        for number, (listener, _) in list(self._listeners.items()):
+            if listener.getsockname()[1] == name:
+                del self._listeners[number]
+                listener.close()
+        for descriptor in self._ends.pop(name, []):
+            self._stations.pop(descriptor, None)
+            if descriptor in self._owned:
+                self._owned.remove(descriptor)
+                os.close(descriptor)
+
+    def babble(self, name: str | int, data: bytes) -> None:
+        """Send the host program bytes that no station has said."""
+        for descriptor in self._ends[name]:
+            if descriptor in self._stations:
+                _write(descriptor, data)
+
+    def close(self) -> None:
+        """Close everything; safe to call twice."""
+        for listener, _ in self._listeners.values():
+            listener.close()
+        for descriptor in self._owned:
+            os.close(descriptor)
+        self._owned, self._stations, self._listeners, self._ends = [], {}, {}, {}
+
+    def wait(self, timeout_s: float, *others: int) -> list[int]:
+        """Return what has something to read within the time, of the ports and of ``others``."""
+        ready, _, _ = select.select([*others, *self._stations, *self._listeners], [], [], timeout_s)
+        return ready
+
+    def serve(self, ready: list[int]) -> None:
+        """Move what has come in to the stations, and what they have to say to the host program."""
+        for descriptor in ready:
+            if descriptor in self._listeners:
+                self._accept(descriptor)
+        for descriptor, traffic in list(self._stations.items()):
+            self._move(descriptor, traffic, descriptor in ready)
+
+    def _accept(self, descriptor: int) -> None:
+        listener, behind = self._listeners[descriptor]
+        connection, _ = listener.accept()
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._owned.append(connection.fileno())
+        if isinstance(behind, Traffic):
+            del self._listeners[descriptor]
+            listener.close()
+            self._stations[connection.detach()] = behind
+        else:
+            self._ends[listener.getsockname()[1]].append(connection.fileno())
+            self._stations[connection.detach()] = Traffic(behind())
+
+    def _move(self, descriptor: int, traffic: Traffic, readable: bool) -> None:
+        try:
+            data = os.read(descriptor, _CHUNK) if readable else b""
+            if readable and not data:
+                raise ConnectionResetError
+            traffic.taken += len(data)
+            answer = traffic.station.receive(data)
+            traffic.given += len(answer)
+            _write(descriptor, answer)
+        except OSError:
+            # The host program is gone; its devices are not.
+            del self._stations[descriptor]
+
+
+def _write(descriptor: int, data: bytes) -> None:
+    """Write what there is room for."""
+    try:
+        while data:
+            data = data[os.write(descriptor, data) :]
+    except BlockingIOError:
+        return
+
+
+class RealTimeBench(Ports):
+    """Ports whose devices live in real time, on a thread of their own.
+
+    They live on while the host program computes, hangs or, in another process, is dead. A context manager; ports are
+    opened before it is entered.
+
+    Args:
+        clock: Of the simulated devices; kept in step with the machine's, and nobody else may move it meanwhile.
+    """
+
+    def __init__(self, clock: SimulatedClock) -> None:
+        super().__init__()
+        self._clock = clock
+        self._real = RealClock()
+        self._ahead_ns = 0
+        self._wake, self._woken = os.pipe()
+        self._owned += [self._wake, self._woken]
+        self._thread = threading.Thread(target=self._run, name="simulated devices")
+
+    def __enter__(self) -> Self:
+        """Begin to serve."""
+        self._ahead_ns = self._clock.now_ns() - self._real.now_ns()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Stop and close everything."""
+        os.write(self._woken, b"x")
+        self._thread.join()
+        self.close()
+
+    def _run(self) -> None:
+        clock = self._clock
+        while True:
+            due = clock.next_event_ns()
+            wait_s = _IDLE_S if due is None else min(_IDLE_S, max(0.0, (due - self._now_ns()) / NS))
+            ready = self.wait(wait_s, self._wake)
+            if self._wake in ready:
+                return
+            clock.sleep_until_ns(self._now_ns())
+            self.serve(ready)
+
+    def _now_ns(self) -> int:
+        return self._real.now_ns() + self._ahead_ns

@@ -1,0 +1,1 @@
+"""The ``rig`` command: entry, exit statuses, crash reports, subcommands."""

@@ -1,0 +1,108 @@
+"""What is done and said once a run has ended, by ``rig run`` and ``rig resume`` alike."""
+
+from __future__ import annotations
+
+import dataclasses
+import shlex
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+
+from rig.cli.crash import note_drive
+from rig.cli.entry import BAD_VERDICT, CRASHED, DEVICE_FAILED, DONE, STOPPED
+from rig.common.errors import StorageError
+from rig.common.places import write_asked
+from rig.common.tables import table
+from rig.common.timing import summary
+from rig.control.sequencer import Outcome
+from rig.planning.reference import Reference
+from rig.results.run.go_on import go_on_words
+from rig.results.run.report import write_run_report
+from rig.runs.run import RunFolder, load_run
+from rig.runs.run_record import Ending, RunRecord
+from rig.terminal.output import complain, reader_gone
+from rig.terminal.screen import Screen
+from rig.weighing.label_check import comparable, off_label
+
+STATUS: Mapping[Ending, int] = {
+    Ending.DONE: DONE,
+    Ending.TRIPPED: BAD_VERDICT,
+    Ending.STOPPED: STOPPED,
+    Ending.FAILED: DEVICE_FAILED,
+    Ending.CRASHED: CRASHED,
+}
+
+
+def conclude(
+    folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None, screen: Screen
+) -> int:
+    """Check the labels, tell the operator the rest, write the page of the run, and return the exit status.
+
+    How the run ended was shown and written down before; nothing here can hide it. What the operator must know is told
+    before the page is drawn, which may take its time and may fail.
+
+    Raises:
+        InputError: ``json_file`` cannot be written.
+        BaseException: What nobody foresaw during the run.
+    """
+    record = folder.record
+    wrong = _check_labels(folder, reference) if outcome.ending is Ending.DONE else 0
+    if wrong:
+        with suppress(StorageError):  # The warnings are told all the same, and the run has ended.
+            folder.save()
+    _tell(folder, screen)
+    screen.drain()
+    write_page(folder.path, record, lambda words, good: screen.say(words, err=not good))
+    screen.drain()
+    write_asked(json_file, dataclasses.asdict(record))
+    if outcome.error is not None:
+        note_drive(outcome.error, outcome.safe.message)
+        raise outcome.error
+    status = BAD_VERDICT if wrong else STATUS[outcome.ending]
+    if status == DONE and screen.trouble is not None and not reader_gone(screen.trouble, terminal=screen.terminal):
+        complain(f"storage error: the output cannot be written: {screen.trouble.strerror}")
+        return DEVICE_FAILED
+    return status
+
+
+def _check_labels(folder: RunFolder, reference: Reference | None) -> int:
+    """Note the stages whose mass is not their label; returns how many."""
+    record = folder.record
+    if reference is None and not _worth_reading(record):
+        return 0
+    dataset = load_run(folder.path)
+    if not comparable(dataset, reference):
+        return 0
+    found = off_label(dataset, reference)
+    for weighing in found:
+        folder.weighed(weighing)
+        record.warnings.append(weighing.message)
+    return len(found)
+
+
+def _worth_reading(record: RunRecord) -> bool:
+    masses = [stage.weight_kg for stage in record.stages]
+    return len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
+
+
+def _tell(folder: RunFolder, screen: Screen) -> None:
+    record = folder.record
+    rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
+    screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
+    part = record.parts[-1]
+    screen.say(f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False)
+    for warning in record.warnings:
+        screen.say(f"warning: {warning}")
+    if words := go_on_words(record, folder.path):
+        screen.say(words)
+
+
+def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
+    """Write the page of a run and say where it is; where it cannot be written, say that. Never raises."""
+    try:
+        say(f"page: {write_run_report(folder, record)}", True)
+    except OSError as error:
+        say(f"{folder}: the page of the run cannot be written: {error.strerror}", False)
+    except KeyboardInterrupt:
+        again = f"rig recover {shlex.quote(str(folder))}"
+        say(f"{folder}: the page of the run is not finished; `{again}` writes it", False)

@@ -1,0 +1,54 @@
+"""The schema beside a file: where it goes, and the first line by which an editor finds it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Final
+
+from rig.cli.authoring.schema import json_schema
+from rig.common.errors import InputError
+from rig.common.places import require_folder, write_text
+
+FOLDER: Final = "schemas"
+"""Folder beside a file in which its schema lies."""
+_OWN: Final = '"$id": "urn:loadrig:'
+
+
+def first_line(kind: str) -> str:
+    """Return the comment that names the schema of a file, relative to the file itself.
+
+    A relative path goes with the folder when that is moved, shared or put under version control,
+    and needs neither a network nor an installed program to be read.
+    """
+    return f"# yaml-language-server: $schema={FOLDER}/{kind}.schema.json"
+
+
+def write_schema(kind: str, folder: Path) -> Path:
+    """Write a schema into a folder, over an earlier one of this program; return its file.
+
+    Raises:
+        InputError: It can't be written, or another file of that name is there.
+    """
+    path = folder / f"{kind}.schema.json"
+    require_schema_place(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        write_text(path, json.dumps(json_schema(kind), indent=1) + "\n")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder") from error
+    return path
+
+
+def require_schema_place(path: Path) -> None:
+    """Check that a schema can be written there.
+
+    Raises:
+        InputError: The folder can't be made, or a file that isn't a schema of this program is there.
+    """
+    require_folder(path.parent, "--out")
+    try:
+        if path.exists() and _OWN not in path.read_text(encoding="utf-8", errors="replace")[:400]:
+            raise InputError(f"{path}: exists already and is no schema of this program; move it away")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}; move it away") from error

@@ -1,0 +1,277 @@
+"""JSON Schemas of the files that a user writes: for editors, and for programs that make such files.
+
+They are generated from the records that the program itself reads the files into. What a schema
+can't say (one value against another, files that must exist) is left to the program: a schema
+accepts every file that the program accepts, but for wrong values under ``defaults`` that every
+recording overrides; it refuses unknown keys, wrong types and values outside their range.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import typing
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, Final
+
+from pydantic import BaseModel
+
+from drivers.mock.plant.effects.pack import GAS_KNOWN, KNOWN
+from drivers.mock.plant.parts.constants import Machine
+from identification.model.ladder import LADDER
+from identification.recording import CHANNELS
+from rig.config.bench import Bench, may_be
+from rig.config.campaign import ANGLE_TIME, FITTED_TERMS, PARAMETERS, Campaign
+from rig.config.descriptions import Meaning, meanings, summary
+from rig.config.faults import COUNTED_FRAMES, FAULTS, FaultSchedule
+from rig.config.sequence import Sequence
+
+Tree = dict[str, Any]
+_LINK: Final = re.compile(r"\s*\[[^\]]+\]\([^)]+\.md\)\.?")
+KINDS: Final[Mapping[str, type[BaseModel]]] = {
+    "bench": Bench,
+    "sequence": Sequence,
+    "campaign": Campaign,
+    "faults": FaultSchedule,
+}
+"""Kind of file to the record that it is read into."""
+DIALECT: Final = "http://json-schema.org/draft-07/schema#"
+"""The dialect that YAML editors know best."""
+_SHORT_CHANNEL: Final = {"type": ["string", "integer"], "description": "Column, by name or by index from 0."}
+
+
+def json_schema(kind: str) -> Tree:
+    """Return the JSON Schema of one kind of file.
+
+    Args:
+        kind: One of :data:`KINDS`.
+    """
+    root = KINDS[kind]
+    tree = root.model_json_schema(mode="validation", ref_template="#/definitions/{model}")
+    definitions: Tree = tree.pop("$defs", {})
+    for name, record in records(root).items():
+        _describe(tree if record is root else definitions[name], record)
+    _REFINED[kind](tree, definitions)
+    schema = {
+        "$schema": DIALECT,
+        "$id": f"urn:loadrig:{kind}:1",
+        **tree,
+        "title": f"loadrig {kind} file",
+        "definitions": definitions,
+    }
+    _walk(schema, _tidy)
+    return schema
+
+
+def records(root: type) -> dict[str, type]:
+    """Return every record that a file's record is made of, itself included, by name."""
+    found: dict[str, type] = {}
+    waiting: list[Any] = [root]
+    while waiting:
+        annotation = waiting.pop()
+        if isinstance(annotation, type) and _is_record(annotation):
+            if annotation.__name__ not in found:
+                found[annotation.__name__] = annotation
+                waiting.extend(typing.get_type_hints(annotation, include_extras=True).values())
+        else:
+            waiting.extend(typing.get_args(annotation))
+    return found
+
+
+def _is_record(annotation: type) -> bool:
+    return dataclasses.is_dataclass(annotation) or issubclass(annotation, BaseModel)
+
+
+def _describe(node: Tree, record: type) -> None:
+    """Give a record and its keys their descriptions and units, and forbid unknown keys."""
+    node["description"] = _plain(summary(record))
+    node["additionalProperties"] = False
+    known = meanings(record)
+    for name, key in node.get("properties", {}).items():
+        if name in known:
+            key["description"] = describe(known[name])
+
+
+def describe(meaning: Meaning) -> str:
+    """Return what a key means with its unit, in one paragraph."""
+    text = _plain(meaning.text)
+    if not meaning.unit:
+        return text
+    return f"{text if text.endswith('.') else f'{text}.'} Unit: {meaning.unit}."
+
+
+def _plain(text: str) -> str:
+    return _LINK.sub("", " ".join(text.replace("``", "`").split()))
+
+
+def _walk(node: Any, change: Callable[[Tree], None]) -> None:
+    if isinstance(node, dict):
+        change(node)
+        for child in node.values():
+            _walk(child, change)
+    elif isinstance(node, list):
+        for child in node:
+            _walk(child, change)
+
+
+def _tidy(node: Tree) -> None:
+    """Leave out what is no use to an editor, and write what draft 7 knows.
+
+    The branches of a union overlap where a key that tells them apart is left out, so that "one of"
+    would refuse what the program accepts. Titles of keys repeat their names.
+    """
+    if isinstance(branches := node.get("oneOf"), list) and any("$ref" in item for item in branches):
+        node["anyOf"] = node.pop("oneOf")
+    node.pop("discriminator", None)
+    if isinstance(node.get("title"), str) and "$schema" not in node:
+        del node["title"]
+    if isinstance(items := node.get("prefixItems"), list):
+        node["items"] = node.pop("prefixItems")
+        node["additionalItems"] = False
+        assert items
+
+
+def _bench(tree: Tree, definitions: Tree) -> None:
+    for name, record in records(Machine).items():
+        hints = typing.get_type_hints(record)
+        for key, node in definitions[name]["properties"].items():
+            if hints[key] in (int, float, float | None):
+                _bound(node, may_be(key))
+    definitions["Machine"]["properties"]["effects"] = _effects()
+    # The kind of bus is told by its interface; as plain text it would be any.
+    definitions["Bus"]["properties"]["interface"]["not"] = {"const": "epos_serial"}
+    definitions["ServoSection"]["not"] = {"properties": {"kind": {"const": "dbc"}}, "required": ["kind"]}
+
+
+def _bound(node: Tree, sign: str) -> None:
+    targets = [item for item in node.get("anyOf", [node]) if item.get("type") in ("number", "integer")]
+    for target in targets:
+        if sign == "> 0":
+            target["exclusiveMinimum"] = 0
+        elif sign:
+            target["minimum"] = 0
+
+
+def _effects() -> Tree:
+    """Return the schema of the physics that a simulated machine can hide."""
+    effects = {
+        name: {
+            "type": "object",
+            "properties": {
+                key: {"type": "number", "minimum": limit.low, "maximum": limit.high}
+                for key, limit in parameters.items()
+            },
+            "required": list(parameters),
+            "additionalProperties": False,
+        }
+        for name, parameters in {**KNOWN, **GAS_KNOWN}.items()
+    }
+    return {
+        "type": "object",
+        "description": "Physics that the simulated machine hides: effect, parameter, value.",
+        "properties": effects,
+        "additionalProperties": False,
+    }
+
+
+def _sequence(_tree: Tree, definitions: Tree) -> None:
+    stage = definitions["StageSection"]
+    stage["allOf"] = [
+        _when("stage", "unloaded", {"properties": {"weight_kg": {"const": 0}}}),
+        _when(
+            "stage",
+            "loaded",
+            {"properties": {"weight_kg": {"exclusiveMinimum": 0}}, "required": ["weight_kg"]},
+        ),
+        _when("stage", "hot_fire", {"properties": {"weight_kg": {"const": 0}}}),
+    ]
+    stage["anyOf"] = [{"required": [name]} for name in ("tones", "ramp", "flow")]
+
+
+def _when(key: str, value: str, then: Tree) -> Tree:
+    return {"if": {"properties": {key: {"const": value}}, "required": [key]}, "then": then}
+
+
+def _campaign(tree: Tree, definitions: Tree) -> None:
+    model = definitions["ModelSection"]["properties"]
+    model["friction"]["enum"] = list(LADDER)
+    model["terms"]["items"] = {"enum": list(FITTED_TERMS)}
+    model["fixed"] = {
+        "type": "object",
+        "description": model["fixed"].get("description", ""),
+        "properties": {name: {"type": "number", **({} if name == "offset" else {"minimum": 0})} for name in PARAMETERS},
+        "additionalProperties": False,
+    }
+    channel = {"anyOf": [_SHORT_CHANNEL, {"$ref": "#/definitions/ChannelSection"}]}
+    units = {**CHANNELS, ANGLE_TIME: "s"}
+    channels = definitions["RecordingSection"]["properties"]["channels"]
+    channels["properties"] = {
+        name: {**channel, "description": f"In {unit}, after scale and offset."} for name, unit in units.items()
+    }
+    channels["additionalProperties"] = False
+    channels.pop("propertyNames", None)
+    definitions.update(_partial(definitions, "RecordingSection"))
+    partial = {"$ref": f"#/definitions/{_PART}RecordingSection"}
+    tree["properties"]["defaults"] = {
+        **partial,
+        "description": tree["properties"]["defaults"].get("description", ""),
+    }
+    # What a recording lacks may stand under `defaults`.
+    items = tree["properties"]["recordings"].pop("items")
+    tree["if"] = {"required": ["defaults"]}
+    tree["then"] = {"properties": {"recordings": {"items": partial}}}
+    tree["else"] = {"properties": {"recordings": {"items": items}}}
+
+
+_PART: Final = "Partial"
+
+
+def _partial(definitions: Mapping[str, Tree], name: str) -> Iterator[tuple[str, Tree]]:
+    """Yield copies of a record and those below it in which no key is required."""
+
+    def copied(node: Any) -> Any:
+        if isinstance(node, dict):
+            return {
+                key: f"{value.rpartition('/')[0]}/{_PART}{value.rpartition('/')[2]}" if key == "$ref" else copied(value)
+                for key, value in node.items()
+            }
+        return [copied(item) for item in node] if isinstance(node, list) else node
+
+    waiting, done = [name], set[str]()
+    while waiting:
+        current = waiting.pop()
+        if current in done:
+            continue
+        done.add(current)
+        found: list[str] = []
+        _walk(definitions[current], lambda node, found=found: found.extend(_reference(node)))  # type: ignore[misc]
+        waiting.extend(found)
+        node = copied(definitions[current])
+        node.pop("required", None)
+        yield f"{_PART}{current}", node
+
+
+def _reference(node: Tree) -> Iterator[str]:
+    if isinstance(node.get("$ref"), str):
+        yield node["$ref"].rpartition("/")[2]
+
+
+def _faults(_tree: Tree, definitions: Tree) -> None:
+    row, frames = definitions["FaultRow"], definitions["Frames"]
+    by_target: dict[str, dict[str, str]] = {}
+    for (target, fault), kind in FAULTS.items():
+        by_target.setdefault(target, {})[fault] = kind.meaning
+    row["allOf"] = [
+        _when("target", target, {"properties": {"fault": {"enum": list(faults)}}})
+        for target, faults in by_target.items()
+    ]
+    row["anyOf"] = [{"required": [name]} for name in ("time_s", "phase", "state")]
+    frames["properties"]["function"]["enum"] = [*COUNTED_FRAMES, None]
+
+
+_REFINED: Final[Mapping[str, Callable[[Tree, Tree], None]]] = {
+    "bench": _bench,
+    "sequence": _sequence,
+    "campaign": _campaign,
+    "faults": _faults,
+}

@@ -1,0 +1,57 @@
+"""A new file: loaded back before it takes its place, and never over another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from rig.cli.authoring.beside import FOLDER, first_line, require_schema_place, write_schema
+from rig.common.errors import InputError
+from rig.common.places import replacing, require_file
+
+
+def require_new(path: Path, kind: str) -> None:
+    """Check, before anything is asked, that a file and the schema beside it can be written.
+
+    Raises:
+        InputError: The file is there already, its folder is not, or it can't be written.
+    """
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError(f"{path}: must end in .yaml, as the commands that read it expect")
+    if path.exists():
+        raise InputError(f"{path}: exists already; it is not overwritten. Choose another name, or move it away")
+    require_file(path, "PATH")
+    require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
+
+
+def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) -> list[Path]:
+    """Write a file whose text was made from answers, and its schema beside it.
+
+    Args:
+        path: The file.
+        kind: Of the file, one of :data:`rig.cli.authoring.schema.KINDS`.
+        body: All but the first line.
+        load: Reads the file and raises InputError where it is not valid; called before the file is
+            there under its name.
+
+    Returns:
+        What was written.
+
+    Raises:
+        InputError: It is not valid, which the answers are at fault for; or it can't be written.
+    """
+    require_new(path, kind)
+    try:
+        with replacing(path) as draft:
+            draft.write_text(f"{first_line(kind)}\n{body}", encoding="utf-8")
+            try:
+                load(draft)
+            except InputError as error:
+                named = (line.replace(str(draft), str(path)) for line in error.problems)
+                raise InputError(named) from error
+            schema = write_schema(kind, path.parent / FOLDER)
+            if path.exists():
+                raise InputError(f"{path}: was made by another program meanwhile; it is not overwritten")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another place") from error
+    return [path, schema]

@@ -1,0 +1,43 @@
+"""``rig check``: connect to a bench and read it back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from rig.cli.entry import BAD_VERDICT, DONE
+from rig.common.places import require_file, write_asked
+from rig.config.bench import load_bench
+from rig.control.check import describe, examine, require_connectable
+from rig.wiring.bench_text import bench_line, watcher
+from rig.wiring.connect import connect
+from rig.wiring.ownership import say_taken_over
+
+
+@click.command("check")
+@click.argument("bench")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the findings to this file.")
+def command(bench: str, seed: int, json_file: Path | None) -> int:
+    """Connect to BENCH, and read identities, live values, state and limits. Nothing moves, is energised or written.
+
+    Exits with 1 where a run would refuse to start, for each reason in the words of the run: a limit looser than the
+    drive's own, units that differ, an overdue calibration, implausible constants, a drive that is energised or in
+    fault, a reading beyond its limit. A bench that cannot be connected to ends with 2 or 4.
+
+    \b
+    Example:
+      rig check practical
+    """
+    require_file(json_file, "--json")
+    document = load_bench(bench)
+    click.echo(bench_line(document))
+    found = require_connectable(document)
+    with connect(document, seed, realtime=False, purpose="rig check") as devices:
+        say_taken_over(devices.lock)
+        findings, readings = examine(document, devices, seed, found)
+        watching = watcher(devices)
+    click.echo(describe(findings, readings, watching))
+    write_asked(json_file, findings)
+    return DONE if findings["good"] else BAD_VERDICT

@@ -1,0 +1,31 @@
+"""``rig effects``: the catalogue of physical effects that a diagnosis can name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("effects")
+@click.argument("name", required=False)
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(name: str | None, json_file: Path | None) -> None:
+    """List the effects that a diagnosis can name; with NAME, everything the catalogue knows of one.
+
+    \b
+    Example:
+      rig effects
+      rig effects backlash
+    """
+    from identification.diagnosis.entries import ENTRIES
+    from rig.common.places import require_file, write_json
+    from rig.results.effects import effects_record, entry_of, overview, whole
+
+    require_file(json_file, "--json")
+    shown = [entry_of(name)] if name else list(ENTRIES.values())
+    click.echo(whole(shown[0]) if name else overview(shown))
+    if json_file is not None:
+        write_json(json_file, effects_record(shown))

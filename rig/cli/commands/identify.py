@@ -1,0 +1,185 @@
+"""``rig identify``: staged identification of a run or a campaign, with tables, figures and a report."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+import click
+
+_METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("paper",), "both": ("default", "paper")}
+
+
+@click.command("identify")
+@click.argument("source", type=click.Path(path_type=Path), required=False)
+@click.option(
+    "--method",
+    type=click.Choice(list(_METHODS)),
+    default="default",
+    show_default=True,
+    help="Estimator; both shows them side by side.",
+)
+@click.option(
+    "--compare",
+    "compared",
+    is_flag=True,
+    help="Also the paper's GA, differential evolution, CMA-ES and multi-start least squares, on one problem.",
+)
+@click.option(
+    "--profile",
+    is_flag=True,
+    help="Also the likelihood profile of every parameter, with the 90 % range that follows; ten seconds more or so.",
+)
+@click.option(
+    "--bootstrap",
+    "draws",
+    metavar="N",
+    type=click.IntRange(min=20),
+    help="Also the spread over N draws of the stretches of motion, with replacement; half a second each or so.",
+)
+@click.option(
+    "--plan",
+    "sequence",
+    metavar="SEQUENCE",
+    help="Instead of a SOURCE: what this sequence would pin, and one of the same duration that would pin more.",
+)
+@click.option("--bench", default="practical", show_default=True, help="With --plan: the bench it is planned for.")
+@click.option(
+    "--nominal",
+    type=click.Path(path_type=Path),
+    help="With --plan: last accepted result of `rig identify --json`. [default: the catalogue's nominal values]",
+)
+@click.option(
+    "--current-noise",
+    metavar="A",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="With --plan: noise of the logged current, rms. [default: what the --nominal file found, else a thousandth of "
+    "the current limit]",
+)
+@click.option(
+    "--bandwidth",
+    metavar="HZ",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Bandwidth of torque and regressors; chosen from the recordings if left out.",
+)
+@click.option("--partial", is_flag=True, help="Also take what was recorded of excitations that a run stopped in.")
+@click.option("--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well.")
+@click.option(
+    "--score",
+    metavar="SOURCE",
+    type=click.Path(path_type=Path),
+    help="Another source to score the result on: its error there against the noise floor, and what moved.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random generator.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or ./SEQUENCE-planned.",
+)
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(
+    source: Path | None,
+    method: Literal["default", "paper", "both"],
+    compared: bool,
+    profile: bool,
+    draws: int | None,
+    sequence: str | None,
+    bench: str,
+    nominal: Path | None,
+    current_noise: float | None,
+    bandwidth: float | None,
+    partial: bool,
+    ladder: bool,
+    score: Path | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
+
+    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one that takes no
+    longer. It may have more stages, and other weights.
+
+    \b
+    Example:
+      rig identify runs/demo
+      rig identify runs/demo --compare
+      rig identify runs/demo --profile
+      rig identify runs/demo --bootstrap 100
+      rig identify --plan figure10 --bench practical --nominal runs/demo/identify.json
+      rig identify bench.yaml --method both --bandwidth 30 --json result.json
+      rig identify monday.yaml --score friday.yaml
+      rig identify runs/stopped --partial
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.common.input_files import is_folder, source_name
+    from rig.common.places import require_file, require_folder
+    from rig.results.identify.identify import compare_methods, identify_source
+    from rig.results.identify.output import text, write
+    from rig.runs.truth import truth_of
+    from rig.terminal.bar import ShareBar
+
+    if (source is None) is (sequence is None):
+        raise click.UsageError("give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be")
+    if sequence is not None:
+        _plan(sequence, bench, nominal, current_noise, seed, out, json_file)
+        return
+    assert source is not None
+    if compared and method == "paper":
+        raise click.UsageError("--compare sets the others beside the default method; leave out --method paper")
+    if method == "paper" and (ladder or score or profile or draws):
+        raise click.UsageError(
+            "--ladder, --score, --profile and --bootstrap are of the default method; leave --method paper out"
+        )
+    folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
+    require_folder(folder, "--out")
+    require_file(json_file, "--json")
+    with ShareBar() as bar:
+        outcome = identify_source(
+            source,
+            _METHODS[method],
+            bandwidth,
+            seed,
+            bar,
+            ladder=ladder,
+            score=score,
+            profile=profile,
+            draws=draws or 0,
+            take_partial=partial,
+        )
+        truth = truth_of(source)
+        if compared:
+            outcome = compare_methods(source, outcome, truth, bar)
+        bar("writing the report", 1.0)
+        report = write(folder, source_name(source), outcome, truth, json_file)
+    click.echo(text(outcome, truth))
+    click.echo(f"report: {report}")
+
+
+def _plan(
+    sequence: str,
+    bench: str,
+    nominal: Path | None,
+    current_noise: float | None,
+    seed: int,
+    out: Path | None,
+    json_file: Path | None,
+) -> None:
+    from rig.common.places import require_file, require_folder
+    from rig.config.bench import load_bench
+    from rig.config.sequence import load_sequence
+    from rig.results.design.experiment import plan_experiment
+    from rig.results.design.output import text, write
+    from rig.terminal.bar import ShareBar
+
+    folder = out or Path(f"{Path(sequence).stem}-planned")
+    require_folder(folder, "--out")
+    require_file(json_file, "--json")
+    bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    with ShareBar() as bar:
+        experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise, seed, bar)
+    proposal = write(folder, experiment, bench_file.value.name, json_file)
+    click.echo(text(experiment))
+    click.echo(f"proposal: {proposal}")

@@ -1,0 +1,129 @@
+"""``rig jog``: move a bench by hand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
+
+import click
+
+from rig.cli.aftermath import STATUS
+from rig.cli.crash import note_drive
+from rig.cli.entry import DONE
+from rig.common.errors import InputError
+from rig.common.places import require_file, write_asked
+from rig.common.provenance import utc_now
+from rig.config.bench import Bench, load_bench
+from rig.control.attendance import connected
+from rig.control.jog import Jog, move, plan_jog
+from rig.control.progress import RunProgress
+from rig.control.sequencer import Outcome
+from rig.runs.run_record import Ending
+from rig.terminal.prompt import InputEndedError, Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.devices import Devices
+from rig.wiring.ownership import say_taken_over
+from rig.wiring.preflight import require_startable
+
+SCHEMA = "loadrig.jog/1"
+
+
+@click.command("jog")
+@click.argument("bench")
+@click.option("--to", "angles", type=float, multiple=True, help="Joint angle, deg; may be given several times.")
+@click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
+@click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option(
+    "--reset-fault", is_flag=True, help="Clear a fault that the drive is in; its cause must be removed first."
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write how it ended to this file.")
+def command(
+    bench: str,
+    angles: tuple[float, ...],
+    speed: float,
+    realtime: bool,
+    seed: int,
+    reset_fault: bool,
+    json_file: Path | None,
+) -> int:
+    """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and after.
+
+    Without --to, angles are asked for one by one, the drive off in between; an empty answer ends it. Nothing is
+    recorded. Ctrl-C brakes and takes the power off; again while it brakes, takes the power off without waiting.
+
+    \b
+    Example:
+      rig jog practical --to 10 --to 0 --speed 5
+    """
+    require_file(json_file, "--json")
+    document = load_bench(bench)
+    plan_jog(document.value, angles, speed)
+    require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
+    screen = Screen()
+    outcome = None
+    with (
+        closing(screen),
+        StopButton(screen.say) as stop,
+        connected(stop, document, seed, realtime, purpose="rig jog") as devices,
+    ):
+        say_taken_over(devices.lock, screen)
+        batches = [angles] if angles else _asked(Prompt(screen), stop, screen)
+        for batch in batches:
+            try:
+                jog = plan_jog(document.value, batch, speed)
+            except InputError as error:
+                screen.say(str(error))
+                continue
+            outcome = _move(document.value, jog, devices, stop, screen, reset_fault)
+            if outcome.ending is not Ending.DONE:
+                break
+    write_asked(json_file, _record(bench, outcome))
+    if outcome is not None and outcome.error is not None:
+        note_drive(outcome.error, outcome.safe.message)
+        raise outcome.error
+    return DONE if outcome is None else STATUS[outcome.ending]
+
+
+def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[float, ...]]:
+    """Yield the angles typed at the terminal, until an empty answer or the end of the input.
+
+    Raises:
+        KeyboardInterrupt: The operator stopped it at the prompt, where the drive is off.
+    """
+    while True:
+        try:
+            with stop.interruptible():
+                typed = prompt.ask("Joint angle, deg (empty to end): ")
+        except InputEndedError:
+            return
+        except OperatorStopError as error:
+            raise KeyboardInterrupt from error
+        if not typed:
+            return
+        try:
+            yield (float(typed.replace(",", ".")),)
+        except ValueError:
+            screen.say(f"{typed!r} is not an angle in degrees")
+
+
+def _move(bench: Bench, jog: Jog, devices: Devices, stop: StopButton, screen: Screen, reset_fault: bool) -> Outcome:
+    span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
+    with RunProgress(bench.cycle_s, len(jog.angles) * span / jog.speed, screen) as progress:
+        return move(
+            jog, bench, devices, stop, progress, lambda words, good: screen.say(words, err=not good), reset_fault
+        )
+
+
+def _record(bench: str, outcome: Outcome | None) -> dict[str, object]:
+    return {
+        "schema": SCHEMA,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "bench": bench,
+        "state": "done" if outcome is None else outcome.ending.value,
+        "message": "nothing was asked for" if outcome is None else outcome.message,
+        "de_energised": None if outcome is None else outcome.safe.verified,
+    }

@@ -1,0 +1,127 @@
+"""``rig new``: bench, sequence and campaign files to start from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from rig.cli.authoring import bench as benches
+from rig.cli.authoring import campaign as campaigns
+from rig.cli.authoring import sequence as sequences
+from rig.cli.authoring.questions import ask_all, options
+from rig.cli.authoring.writing import require_new, write_new
+from rig.config.bench import load_bench
+from rig.config.campaign import load_campaign
+from rig.config.sequence import load_sequence
+from rig.terminal.prompt import Asker, Prompt
+from rig.terminal.screen import Screen
+
+_PATH = click.argument("path", type=click.Path(path_type=Path))
+_YES = click.option("--yes", is_flag=True, help="Ask nothing: take the defaults of what no option gives.")
+
+
+@click.group("new")
+def command() -> None:
+    """Write a bench, sequence or campaign file to start from, after a few questions or from options.
+
+    Every key of the file is explained in a comment. Its first line names a JSON Schema, written beside it into the
+    folder schemas, by which an editor completes and checks it.
+
+    \b
+    Example:
+      rig new bench bench.yaml
+      rig new sequence sequence.yaml --bench bench.yaml
+      rig new campaign campaign.yaml log_0kg.csv log_5kg.csv
+    """
+
+
+@contextmanager
+def _terminal(yes: bool) -> Iterator[tuple[Asker | None, Callable[[str], None]]]:
+    """Yield who answers questions, None for the defaults, and what shows messages."""
+    with closing(Screen()) as screen:
+        yield None if yes else Prompt(screen), screen.say
+
+
+def _name(path: Path) -> str:
+    """Return a name for a file's content: letters, digits, dot, dash and underscore."""
+    return "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "-" for c in path.stem)
+
+
+@command.command("bench")
+@_PATH
+@options(benches.QUESTIONS)
+@_YES
+def bench(path: Path, yes: bool, **given: Any) -> None:
+    """Write a bench file to PATH. What no option gives is asked for, with a default.
+
+    A simulated bench is the machine that the file describes, with friction scaled to its torque, so that sequences
+    can be tried before there is hardware.
+
+    \b
+    Example:
+      rig new bench bench.yaml --drive canopen --torque-constant 0.0259 --gear-ratio 51 --supply 24
+      rig new bench bench.yaml --yes --lever-ratio 1 --weights 2,5
+    """
+    require_new(path, "bench")
+    with _terminal(yes) as (asker, tell):
+        answers = ask_all(benches.QUESTIONS, given, asker, tell)
+        written = write_new(path, "bench", benches.bench_text(_name(path), answers), load_bench)
+        for remark in benches.remarks(answers):
+            tell(remark)
+    _say(written, f"rig check {path}")
+
+
+@command.command("sequence")
+@_PATH
+@options(sequences.QUESTIONS)
+@click.option("--bench", "bench_name", metavar="BENCH", help="Bench file or packaged name whose limits it must keep.")
+@_YES
+def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> None:
+    """Write a sequence file to PATH: one stage of a sine on the empty lever, and one for each weight.
+
+    \b
+    Example:
+      rig new sequence sequence.yaml --bench bench.yaml --weights 2,5 --amplitude 15 --frequency 0.3
+    """
+    require_new(path, "sequence")
+    limits = None if bench_name is None else load_bench(bench_name)
+    with _terminal(yes) as (asker, tell):
+        answers = ask_all(sequences.QUESTIONS, given, asker, tell)
+    text = sequences.sequence_text(_name(path), answers)
+    written = write_new(path, "sequence", text, lambda draft: sequences.load_for(limits, draft))
+    load_sequence(path)
+    _say(written, f"rig run {path} --bench {bench_name or 'BENCH'} --dry-run")
+
+
+@command.command("campaign")
+@_PATH
+@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path))
+@options(campaigns.OPTIONS)
+@_YES
+def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
+    """Write a campaign file to PATH that describes recordings made elsewhere, FILES.
+
+    Columns are read from the files, and guesses of what they hold are proposed with a scale to SI where a name states
+    a unit. A mass in a file's name, such as log_5kg.csv, is taken as that on the lever.
+
+    \b
+    Example:
+      rig new campaign campaign.yaml log_0kg.csv log_5kg.csv --current i_meas --moment-arm 0.15 --lever-ratio 1
+    """
+    require_new(path, "campaign")
+    tables = campaigns.read_names(files)
+    with _terminal(yes) as (asker, tell):
+        answers = campaigns.answer(tables, given, asker, tell)
+    written = write_new(path, "campaign", campaigns.campaign_text(path, tables, answers), load_campaign)
+    _say(written, f"rig identify {path}")
+
+
+def _say(written: list[Path], following: str) -> None:
+    """Name what was written, and the command that comes next."""
+    for path in written:
+        click.echo(f"wrote {path}")
+    click.echo(f"next: {following}")

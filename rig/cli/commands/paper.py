@@ -1,0 +1,65 @@
+"""``rig paper``: the paper's tables and figures beside the printed values."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+_STUDY_SHARE = 0.4  # of the time, with 20 seeds
+
+
+@click.command("paper")
+@click.option("--seeds", type=click.IntRange(min=1), default=20, show_default=True, help="Searches per method.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them.")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("paper"),
+    show_default=True,
+    help="Folder for page and figures.",
+)
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
+    """Reproduce the paper's tables and figures, each beside what the paper prints or shows, on one page (paper.html).
+
+    The literal bench is simulated and identified by both methods from every seed; slow ramps, uniform motion and a hot
+    firing run through the whole simulated chain. Every figure is there as PNG and its numbers as CSV too.
+
+    \b
+    Example:
+      rig paper --out paper --json paper.json
+      rig paper --seeds 3
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.common.places import require_file, require_folder
+    from rig.common.result_files import Provenance
+    from rig.common.tables import table
+    from rig.results.paper.output import write
+    from rig.results.paper.parameters import reproduce
+    from rig.results.paper.study import study
+    from rig.results.paper.tables import exhibits, remarks, tables
+    from rig.terminal.bar import ShareBar
+
+    require_folder(out, "--out")
+    require_file(json_file, "--json")
+    started = time.perf_counter()
+    with ShareBar() as bar:
+        shown = study(seed, lambda what, share: bar(what, _STUDY_SHARE * share))
+        found = reproduce(
+            range(seed, seed + seeds), lambda what, share: bar(what, _STUDY_SHARE + (1.0 - _STUDY_SHARE) * share)
+        )
+        provenance = Provenance.of(seed, found.dataset.recordings, time.perf_counter() - started)
+        report = write(out, found, [*shown, *exhibits(found)], provenance, json_file)
+    for title, cells in tables(found).items():
+        click.echo(f"{title}\n{table(cells.header, cells.rows, cells.right)}\n")
+    for line in remarks(found):
+        click.echo(line)
+    for exhibit in shown:
+        click.echo(f"\n{exhibit.title}")
+        for line in exhibit.found:
+            click.echo(f"  {line}")
+    click.echo(f"report: {report}")

@@ -1,0 +1,78 @@
+"""``rig prove``: the blind proof."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+
+@click.command("prove")
+@click.option("--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many.")
+@click.option(
+    "--from",
+    "source",
+    type=click.Path(path_type=Path, file_okay=False, exists=True),
+    help="Campaigns sealed by someone else: rig-NNNN/campaign.yaml and sealed/NNNN.json.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default=Path("proof"),
+    show_default=True,
+    help="Folder; one begun before is gone on with.",
+)
+@click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of draws and diagnosis.")
+@click.option("--gas", is_flag=True, help="Rigs that hide something in their gas generator; pressure and angle alone.")
+@click.option("--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each.")
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(
+    rigs: int, source: Path | None, out: Path, jobs: int, seed: int, gas: bool, keep: bool, json_file: Path | None
+) -> None:
+    """Prove the diagnosis blind: draw rigs that hide physics, seal the truth, diagnose, unseal, score.
+
+    The SHA-256 of every sealed truth is printed before the first diagnosis starts.
+
+    \b
+    Example:
+      rig prove --rigs 24 --jobs 2 --out proof
+      rig prove --gas --rigs 100 --out gas-proof
+      rig prove --from sealed-by-others --json proof.json
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.common.errors import InputError
+    from rig.common.places import require_file, require_folder
+    from rig.common.result_files import Provenance
+    from rig.common.tables import table
+    from rig.results.prove import output
+    from rig.results.prove.family import GAS, MOTION
+    from rig.results.prove.judge import judge
+    from rig.results.prove.run import PROOF_FILE, begin, work
+    from rig.terminal.bar import ShareBar
+
+    require_folder(out, "--out")
+    require_file(json_file, "--json")
+    started = time.perf_counter()
+    try:
+        proof = begin(out, rigs, seed, source, GAS if gas else MOTION)
+        for sealed in proof.seals:
+            click.echo(f"rig {sealed.number:04d} sealed, SHA-256 {sealed.digest}")
+        with ShareBar() as bar:
+            rows = work(proof, judge, jobs, keep, bar)
+        provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
+    except OSError as error:
+        raise InputError(
+            f"{error.filename or out}: cannot be written: {error.strerror}; give --out another place"
+        ) from error
+    result = output.record(rows, provenance)
+    report = output.write(out, result, provenance, json_file)
+    for cells in (output.rates(result), output.methods(result), output.places(result)):
+        if cells.rows:
+            click.echo(table(cells.header, cells.rows, cells.right) + "\n")
+    for line in output.remarks(result):
+        click.echo(line)
+    click.echo(f"report: {report}")

@@ -1,0 +1,111 @@
+"""``rig resume``: go on with a run that stopped."""
+
+from __future__ import annotations
+
+from contextlib import closing
+from pathlib import Path
+
+import click
+
+from rig.cli.aftermath import conclude
+from rig.common.errors import InputError
+from rig.common.locks import hold_folder
+from rig.common.places import require_file
+from rig.common.provenance import utc_now
+from rig.common.text import valid
+from rig.control.attendance import connected, require_attendance
+from rig.control.operator import AutomaticOperator, ConsoleOperator
+from rig.control.progress import RunProgress
+from rig.control.session import Inputs, execute
+from rig.planning.feedforward import load_feedforward
+from rig.planning.plan import make_plan
+from rig.planning.reference import load_reference
+from rig.runs.recorded_inputs import recorded_input
+from rig.runs.resume import prepare, stopped_words
+from rig.runs.run import bench_constants
+from rig.runs.run_record import FEEDFORWARD_INPUT
+from rig.terminal.prompt import at_terminal
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import StopButton
+from rig.wiring.ownership import say_taken_over, until_the_end
+from rig.wiring.preflight import require_startable
+
+
+@click.command("resume")
+@click.argument("run", type=click.Path(path_type=Path))
+@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
+@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
+@click.option(
+    "--identification",
+    type=click.Path(path_type=Path),
+    help="Accepted result of `rig identify --json` on this bench; the weights are checked by it.",
+)
+@click.option(
+    "--first-pass/--no-first-pass",
+    default=None,
+    help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
+)
+@click.option(
+    "--reset-fault",
+    is_flag=True,
+    help="Clear a fault that the drive is in; its cause must be removed first. Always done where the writer died, "
+    "as the drive's own watch has then tripped.",
+)
+@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
+def command(
+    run: Path,
+    yes: bool,
+    operator_name: str | None,
+    identification: Path | None,
+    first_pass: bool | None,
+    reset_fault: bool,
+    json_file: Path | None,
+) -> int:
+    """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same folder.
+
+    A recording whose writer died is mended first. The unfinished stage begins again; what it left behind is kept in
+    its recording but not used. Bench and sequence files must be those of the run. Ctrl-C does what it does in a run.
+
+    \b
+    Example:
+      rig resume runs/20261120T101500Z-figure10
+    """
+    require_file(json_file, "--json")
+    until_the_end(hold_folder(run, "rig resume"))
+    try:
+        resumed = prepare(run)
+    except OSError as error:
+        raise InputError(f"{run}: cannot be written: {error.strerror}") from error
+    for problem in resumed.mended:
+        click.echo(problem)
+    click.echo(stopped_words(resumed.record))
+    require_startable(resumed.bench, utc_now().date(), lambda words: click.echo(words, err=True))
+    constants = bench_constants(resumed.bench.value)
+    reference = None if identification is None else load_reference(identification, constants)
+    record = resumed.record
+    told = record.inputs.get(FEEDFORWARD_INPUT)
+    feedforward = None if told is None else load_feedforward(recorded_input(run, told), constants)
+    # Each recording has noise of its own.
+    seed = record.seed + len(record.parts)
+    reset = reset_fault or resumed.died
+    inputs = Inputs(
+        resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference, reset, feedforward
+    )
+    low = True if first_pass is None and identification else first_pass
+    plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
+    bench = resumed.bench
+    screen = Screen()
+    require_attendance(plan, bench, yes, at_terminal())
+    with closing(screen), StopButton(screen.say) as stop:
+        offset = feedforward is not None
+        with connected(stop, bench, seed, record.realtime, torque_offset=offset, purpose="rig resume") as devices:
+            say_taken_over(devices.lock, screen)
+            patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
+            operator = (
+                AutomaticOperator(screen=screen)
+                if yes
+                else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
+            )
+            with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
+                folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress, record=record)
+        return conclude(folder, outcome, reference, json_file, screen)

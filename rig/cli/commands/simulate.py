@@ -1,0 +1,63 @@
+"""``rig simulate``: what a fitted model does in the loop its recordings were made in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+
+@click.command("simulate")
+@click.argument("source", type=click.Path(path_type=Path))
+@click.option(
+    "--result",
+    "results",
+    metavar="FILE",
+    multiple=True,
+    required=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file of rig identify or rig diagnose; may be given more than once.",
+)
+@click.option(
+    "--bandwidth",
+    metavar="HZ",
+    type=click.FloatRange(min=0.0, min_open=True),
+    help="Bandwidth of the errors; that of the first result if left out.",
+)
+@click.option(
+    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for report and figures; ./SOURCE-simulated."
+)
+@click.option(
+    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+)
+def command(
+    source: Path, results: tuple[Path, ...], bandwidth: float | None, out: Path | None, json_file: Path | None
+) -> None:
+    """Predict the recordings of SOURCE with the model of a result, and compare.
+
+    Torque, voltage and the difference of the encoders are predicted from the motion, with the effects of a diagnosis
+    and without. Where the campaign declares a controller the closed loop is simulated too, from its command alone;
+    its errors stand beside those with half of the friction and with none. The model as a simulated bench lies beside
+    the report.
+
+    \b
+    Example:
+      rig diagnose bench.yaml --json found.json
+      rig simulate later.yaml --result found.json
+    """
+    # Imported late: --help must not wait for the numerics.
+    from rig.common.input_files import source_name
+    from rig.common.places import require_file, require_folder
+    from rig.results.simulate.output import text, write
+    from rig.results.simulate.simulate import simulate_source
+    from rig.terminal.bar import ShareBar
+
+    folder = out or Path(f"{source_name(source)}-simulated")
+    require_folder(folder, "--out")
+    require_file(json_file, "--json")
+    with ShareBar() as bar:
+        found = simulate_source(source, results, bandwidth, bar)
+        bar("writing the report", 1.0)
+        report = write(folder, source, found, json_file)
+    click.echo(text(found))
+    click.echo(f"report: {report}")

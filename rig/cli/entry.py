@@ -1,0 +1,226 @@
+"""The ``rig`` command: finds its subcommands when they are asked for, and turns errors into exit statuses."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import logging
+import os
+import sys
+import threading
+from collections.abc import Mapping
+from typing import Self
+
+import click
+from click.shell_completion import CompletionItem
+
+from drivers.errors import DeviceError
+from rig.cli import crash
+from rig.common.allocation import keep_freed_memory
+from rig.common.errors import InputError, InUseError, StorageError
+from rig.terminal.output import Streams, complain
+
+COMMANDS: Mapping[str, tuple[str, str]] = {
+    "new": ("rig.cli.commands.new:command", "Write a bench, sequence or campaign file to start from."),
+    "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
+    "resume": ("rig.cli.commands.resume:command", "Go on with a run that stopped."),
+    "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
+    "check": ("rig.cli.commands.check:command", "Connect to a bench and read it back; nothing moves."),
+    "identify": ("rig.cli.commands.identify:command", "Identify friction and inertia from a run or a campaign."),
+    "simulate": ("rig.cli.commands.simulate:command", "Predict recordings with a fitted model, and compare."),
+    "diagnose": ("rig.cli.commands.diagnose:command", "Say what physics was left out, and model it."),
+    "effects": ("rig.cli.commands.effects:command", "List the effects that a diagnosis can name."),
+    "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
+    "prove": ("rig.cli.commands.prove:command", "Prove the diagnosis blind on rigs that hide physics."),
+    "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
+    "recover": ("rig.cli.commands.recover:command", "Mend a run whose writer died."),
+    "schema": ("rig.cli.commands.schema:command", "Write JSON Schemas, by which editors complete and check files."),
+}
+"""Name to module and attribute, and the line shown by ``rig --help`` without importing them."""
+
+_SILENCE = logging.NullHandler()
+GARBAGE_THRESHOLD = 200_000
+"""Allocations between two garbage collections. What importing allocates stays for good, and the default of 700 would
+walk over it again and again: a tenth of a second of every command."""
+
+DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
+"""Exit statuses; the fourth also where a file cannot be written."""
+
+
+class _HiddenError(Exception):
+    """Carries an error past click, which would end the program in its own way."""
+
+    def __init__(self, hidden: Exception) -> None:
+        super().__init__(str(hidden))
+        self.hidden = hidden
+
+
+class LazyGroup(click.Group):
+    """A group that imports a subcommand only when it is called, so that ``rig --help`` stays quick."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Return the names in the order of the table."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import one subcommand."""
+        if cmd_name not in COMMANDS:
+            return None
+        module, _, attribute = COMMANDS[cmd_name][0].partition(":")
+        command = getattr(importlib.import_module(module), attribute)
+        assert isinstance(command, click.Command)
+        return command
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Complete names of subcommands from the table, importing none, and the options of the group."""
+        names = [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+        return names + click.Command.shell_complete(self, ctx, incomplete)
+
+    def invoke(self, ctx: click.Context) -> object:
+        """Run the subcommand.
+
+        click takes the end of any file for Ctrl-C, and a broken pipe of any device for a reader of the output that went
+        away; both are errors of their own here.
+        """
+        try:
+            return super().invoke(ctx)
+        except (EOFError, OSError) as error:
+            raise _HiddenError(error) from error
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the subcommands from the table, importing none."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, text) for name, (_, text) in COMMANDS.items()])
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="loadrig", prog_name="rig")
+@click.option("--verbose", is_flag=True, help="Show what the libraries log.")
+def cli(verbose: bool) -> None:
+    """Run, identify and diagnose a hardware-in-the-loop load rig.
+
+    \b
+    Example:
+      rig run figure10 --yes --out runs/demo
+      rig identify runs/demo
+    """
+    if verbose:
+        logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
+    else:
+        # Whatever matters of it comes as an error in this program's own words; without a handler it would be printed.
+        # matplotlib tells of folders that cannot be written, and goes on without them.
+        for name in ("can", "canopen", "matplotlib"):
+            logging.getLogger(name).addHandler(_SILENCE)
+
+
+def main() -> None:
+    """Entry point: run the command line and exit with its status.
+
+    Worker threads of the linear algebra would spin beside the control loop, and make sums depend on their number; the
+    matrices here are too small to need them. Freezing spares the interpreter a last walk over everything as it exits.
+    """
+    streams = Streams()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A handler that cannot write must not print a traceback of its own.
+    logging.raiseExceptions = False
+    gc.set_threshold(GARBAGE_THRESHOLD)
+    keep_freed_memory()
+    arguments = sys.argv[1:]
+    with _Threads(arguments) as threads:
+        try:
+            code = status(arguments)
+        except KeyboardInterrupt:
+            # Pressed again while the words of the first time were printed.
+            code = STOPPED
+    if threads.broken:
+        code = code or CRASHED
+    lost = streams.finish()
+    if lost is not None:
+        complain(f"storage error: {lost}; the command itself ended with status {code}")
+        code = code or DEVICE_FAILED
+    gc.freeze()
+    sys.exit(code)
+
+
+def status(arguments: list[str]) -> int:
+    """Run the command line and return its exit status; every error becomes words on stderr.
+
+    Raises:
+        SystemExit: A command ended the program by itself.
+    """
+    try:
+        result = cli.main(arguments, prog_name="rig", standalone_mode=False)
+    except click.exceptions.Exit as error:
+        return error.exit_code
+    except click.ClickException as error:
+        error.show()
+        return error.exit_code
+    except InputError as error:
+        return _ended(error, "\n".join(error.problems), BAD_INPUT)
+    except (KeyboardInterrupt, click.Abort) as error:
+        return _ended(error, "stopped by the operator", STOPPED)
+    except InUseError as error:
+        return _ended(error, f"in use: {error}", DEVICE_FAILED)
+    except DeviceError as error:
+        return _ended(error, f"device error: {error}", DEVICE_FAILED)
+    except StorageError as error:
+        return _ended(error, f"storage error: {error}", DEVICE_FAILED)
+    except SystemExit:
+        raise
+    except _HiddenError as error:
+        return _broke_down(error.hidden, arguments)
+    except BaseException as error:  # noqa: BLE001 - the last handler: what passes it is a traceback for an operator
+        return _broke_down(error, arguments)
+    return result if isinstance(result, int) else DONE
+
+
+def _broke_down(error: BaseException, arguments: list[str]) -> int:
+    """Say what was not foreseen; a full disk is, wherever it shows. Returns the status."""
+    words = crash.storage_words(error) if isinstance(error, OSError) else None
+    if words is not None:
+        return _ended(error, f"storage error: {words}", DEVICE_FAILED)
+    complain(crash.report(error, arguments, _command(arguments)))
+    return CRASHED
+
+
+class _Threads:
+    """Words in place of a traceback for what breaks down in a second thread, or where nothing can be raised.
+
+    Attributes:
+        broken: Whether a thread broke down: what it was to compute is missing.
+    """
+
+    def __init__(self, arguments: list[str]) -> None:
+        self.broken = False
+        self._arguments = arguments
+
+    def __enter__(self) -> Self:
+        """Take the hooks of the interpreter."""
+        threading.excepthook = self._in_thread
+        sys.unraisablehook = self._ignored
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Give them back."""
+        threading.excepthook, sys.unraisablehook = threading.__excepthook__, sys.__unraisablehook__
+
+    def _in_thread(self, failure: threading.ExceptHookArgs) -> None:
+        self.broken = True
+        if failure.exc_value is not None:
+            complain(crash.report(failure.exc_value, self._arguments, _command(self._arguments)))
+
+    def _ignored(self, failure: sys.UnraisableHookArgs) -> None:
+        logging.getLogger(__name__).info("ignored: %r in %r", failure.exc_value, failure.object)
+
+
+def _ended(error: BaseException, words: str, code: int) -> int:
+    """Say why a command ended, and how the drive was left where that is known; returns the status."""
+    complain(words)
+    drive = crash.drive_words(error)
+    if drive is not None:
+        complain(drive)
+    return code
+
+
+def _command(arguments: list[str]) -> str:
+    return next((argument for argument in arguments if argument in COMMANDS), "")

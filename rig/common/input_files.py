@@ -1,0 +1,90 @@
+"""Files that somebody names, read with every reason why they cannot be."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+from drivers.plain_file import require_plain
+from rig.common.errors import InputError
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the content of a plain file.
+
+    Raises:
+        OSError: It cannot be read; ``strerror`` says why.
+    """
+    require_plain(path)
+    return path.read_bytes()
+
+
+def read_json(path: Path, remedy: str = "") -> Any:
+    """Return what a JSON file holds.
+
+    Args:
+        path: The file.
+        remedy: What to do where it cannot be read, for the message.
+
+    Raises:
+        InputError: It cannot be read, is no JSON, or holds a number beyond every floating-point one.
+    """
+    return parse_json(path, read_utf8(path, remedy))
+
+
+def read_utf8(path: Path, remedy: str = "") -> str:
+    """Return the text of a file in UTF-8.
+
+    Raises:
+        InputError: It cannot be read, or is in another encoding.
+    """
+    try:
+        return read_bytes(path).decode("utf-8-sig")
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror or error}{_after(remedy)}") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path}: byte {error.start} is not UTF-8; is it a text file?") from error
+
+
+def parse_json(path: Path, text: str) -> Any:
+    """Return what JSON text says.
+
+    Raises:
+        InputError: It is no JSON, or holds a number beyond every floating-point one.
+    """
+    try:
+        return json.loads(text, parse_int=_whole)
+    except RecursionError as error:
+        raise InputError(f"{path}: not JSON: nested too deeply") from error
+    except ValueError as error:
+        raise InputError(f"{path}: not JSON: {error}") from error
+
+
+def source_name(source: Path) -> str:
+    """Return the name of a run folder or campaign file, without its ending, wherever the path leads."""
+    return Path(os.path.realpath(source)).stem
+
+
+def is_file(path: Path) -> bool:
+    """Return whether there is a plain file that can be seen; never raises, as :meth:`pathlib.Path.is_file` may."""
+    return os.path.isfile(path)
+
+
+def is_folder(path: Path) -> bool:
+    """Return whether there is a folder that can be seen; never raises, as :meth:`pathlib.Path.is_dir` may."""
+    return os.path.isdir(path)
+
+
+def _whole(digits: str) -> int:
+    number = int(digits)
+    try:
+        float(number)
+    except OverflowError:
+        raise ValueError(f"the number {digits[:20]}... is too large") from None
+    return number
+
+
+def _after(remedy: str) -> str:
+    return f"; {remedy}" if remedy else ""

@@ -1,0 +1,120 @@
+"""Who holds a lock: written into the lock file as JSON, read back with distrust, put into words."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import socket
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final, Self
+
+from rig.common.provenance import utc_now
+
+_LONGEST: Final = 300
+"""Characters of a text that are shown; a lock file may be written by anyone."""
+_GREATEST_PID: Final = 2**31 - 1
+_STEPS: Final = ((86_400, "d"), (3_600, "h"), (60, "min"), (1, "s"))
+
+
+@dataclass(frozen=True)
+class Holder:
+    """A program that holds a lock.
+
+    Attributes:
+        pid: Its process.
+        command: Its name, such as ``rig run``.
+        what: What it holds the lock for: ``bench NAME`` or ``run folder PATH``.
+        user: Who started it.
+        host: The computer it runs on.
+        since: When it took the lock, ISO 8601 in UTC.
+    """
+
+    pid: int
+    command: str
+    what: str
+    user: str
+    host: str
+    since: str
+
+    @classmethod
+    def here(cls, command: str, what: str) -> Self:
+        """Return this process as the holder, from now on."""
+        since = utc_now().isoformat(timespec="seconds")
+        return cls(os.getpid(), command, what, _user(), socket.gethostname(), since)
+
+    @classmethod
+    def parse(cls, content: bytes) -> Self | None:
+        """Return the holder that a lock file names; None where it is empty or damaged."""
+        try:
+            told = json.loads(content)
+        except (ValueError, RecursionError):
+            return None
+        if not isinstance(told, dict):
+            return None
+        pid = told.get("pid")
+        if not isinstance(pid, int) or isinstance(pid, bool) or not 0 < pid <= _GREATEST_PID:
+            return None
+        names = [field.name for field in dataclasses.fields(cls) if field.name != "pid"]
+        return cls(pid, *(_printable(told.get(name)) for name in names))
+
+    def content(self) -> bytes:
+        """Return what stands in the lock file."""
+        return json.dumps(dataclasses.asdict(self)).encode() + b"\n"
+
+    def alive(self) -> bool:
+        """Whether the process is there; one that cannot be looked for is taken to be."""
+        if self.host != socket.gethostname() or os.name != "posix":
+            return True
+        try:
+            os.kill(self.pid, 0)
+        except ProcessLookupError:
+            return False
+        except OSError:
+            # It belongs to another user.
+            return True
+        return True
+
+    def words(self, what: str, now: datetime) -> str:
+        """Return who this is, since when, and for what where that is not ``what``."""
+        other = f" on {self.what}" if self.what and self.what != what else ""
+        user = f", user {self.user}" if self.user else ""
+        host = f", computer {self.host}" if self.host and self.host != socket.gethostname() else ""
+        return f"`{self.command or 'a program'}`{other} (process {self.pid}{user}{host}){self._when(now)}"
+
+    def _when(self, now: datetime) -> str:
+        """Return since when, and how long ago that is; nothing where the file does not say it."""
+        try:
+            since = datetime.fromisoformat(self.since).astimezone(UTC)
+        except (ValueError, OverflowError):
+            return ""
+        day = "" if since.date() == now.astimezone(UTC).date() else f"{since:%Y-%m-%d} "
+        return f" since {day}{since:%H:%M:%S} UTC{_ago((now - since).total_seconds())}"
+
+
+def _ago(seconds: float) -> str:
+    """Return how long ago something was; nothing where a clock was set back meanwhile."""
+    for length_s, unit in _STEPS:
+        if seconds >= length_s:
+            return f", {int(seconds // length_s)} {unit} ago"
+    return ", just now" if seconds >= 0 else ""
+
+
+def _printable(text: Any) -> str:
+    """Return a text as it can be shown at a terminal: short, and without control characters."""
+    if not isinstance(text, str):
+        return ""
+    return "".join(letter if letter.isprintable() else "?" for letter in text[:_LONGEST])
+
+
+def _user() -> str:
+    """Return who runs this process; the number where the system knows no name."""
+    try:
+        import pwd
+    except ImportError:
+        return os.environ.get("USERNAME", "")
+    try:
+        return pwd.getpwuid(os.getuid()).pw_name
+    except KeyError:
+        return str(os.getuid())

@@ -1,0 +1,368 @@
+"""One owner of a bench and of a run folder: advisory locks that name their holder.
+
+A lock is an ``flock`` of the operating system. It ends when the last process that has the file
+open is gone, however that process ends; a stopped process keeps it, and so does a child that
+inherits the descriptor. What stands in the file names the holder. It makes the words of a refusal
+and decides nothing, so that damaged content does no harm.
+
+The files of benches stay, empty while nobody holds them. The file in a run folder is removed by
+its holder; whoever locks it checks afterwards that it still is the file of that name.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from re import sub
+from types import ModuleType
+from typing import Final, Self
+
+from rig.common.errors import InputError, InUseError, StorageError
+from rig.common.lock_holder import Holder
+from rig.common.provenance import utc_now
+
+LOCK_FOLDER: Final = Path("/tmp/loadrig-locks")
+"""Where the lock files of benches are, for all users of this computer."""
+OWNER_FILE: Final = ".owner"
+"""The lock file of a run folder."""
+
+_FOLDER_MODE: Final = 0o1777
+_FILE_MODE: Final = 0o666
+_READABLE: Final = 40
+_CONTENT_BYTES: Final = 16_384
+_ATTEMPTS: Final = 25
+_PAUSE_S: Final = 0.02
+"""So long a refusal waits for the name of a holder that has not written itself in yet."""
+
+
+@dataclass(frozen=True, order=True)
+class Resource:
+    """A part of a bench that one program at a time may use.
+
+    Attributes:
+        key: What is the same whichever way it is written: the real path of a device, else
+            ``interface:channel``.
+        label: What the operator calls it, such as ``port /dev/ttyUSB0``.
+    """
+
+    key: str
+    label: str
+
+
+class Lock:
+    """What this process holds; a context manager that releases it at the end.
+
+    Attributes:
+        taken_over: What a program that is gone had left locked, in words; None where nothing was.
+    """
+
+    def __init__(self, held: Sequence[_Held] = (), taken_over: str | None = None, owner: Path | None = None) -> None:
+        self.taken_over = taken_over
+        self._held = tuple(held)
+        self._owner = owner
+
+    @property
+    def descriptors(self) -> tuple[int, ...]:
+        """File descriptors; a child process that inherits them holds the lock until it ends."""
+        return tuple(item.descriptor for item in self._held)
+
+    def note(self, command: str) -> None:
+        """Write this process in as the holder, under that name; never raises."""
+        for item in self._held:
+            before = Holder.parse(item.read())
+            holder = Holder.here(command, "" if before is None else before.what)
+            item.write(holder if before is None else replace(holder, since=before.since))
+
+    def release(self) -> None:
+        """Give it back; never raises. The name of a child that goes on holding it stays."""
+        held, self._held = self._held, ()
+        for item in reversed(held):
+            item.close()
+        if self._owner is not None and held:
+            _remove(self._owner)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        self.release()
+
+
+def hold_bench(name: str, resources: Iterable[Resource], command: str, folder: Path | None = None) -> Lock:
+    """Lock everything that a bench consists of, or nothing.
+
+    Args:
+        name: Of the bench.
+        resources: Its parts; see :func:`rig.wiring.resources.resources`. Without any nothing is locked.
+        command: What locks it, such as ``rig run``.
+        folder: Where the lock files are; :data:`LOCK_FOLDER` by default.
+
+    Raises:
+        InUseError: Another program holds a part of it.
+        StorageError: A lock file cannot be used.
+    """
+    what, folder = f"bench {name}", folder or LOCK_FOLDER
+    parts = {part.key: part for part in resources}
+    places = [_Place(f"{what} ({parts[key].label})", what, folder, file_name(key), True) for key in sorted(parts)]
+    return _hold(places, command)
+
+
+def hold_folder(folder: Path, command: str) -> Lock:
+    """Lock a run folder.
+
+    Args:
+        folder: It must be there.
+        command: What locks it, such as ``rig resume``.
+
+    Raises:
+        InputError: There is no such folder.
+        InUseError: Another program holds it.
+        StorageError: It cannot be written.
+    """
+    if not os.path.isdir(folder):
+        raise InputError(f"{folder}: no such folder; give the folder of a run")
+    place = _Place(f"run folder {folder}", f"run folder {os.path.realpath(folder)}", folder, OWNER_FILE, False)
+    return _hold([place], command, owner=Path(os.path.realpath(folder)) / OWNER_FILE)
+
+
+def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
+    """Return the lock that a process has inherited; :meth:`Lock.note` writes it in as the holder.
+
+    Args:
+        descriptors: Of all that is held.
+        folder: The run folder where that is among it.
+    """
+    return Lock(
+        [_Held(descriptor) for descriptor in descriptors], owner=None if folder is None else folder / OWNER_FILE
+    )
+
+
+def file_name(key: str) -> str:
+    """Return the name of a resource's lock file: a readable part, and a digest of all of it."""
+    digest = sha256(key.encode("utf-8", "surrogatepass")).hexdigest()[:20]
+    return f"{sub('[^A-Za-z0-9]+', '-', key)[-_READABLE:].strip('-')}-{digest}.lock"
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A lock file.
+
+    Attributes:
+        subject: What it stands for, as the operator is told.
+        what: The same, as its holder is to write it in.
+        folder: Where it is.
+        file: Its name there.
+        shared: Whether the folder is for all users of this computer.
+    """
+
+    subject: str
+    what: str
+    folder: Path
+    file: str
+    shared: bool
+
+
+class _Held:
+    """A locked file, and what this process has written into it."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        self._written = b""
+
+    def read(self) -> bytes:
+        """Return what stands in it; nothing where it cannot be read."""
+        with suppress(OSError):
+            return os.pread(self.descriptor, _CONTENT_BYTES, 0)
+        return b""
+
+    def write(self, holder: Holder) -> None:
+        """Name the holder, as far as the disk has room for it."""
+        self._written = holder.content()
+        with suppress(OSError):
+            os.ftruncate(self.descriptor, 0)
+            os.pwrite(self.descriptor, self._written, 0)
+
+    def close(self) -> None:
+        """Take out what this process has written, and let go."""
+        # No LOCK_UN: that would take the lock from a child that holds the same open file.
+        with suppress(OSError):
+            if self._written.startswith(self.read()):
+                os.ftruncate(self.descriptor, 0)
+        with suppress(OSError):
+            os.close(self.descriptor)
+
+
+def _hold(places: Sequence[_Place], command: str, owner: Path | None = None) -> Lock:
+    """Lock all these files, in this order, or none."""
+    held: list[_Held] = []
+    taken_over: list[str] = []
+    try:
+        for place in places:
+            item, left = _take(place)
+            held.append(item)
+            if left.strip():
+                taken_over.append(_left_words(place, left))
+            item.write(Holder.here(command, place.what))
+    except BaseException:
+        Lock(held, owner=owner).release()
+        raise
+    return Lock(held, "\n".join(taken_over) or None, owner)
+
+
+def _take(place: _Place) -> tuple[_Held, bytes]:
+    """Lock one file; returns it with what its last holder has left in it."""
+    holder: Holder | None = None
+    for attempt in range(_ATTEMPTS):
+        if attempt:
+            time.sleep(_PAUSE_S)
+        try:
+            found = _attempt(place)
+        except FileExistsError:
+            # Another program made the file at the same moment.
+            continue
+        except OSError as error:
+            raise StorageError(_unusable(place, error.strerror or str(error))) from error
+        if isinstance(found, _Held):
+            return found, found.read()
+        holder = found
+        if holder is not None and holder.alive():
+            break
+    raise InUseError(_refusal(place, holder))
+
+
+def _attempt(place: _Place) -> _Held | Holder | None:
+    """Return the locked file, else its holder; None where that is not known, or the file is gone."""
+    fcntl = _fcntl(place)
+    with _folder(place) as folder:
+        item = _Held(_open(place, folder, fcntl))
+        locked = False
+        try:
+            if not _locked(item.descriptor, fcntl):
+                return Holder.parse(item.read())
+            with suppress(FileNotFoundError):
+                named = os.stat(place.file, dir_fd=folder, follow_symlinks=False)
+                locked = os.path.samestat(named, os.fstat(item.descriptor))
+            return item if locked else None
+        finally:
+            if not locked:
+                os.close(item.descriptor)
+
+
+def _fcntl(place: _Place) -> ModuleType:
+    """Return the module that locks files."""
+    try:
+        import fcntl
+    except ImportError as error:
+        # Windows has it not; without an owner a bench is not used.
+        raise StorageError(f"{place.subject}: this system cannot lock files; use Linux or macOS") from error
+    return fcntl
+
+
+def _locked(descriptor: int, fcntl: ModuleType) -> bool:
+    """Lock an open file, unless another program has."""
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
+
+
+@contextmanager
+def _folder(place: _Place) -> Iterator[int]:
+    """Open the folder of a lock file; that of all users is made if missing, and must be no link."""
+    flags = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+    if place.shared:
+        flags |= os.O_NOFOLLOW
+        with suppress(FileExistsError):
+            os.mkdir(place.folder, _FOLDER_MODE)
+    descriptor = os.open(place.folder, flags)
+    try:
+        if place.shared:
+            _open_to_all(descriptor, _FOLDER_MODE)
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def _open(place: _Place, folder: int, fcntl: ModuleType) -> int:
+    """Open a lock file, or make it; returns a descriptor above those of the standard streams."""
+    flags = os.O_RDWR | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    try:
+        # First without O_CREAT: in a sticky folder fs.protected_regular refuses that for a file
+        # of another user.
+        descriptor = os.open(place.file, flags, dir_fd=folder)
+    except FileNotFoundError:
+        descriptor = os.open(place.file, flags | os.O_CREAT | os.O_EXCL, _FILE_MODE, dir_fd=folder)
+    try:
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode) or (place.shared and status.st_nlink > 1):
+            raise StorageError(_unusable(place, "no plain file of its own"))
+        _open_to_all(descriptor, _FILE_MODE)
+        # A standard stream that was closed would leave its number to the lock, and what is
+        # printed would go into the file.
+        above: int = fcntl.fcntl(descriptor, fcntl.F_DUPFD_CLOEXEC, 3)
+        return above
+    finally:
+        os.close(descriptor)
+
+
+def _open_to_all(descriptor: int, mode: int) -> None:
+    """Set the mode of what this user owns, whatever the umask is; some file systems have none."""
+    status = os.fstat(descriptor)
+    if status.st_uid == os.geteuid() and stat.S_IMODE(status.st_mode) != mode:
+        with suppress(OSError):
+            os.fchmod(descriptor, mode)
+
+
+def _remove(path: Path) -> None:
+    """Remove the lock file of a run folder, unless it is held or names somebody."""
+    import fcntl
+
+    with suppress(OSError):
+        descriptor = os.open(path, os.O_RDWR | os.O_NOFOLLOW | os.O_CLOEXEC)
+        try:
+            status = os.fstat(descriptor)
+            if (
+                _locked(descriptor, fcntl)
+                and os.path.samestat(status, os.lstat(path))
+                and not os.fstat(descriptor).st_size
+            ):
+                os.unlink(path)
+        finally:
+            os.close(descriptor)
+
+
+def _refusal(place: _Place, holder: Holder | None) -> str:
+    """Return why a lock cannot be had, and what to do."""
+    if holder is None:
+        file = place.folder / place.file
+        return f"{place.subject} is in use by another program, which has not given its name; `fuser {file}` finds it"
+    who = holder.words(place.what, utc_now())
+    if holder.alive():
+        return f"{place.subject} is in use by {who}; wait for it to end, or stop it"
+    return (
+        f"{place.subject} is in use: {who} is gone, but a process that it started still holds it, as the guardian of a "
+        "drive does until the drive is off; wait for that to end"
+    )
+
+
+def _left_words(place: _Place, left: bytes) -> str:
+    """Return what is taken over."""
+    holder = Holder.parse(left)
+    who = "a program that is not known" if holder is None else holder.words(place.what, utc_now())
+    return f"{place.subject} was left locked by {who}, which no longer holds it; taken over"
+
+
+def _unusable(place: _Place, reason: str) -> str:
+    """Return what is wrong with a lock file or its folder, and what to do."""
+    if place.shared:
+        remedy = f"{place.folder} must be a folder that everyone may write to (mode 1777); remove what is in the way"
+    else:
+        remedy = "let this user write to it, or use a folder on a local disk"
+    return f"{place.subject}: {place.folder / place.file} cannot be used: {reason}; {remedy}"

@@ -1,0 +1,22 @@
+"""The phases of a run."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+
+class Phase(Enum):
+    """Where a run is. The drive has power from ENABLE to RELEASE only."""
+
+    LOAD = "load"
+    PREPARE = "prepare"
+    ENABLE = "enable"
+    FIRST_PASS = "first pass"
+    WEIGH = "weight check"
+    APPROACH = "approach"
+    SETTLE = "settle"
+    EXCITE = "excite"
+    HOLD = "hold"
+    RELEASE = "release"
+    BOUNDARY = "between stages"
+    FINISHED = "finished"

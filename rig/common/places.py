@@ -1,0 +1,109 @@
+"""The places that results go to: judged before the work, written in one step after it."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rig.common.errors import InputError
+from rig.common.input_files import is_file, is_folder
+from rig.common.text import valid, valid_record
+
+
+def require_folder(path: Path, option: str) -> None:
+    """Check, before anything is computed, that a folder is there or can be made; makes nothing.
+
+    Args:
+        path: The folder.
+        option: What chose it, for the message.
+
+    Raises:
+        InputError: It cannot be; says which folder above it is in the way.
+    """
+    above = path
+    while not os.path.exists(above) and above != above.parent:
+        above = above.parent
+    if not is_folder(above):
+        raise InputError(f"{path}: cannot be made, as {above} is a file; give {option} another place")
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise InputError(f"{path}: {above} may not be written to; give {option} another place")
+
+
+def require_file(path: Path | None, option: str) -> None:
+    """Check, before anything is computed, that a file can be written; makes nothing.
+
+    Raises:
+        InputError: Its folder is missing or read-only, or it is a folder itself.
+    """
+    if path is None:
+        return
+    if is_folder(path):
+        raise InputError(f"{path}: is a folder; give {option} a file")
+    if not is_folder(path.parent):
+        raise InputError(f"{path}: the folder {path.parent} does not exist; make it, or give {option} another place")
+    judged = path.parent if is_file(path) or not os.path.exists(path) else path
+    if not os.access(judged, os.W_OK):
+        raise InputError(f"{path}: {judged} may not be written to; give {option} another place")
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Yield the name of a draft; it takes the place of ``path`` at the end, and is removed if there is no good end.
+
+    No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link is followed, and what
+    is no plain file (a pipe, ``/dev/stdout``) is written straight, never replaced.
+    """
+    if os.path.exists(path) and not is_file(path):
+        yield path
+        return
+    # Unlike Path.resolve, realpath takes a loop of links too; opening it then says so.
+    target = Path(os.path.realpath(path))
+    draft = target.with_name(f".{target.name}.new")
+    try:
+        yield draft
+        with open(draft, "rb") as stream:
+            os.fsync(stream.fileno())
+        os.replace(draft, target)
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file in one step.
+
+    Raises:
+        OSError: It cannot be written; an earlier version is kept.
+    """
+    with replacing(path) as draft, open(draft, "w", encoding="utf-8") as stream:
+        stream.write(valid(text))
+
+
+def write_json(path: Path, record: Mapping[str, Any]) -> None:
+    """Write JSON in one step.
+
+    Raises:
+        OSError: It cannot be written; an earlier version is kept.
+    """
+    text = json.dumps(record, indent=1)
+    if "\\ud" in text:
+        # Bytes that were not decoded may be among the escapes, and strict readers of JSON refuse those.
+        text = json.dumps(valid_record(record), indent=1)
+    write_text(path, text + "\n")
+
+
+def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
+    """Write what ``--json`` asks for; None is nothing.
+
+    Raises:
+        InputError: It cannot be written after all; an earlier version is kept.
+    """
+    if path is None:
+        return
+    try:
+        write_json(path, record)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror}; give --json another place") from error

@@ -1,0 +1,41 @@
+"""The calibrations that the results of a bench rest on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import date
+from typing import Any
+
+from rig.config.bench import Bench
+from rig.config.configuration import Document
+
+
+def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
+    """Return the bench's calibrations as ``run.json`` holds them; one is good through the day it is due."""
+    return [
+        {"device": c.device, "id": c.id, "due": c.due.isoformat(), "overdue": c.due < today} for c in bench.calibrations
+    ]
+
+
+def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return in words which of them are overdue."""
+    return [f"calibration {c['id']} of {c['device']} was due on {c['due']}" for c in records if c["overdue"]]
+
+
+def overdue_problems(document: Document[Bench], today: date) -> list[str]:
+    """Return the overdue calibrations that a run refuses, each with its place in the bench file.
+
+    None where the bench file lets a run go on with them.
+    """
+    bench = document.value
+    if bench.overdue_calibration != "refuse":
+        return []
+    return [
+        document.problem(
+            ("calibrations", index, "due"),
+            f"calibration {item.id} of {item.device} is overdue since then, and overdue_calibration is `refuse`; "
+            "have it calibrated",
+        )
+        for index, item in enumerate(bench.calibrations)
+        if item.due < today
+    ]

@@ -1,0 +1,332 @@
+"""Validated configuration files: YAML plus a pydantic schema, with every error at its place in the file."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import re
+import types
+import typing
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic_core import ErrorDetails
+
+from rig.common.errors import InputError
+from rig.common.yaml_tree import DocumentError, Mark, Node, parse, read_text
+
+Loc = tuple[str | int, ...]
+M = TypeVar("M", bound=BaseModel)
+_ABSENT = object()
+_INDEX = re.compile(r"\[\d+\]")
+_Found = tuple[Mark, str, str, object]
+
+
+class Schema(BaseModel):
+    """Base of every configuration record: frozen, unknown keys are errors, numbers are finite."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+
+
+@dataclass(frozen=True)
+class Document(Generic[M]):
+    """A validated file that can still say where each of its values was written.
+
+    Attributes:
+        value: The validated record.
+        path: The file.
+    """
+
+    value: M
+    path: Path
+    _root: Node
+
+    def problem(self, loc: Loc, message: str, value: object = _ABSENT) -> str:
+        """Word a problem found after validation, in the form of :class:`InputError`.
+
+        Args:
+            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. Where the file does not
+                go that deep (a default was used), the nearest value above it is pointed at.
+            message: What is wrong, the limit and the remedy.
+            value: What was found; left out, the value in the file is shown.
+        """
+        node, mark, path, _ = _resolve(self._root, loc)
+        if value is _ABSENT and path == loc:
+            value = node.plain()
+        return _format(self.path, mark, _dotted(loc), message, value)
+
+    def require(self, problems: Iterable[tuple[Loc, str]]) -> None:
+        """Raise if there are problems, each a location and a message.
+
+        Raises:
+            InputError: Lists them all.
+        """
+        lines = [self.problem(loc, message) for loc, message in problems]
+        if lines:
+            raise InputError(lines)
+
+
+def load(path: Path, schema: type[M]) -> M:
+    """Read and validate a configuration file.
+
+    Raises:
+        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at once.
+    """
+    return load_located(path, schema).value
+
+
+def load_located(path: Path, schema: type[M], prepare: Callable[[Node], Node] | None = None) -> Document[M]:
+    """Read and validate a configuration file, keeping the place of each value.
+
+    Args:
+        path: The YAML file.
+        schema: The record to validate into.
+        prepare: Rewrites the tree before validation (merging defaults); moved nodes keep their place in the file.
+
+    Raises:
+        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at once.
+    """
+    try:
+        root, duplicates = parse(read_text(path))
+    except DocumentError as error:
+        raise InputError(_format(path, error.mark, "document", error.message)) from error
+    found: list[_Found] = [(mark, key, message, _ABSENT) for mark, key, message in duplicates]
+    if prepare is not None:
+        root = prepare(root)
+    return validated(path, root, schema, found)
+
+
+def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] = ()) -> Document[M]:
+    """Validate a tree that was read from ``path``.
+
+    Args:
+        path: The file, for messages.
+        root: Its content.
+        schema: The record to validate into.
+        found: Problems met while reading, reported with those of the schema.
+
+    Raises:
+        InputError: The tree breaks the schema, or there were problems before; lists every error at once.
+    """
+    found = list(found)
+    try:
+        # JSON input in strict mode: no "5" or true for a number, while lists still make tuples and text makes enums.
+        value = schema.model_validate_json(json.dumps(root.plain()), strict=True)
+    except ValidationError as error:
+        found.extend(_explain(root, schema, error))
+        raise InputError(_lines(path, found)) from None
+    if found:
+        raise InputError(_lines(path, found))
+    return Document(value, path, root)
+
+
+def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
+    """Word what is wrong in a JSON file that was validated as a record or a standard dataclass, with its places.
+
+    Raises:
+        InputError: The text is too deep or too long to look for places in.
+    """
+    return _lines(path, list(_explain(_json_tree(path, text), schema, error)))
+
+
+def place_json(path: Path, text: str, problems: Iterable[tuple[Loc, str]]) -> list[str]:
+    """Word problems found in a JSON file after validation, each with its place.
+
+    Raises:
+        InputError: The text is too deep or too long to look for places in.
+    """
+    root, found = _json_tree(path, text), []
+    for loc, message in problems:
+        node, mark, path_found, _ = _resolve(root, loc)
+        found.append((mark, _dotted(loc), message, node.plain() if path_found == loc else _ABSENT))
+    return _lines(path, found)
+
+
+def _json_tree(path: Path, text: str) -> Node:
+    """Read JSON, which is YAML as well, with the places of its values."""
+    try:
+        return parse(text)[0]
+    except DocumentError as error:
+        raise InputError(_format(path, error.mark, "document", error.message)) from error
+
+
+def _lines(path: Path, found: list[_Found]) -> list[str]:
+    """Format in file order; one default merged into many recordings is reported once."""
+    unique: dict[tuple[Mark, str, str], _Found] = {}
+    for item in sorted(found, key=lambda item: (item[0].line, item[0].column)):
+        unique.setdefault((item[0], _INDEX.sub("", item[1]), item[2]), item)
+    return [_format(path, *item) for item in unique.values()]
+
+
+def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Iterator[_Found]:
+    """Map pydantic's errors onto the file, joining the branches of a union that failed at one place."""
+    places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
+    errors = error.errors(include_url=False)
+    for details in errors:
+        loc = details["loc"]
+        if details["type"] == "too_short" and any(e["loc"][: len(loc)] == loc != e["loc"] for e in errors):
+            continue  # pydantic leaves bad items out of the count of a tuple
+        mark, path, message, value = _place(root, schema, details)
+        messages, _ = places.setdefault((mark, path), ([], value))
+        if message not in messages:
+            messages.append(message)
+        if details["type"] == "missing":
+            for below in _required_below(schema, path):
+                places.setdefault((mark, below), ([message], _ABSENT))
+    for (mark, path), (messages, value) in places.items():
+        yield mark, _dotted(path), " or ".join(messages), value
+
+
+def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[Mark, Loc, str, object]:
+    loc: Loc = details["loc"]
+    kind = details["type"]
+    if kind in ("union_tag_invalid", "union_tag_not_found"):
+        loc = (*loc, details["ctx"]["discriminator"].strip("'"))
+    if kind in ("missing", "union_tag_not_found"):
+        _, mark, path, _ = _resolve(root, loc[:-1], mapping=True)
+        return mark, (*path, loc[-1]), "missing; this key is required", _ABSENT
+    node, mark, path, key_mark = _resolve(root, loc)
+    if kind in ("extra_forbidden", "unexpected_keyword_argument"):
+        return key_mark or mark, path, _unknown_key(schema, loc), _ABSENT
+    message = details["msg"]
+    if loc[-1:] == ("[key]",):
+        return key_mark or mark, path, message.removeprefix("Value error, "), _ABSENT
+    if kind == "value_error":
+        return mark, path, message.removeprefix("Value error, "), node.plain()
+    return mark, path, message[:1].lower() + message[1:], node.plain()
+
+
+def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
+    """Yield the keys that a missing section must hold, so that none is asked for only once the section is there."""
+    records = _records_at([schema], loc)
+    if len(records) != 1:
+        return
+    for name in _required(records[0]):
+        yield (*loc, name)
+        yield from _required_below(schema, (*loc, name))
+
+
+def _required(record: type[Any]) -> Iterator[str]:
+    if issubclass(record, BaseModel):
+        yield from (name for name, field in record.model_fields.items() if field.is_required())
+        return
+    for item in dataclasses.fields(record):
+        if item.default is dataclasses.MISSING and item.default_factory is dataclasses.MISSING:
+            yield item.name
+
+
+def _unknown_key(schema: type[BaseModel], loc: Loc) -> str:
+    names = {name for record in _records_at([schema], loc[:-1]) for name in _keys(record)}
+    # Another branch of a union may know the key.
+    known = sorted(names - {loc[-1]})
+    return f"unknown key; {nearest(str(loc[-1]), known)}"
+
+
+def nearest(name: str, known: list[str]) -> str:
+    """Suggest the known names closest to a mistyped one, or list them all."""
+    same = [k for k in known if k.casefold() == name.casefold()]
+    close = same or difflib.get_close_matches(name, known, n=3, cutoff=0.6)
+    if close:
+        return f"did you mean {' or '.join(repr(k) for k in close)}?"
+    return f"known are {', '.join(known)}" if known else "no key is known here"
+
+
+def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
+    """Return the models and dataclasses a location may refer to; elements naming a union's branch are passed over."""
+    for element in loc:
+        branches = [branch for annotation in annotations for branch in _branches(annotation)]
+        stepped = [child for branch in branches for child in _step(branch, element)]
+        annotations = stepped or annotations
+    branches = [branch for annotation in annotations for branch in _branches(annotation)]
+    return [branch for branch in branches if _keys(branch)]
+
+
+def _keys(annotation: Any) -> Mapping[str, Any]:
+    """Return key to annotation of a model or a standard dataclass; nothing for any other type."""
+    if not isinstance(annotation, type):
+        return {}
+    if issubclass(annotation, BaseModel):
+        return {name: field.annotation for name, field in annotation.model_fields.items()}
+    return typing.get_type_hints(annotation) if dataclasses.is_dataclass(annotation) else {}
+
+
+def _branches(annotation: Any) -> Iterator[Any]:
+    origin = typing.get_origin(annotation)
+    if origin is typing.Annotated:
+        yield from _branches(typing.get_args(annotation)[0])
+    elif origin in (typing.Union, types.UnionType):
+        for branch in typing.get_args(annotation):
+            yield from _branches(branch)
+    else:
+        yield annotation
+
+
+def _step(annotation: Any, element: str | int) -> list[Any]:
+    if keys := _keys(annotation):
+        return [keys[str(element)]] if element in keys else []
+    arguments = [a for a in typing.get_args(annotation) if a is not Ellipsis]
+    origin = typing.get_origin(annotation)
+    if isinstance(element, int) and origin in (list, tuple):
+        return arguments
+    if isinstance(element, str) and isinstance(origin, type) and issubclass(origin, Mapping):
+        return arguments[1:]
+    return []
+
+
+_Place = tuple[Node, Mark, Loc, Mark | None]
+
+
+def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
+    """Follow a location as far as the tree goes.
+
+    pydantic puts the names of union branches between keys; such an element is passed over, and where it happens to
+    equal a key, the reading that follows more of the location wins.
+
+    Returns:
+        The node, its mark, the keys and indices followed, and the mark of the last key (None for an index).
+    """
+
+    def walk(place: _Place, rest: Loc) -> Iterator[tuple[bool, _Place]]:
+        node, _, path, _ = place
+        if not rest:
+            yield (not mapping or isinstance(node.value, dict)), place
+            return
+        element, *others = rest
+        remaining = tuple(others)
+        child = _child(node, element)
+        if child is not None:
+            key_mark = node.keys.get(str(element)) if isinstance(node.value, dict) else None
+            yield from walk((child, child.mark, (*path, element), key_mark), remaining)
+        if child is None or remaining:
+            for complete, found in walk(place, remaining):
+                yield complete and bool(remaining), found
+
+    places = walk((root, root.mark, (), None), loc)
+    return max(places, key=lambda item: (item[0], len(item[1][2])))[1]
+
+
+def _child(node: Node, element: str | int) -> Node | None:
+    if isinstance(node.value, dict):
+        return node.value.get(str(element))
+    if isinstance(node.value, list) and isinstance(element, int) and 0 <= element < len(node.value):
+        return node.value[element]
+    return None
+
+
+def _dotted(loc: Loc) -> str:
+    text = "".join(f"[{e}]" if isinstance(e, int) else f".{e}" for e in loc).removeprefix(".")
+    return text or "document"
+
+
+def _format(file: Path, mark: Mark, path: str, message: str, value: object = _ABSENT) -> str:
+    got = "" if value is _ABSENT or (isinstance(value, dict | list) and len(value) > 8) else f" (got {_short(value)})"
+    return f"{file}:{mark.line}:{mark.column}: {path}: {message}{got}"
+
+
+def _short(value: object) -> str:
+    text = json.dumps(value, ensure_ascii=False, default=str)
+    return text if len(text) <= 60 else f"{text[:57]}..."

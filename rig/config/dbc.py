@@ -1,0 +1,167 @@
+"""The ``servo`` section of a bench whose drive speaks its own CAN frames: a DBC file, and a map of its signals."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from drivers.dbc.bind import DbcMapError, bind
+from drivers.dbc.file import read_dbc
+from drivers.dbc.limits import DbcDrive
+from drivers.dbc.map import DbcMap, Inputs, LimitMap, Orders, Protection, Quantity, Status, StopFrame
+from drivers.dbc.wiring import Wiring
+from drivers.errors import ConfigurationError
+from drivers.interfaces import Identity, ServoLimits
+from drivers.mock.dbc_drive import DRIVE_DBC
+from rig.common.errors import InputError
+from rig.config.configuration import Loc, Schema
+
+_Positive = Annotated[float, Field(gt=0)]
+_Natural = Annotated[int, Field(ge=0)]
+Problem = Callable[[Loc, str], str]
+"""Words a problem found after validation: :meth:`rig.config.configuration.Document.problem`."""
+
+
+class HeldSection(Schema):
+    """Limits that were set in the drive with its maker's tool; what the drive reports over the bus
+    goes before these.
+
+    Attributes:
+        angle_min_deg: Lowest joint angle.
+        angle_max_deg: Highest joint angle.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque at the joint.
+        current_A: Highest motor current.
+        following_error_deg: Largest following error; null where the drive has no such limit.
+        quick_stop_deceleration_deg_s2: Deceleration of the drive's braking ramp, at the joint.
+    """
+
+    angle_min_deg: float
+    angle_max_deg: float
+    speed_deg_s: _Positive
+    torque_N_m: _Positive
+    current_A: _Positive
+    following_error_deg: _Positive | None
+    quick_stop_deceleration_deg_s2: _Positive
+
+
+class DbcServoSection(Schema):
+    """A drive with its own CAN frames, described by a DBC file and a map of its signals.
+
+    Attributes:
+        kind: The protocol of the drive.
+        file: The drive's DBC file, relative to the bench file; the simulated drive needs none.
+        name: Name of the drive in reports.
+        vendor_id: Number of the maker, kept with the recording.
+        product_code: Number of the product, kept with the recording.
+        revision: Revision, where the drive does not report it.
+        serial_number: Serial number, where the drive does not report it.
+        offset_deg: Joint angle at which the drive's position reads zero.
+        watchdog_ms: How long the drive goes on without a command before it stops by itself; null
+            where it never does.
+        held: Limits set in the drive with its maker's tool.
+        inputs: Signals that the drive reports.
+        status: The signal of the drive's state.
+        target: The signal of the target position, at the motor.
+        orders: What to send for each verb.
+        stop_frame: A frame that stops the drive whatever else is sent.
+        limits: Limits that the drive takes over the bus.
+        messages: Message to its protection: counter, checksum, period.
+    """
+
+    kind: Literal["dbc"]
+    file: str | None = None
+    name: str
+    vendor_id: Annotated[int, Field(ge=1)]
+    product_code: _Natural = 0
+    revision: _Natural = 0
+    serial_number: _Natural = 0
+    offset_deg: float = 0.0
+    watchdog_ms: _Positive | None
+    held: HeldSection
+    inputs: Inputs
+    status: Status
+    target: Quantity
+    orders: Orders
+    stop_frame: StopFrame
+    limits: LimitMap = LimitMap()
+    messages: Mapping[str, Protection] = Field(default_factory=dict)
+
+    @property
+    def quick_stop_option(self) -> int:
+        """Every stop of such a drive ends without power, as option 2 of 605Ah says."""
+        return 2
+
+    @property
+    def quick_stop_deceleration_deg_s2(self) -> float:
+        """Of the drive's own ramp."""
+        return self.held.quick_stop_deceleration_deg_s2
+
+    @property
+    def signal_map(self) -> DbcMap:
+        """The map alone."""
+        return DbcMap(
+            self.inputs, self.status, self.target, self.orders, self.stop_frame, self.limits, dict(self.messages)
+        )
+
+    def drive(self, gear_ratio: float, torque_constant_N_m_A: float) -> DbcDrive:
+        """Return what is known of the drive beside its signals, in SI units."""
+        held = self.held
+        window = held.following_error_deg
+        return DbcDrive(
+            identity=Identity(self.name, self.vendor_id, self.product_code, self.revision, self.serial_number),
+            held=ServoLimits(
+                angle_min_rad=math.radians(held.angle_min_deg),
+                angle_max_rad=math.radians(held.angle_max_deg),
+                speed_rad_s=math.radians(held.speed_deg_s),
+                torque_N_m=held.torque_N_m,
+                current_A=held.current_A,
+                following_error_rad=None if window is None else math.radians(window),
+                quick_stop_option=self.quick_stop_option,
+                quick_stop_deceleration_rad_s2=math.radians(held.quick_stop_deceleration_deg_s2),
+            ),
+            gear_ratio=gear_ratio,
+            torque_constant_N_m_A=torque_constant_N_m_A,
+            offset_rad=math.radians(self.offset_deg),
+            watchdog_s=None if self.watchdog_ms is None else self.watchdog_ms * 1e-3,
+        )
+
+
+def dbc_path(section: DbcServoSection, path: Path) -> Path:
+    """Return the drive's DBC file; ``path`` is the bench file's. The simulated drive brings its own."""
+    return DRIVE_DBC if section.file is None else path.parent / section.file
+
+
+def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem) -> Wiring:
+    """Read the drive's DBC file and bind the map to it.
+
+    Args:
+        section: The section, validated.
+        path: The bench file.
+        simulated: Whether the drive is the simulated one, which brings its own DBC.
+        problem: Finds the place of a value in the bench file.
+
+    Raises:
+        InputError: The DBC is missing or not valid, or the map does not fit it; every problem with its place.
+    """
+    place: Loc = ("servo", "file")
+    if section.file is None and not simulated:
+        raise InputError(problem(place, "missing; a real drive needs its DBC file, relative to this file"))
+    try:
+        layouts = read_dbc(dbc_path(section, path))
+    except ConfigurationError as error:
+        raise InputError((problem(place, "cannot be used"), str(error))) from error
+    try:
+        return bind(section.signal_map, layouts)
+    except DbcMapError as error:
+        raise InputError([problem(("servo", *at), text) for at, text in error.problems]) from None
+
+
+def cycle_frames(wiring: Wiring, cycle_s: float) -> list[tuple[int, int]]:
+    """Return data bytes of each message, and the number of cycles in which it goes once."""
+    messages = (*wiring.sent.values(), *wiring.received.values())
+    return [(message.size, max(1, round(message.period_s / cycle_s))) for message in messages]

@@ -1,0 +1,302 @@
+"""The fault schedule: what goes wrong on a simulated bench, when, and how the run must react. YAML or CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import Field, field_validator, model_validator
+
+from rig.common.errors import InputError
+from rig.common.yaml_tree import DocumentError, Mark, Node, Scalar, read_text
+from rig.config.configuration import Document, Schema, load_located, nearest, validated
+
+Target = Literal["bus", "line", "encoder_line", "drive", "encoder", "host", "disk", "operator"]
+PhaseName = Literal["prompt", "prepare", "enable", "approach", "settle", "excite", "ramp_out", "hold", "disable"]
+StateName = Literal[
+    "switch_on_disabled", "ready", "switched_on", "operation_enabled", "quick_stop_active", "fault_reaction", "fault"
+]
+_EXPECTED = ("deenergised_within_s", "exit_status", "words")
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of fault.
+
+    Attributes:
+        meaning: In words.
+        unit: Of ``value``; empty where there is none.
+        default: Of ``value``.
+        counted: Whether ``count`` means anything.
+        integer: Whether ``value`` must be whole.
+    """
+
+    meaning: str
+    unit: str = ""
+    default: float | None = None
+    counted: bool = False
+    integer: bool = False
+
+
+FAULTS: Mapping[tuple[str, str], Kind] = {
+    ("bus", "lost"): Kind("frames vanish", counted=True),
+    ("bus", "repeated"): Kind("frames arrive twice", counted=True),
+    ("bus", "late"): Kind("frames arrive late", "s", 0.003, counted=True),
+    ("bus", "flipped"): Kind("one data bit inverted, unseen by the check sum", "bit", 29, counted=True, integer=True),
+    ("bus", "short"): Kind("the last byte missing, unseen by the check sum", counted=True),
+    ("bus", "bus_off"): Kind("the host's controller leaves the bus; for good without a value", "s"),
+    ("bus", "error_frames"): Kind("error frames at the host", counted=True),
+    ("line", "lost"): Kind("messages of the drive's serial line vanish", counted=True),
+    ("line", "byte_lost"): Kind("one byte of a message vanishes", "byte", 5, counted=True, integer=True),
+    ("line", "corrupt"): Kind("one bit inverted: a CRC error", "bit", 37, counted=True, integer=True),
+    ("line", "stuffing"): Kind("a 90h that is not doubled", counted=True),
+    ("line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
+    ("line", "repeated"): Kind("messages arrive twice", counted=True),
+    ("line", "refused"): Kind("requests are answered with an error code", counted=True),
+    ("line", "cut"): Kind("unplugged; for good without a value", "s"),
+    ("encoder_line", "lost"): Kind("messages of the encoder's serial line vanish", counted=True),
+    ("encoder_line", "byte_lost"): Kind("one byte of a message vanishes", "byte", 1, counted=True, integer=True),
+    ("encoder_line", "corrupt"): Kind("one bit inverted: check bits wrong", "bit", 3, counted=True, integer=True),
+    ("encoder_line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
+    ("encoder_line", "repeated"): Kind("messages arrive twice", counted=True),
+    ("encoder_line", "cut"): Kind("unplugged; for good without a value", "s"),
+    ("drive", "emcy"): Kind("an emergency message, without a reaction", "code", 0x2310, integer=True),
+    ("drive", "fault"): Kind("a fault of its own", "code", 0x7320, integer=True),
+    ("drive", "restart"): Kind("boots again, as after a dip of its supply"),
+    ("drive", "quick_stop_option"): Kind("605Ah holds another value", "605Ah", 2, integer=True),
+    ("drive", "mode_refused"): Kind("6060h is taken, 6061h stays 0"),
+    ("drive", "sdo_abort"): Kind("SDO requests are refused", counted=True),
+    ("drive", "sdo_timeout"): Kind("SDO requests go unanswered", counted=True),
+    ("drive", "limits_refused"): Kind("keeps its limits, whatever it is told"),
+    ("drive", "counter_stuck"): Kind("its life counters stand still"),
+    ("encoder", "bit"): Kind("one bit of the position inverted", "bit", 13, counted=True, integer=True),
+    ("encoder", "jump"): Kind("the position shifts for good", "deg", 5.0),
+    ("encoder", "frozen"): Kind("the position stays, time stamps go on"),
+    ("encoder", "reversed"): Kind("counts the other way"),
+    ("host", "killed"): Kind("SIGKILL; the devices live on for this long first", "s", 1.0),
+    ("host", "hangs"): Kind("the control loop stands still", "s", 0.5),
+    ("host", "clock_step"): Kind("the control clock jumps", "s", 1.0),
+    ("host", "recorder_fails"): Kind("writing the recording raises an input/output error"),
+    ("disk", "full"): Kind("no file can grow any more"),
+    ("operator", "stop"): Kind("Ctrl-C"),
+    ("operator", "unanswered"): Kind("the prompt's input ends without an answer, after this long", "s", 0.0),
+    ("operator", "wrong_weight"): Kind("hangs this mass and types the planned one", "kg", 60.0),
+}
+"""Target and name to what it is."""
+
+COUNTED_FRAMES: Mapping[str, tuple[int, ...]] = {
+    "sync": (0x080,),
+    "output": (0x200,),
+    "motion": (0x180,),
+    "speed": (0x280,),
+    "emergency": (0x080,),
+    "heartbeat": (0x700,),
+    "sdo_request": (0x600,),
+    "sdo_answer": (0x580,),
+}
+"""Names of function codes (identifier without the node) that ``frames`` may use."""
+
+
+class Frames(Schema):
+    """Which frames a bus fault meets; all where nothing is given.
+
+    Attributes:
+        device: Frames of this device only. On a serial line `host` means the requests, the device
+            its answers.
+        function: Frames of this CANopen function only.
+    """
+
+    device: Literal["drive", "encoder", "host"] | None = None
+    function: str | None = None
+
+    @field_validator("function")
+    @classmethod
+    def _known(cls, name: str | None) -> str | None:
+        if name is not None and name not in COUNTED_FRAMES:
+            raise ValueError(f"unknown function; {nearest(name, sorted(COUNTED_FRAMES))}")
+        return name
+
+
+class Expectation(Schema):
+    """How a run must react.
+
+    Attributes:
+        deenergised_within_s: Longest time from the fault to a drive without power.
+        exit_status: Exit status of the run; negative for a signal that ends it.
+        words: Regular expression to be found in the run's last message.
+    """
+
+    deenergised_within_s: Annotated[float, Field(ge=0)] | None = None
+    exit_status: Annotated[int, Field(ge=-15, le=255)] | None = None
+    words: str | None = None
+
+    @field_validator("words")
+    @classmethod
+    def _expression(cls, words: str | None) -> str | None:
+        if words is not None:
+            try:
+                re.compile(words)
+            except re.error as error:
+                raise ValueError(f"not a regular expression: {error}") from error
+        return words
+
+
+class FaultRow(Schema):
+    """One fault. It comes at a bench time, or after the start of a phase or of a state of the drive;
+    exactly one of these is given.
+
+    Attributes:
+        time_s: Bench time at which the fault comes.
+        phase: Phase of a stage with whose start the clock for `after_s` begins.
+        state: State of the drive with whose start the clock for `after_s` begins.
+        after_s: Delay after `time_s`, `phase` or `state`.
+        stage: The stage whose phase is meant; the first where left out.
+        target: What fails.
+        fault: How it fails: a name from the table of the target's faults.
+        value: Size of the fault, in the unit of its table.
+        count: How many frames, requests or readings are met; 0 is for good.
+        frames: Which frames a fault of a bus or line meets.
+        expect: How the run must react.
+    """
+
+    time_s: Annotated[float, Field(ge=0, le=1e9)] | None = None
+    phase: PhaseName | None = None
+    state: StateName | None = None
+    after_s: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    stage: str | None = None
+    target: Target
+    fault: str
+    value: Annotated[float, Field(ge=-1e9, le=1e9)] | None = None
+    count: Annotated[int, Field(ge=0)] = 1
+    frames: Frames = Frames()
+    expect: Expectation = Expectation()
+
+    @model_validator(mode="after")
+    def _complete(self) -> Self:
+        triggers = [name for name in ("time_s", "phase", "state") if getattr(self, name) is not None]
+        if len(triggers) != 1:
+            given = " and ".join(triggers) or "none"
+            raise ValueError(f"give exactly one of time_s, phase and state to say when the fault comes, found {given}")
+        names = sorted(name for target, name in FAULTS if target == self.target)
+        if self.fault not in names:
+            raise ValueError(f"{self.target!r} has no fault {self.fault!r}; {nearest(self.fault, names)}")
+        kind = self.kind
+        if self.value is not None and not kind.unit:
+            raise ValueError(f"{self.target} {self.fault} takes no value; leave it out")
+        if kind.integer and self.value is not None and self.value != int(self.value):
+            raise ValueError(f"{self.target} {self.fault} takes a whole number ({kind.unit}), found {self.value:g}")
+        if self.frames != Frames() and self.target not in ("bus", "line", "encoder_line"):
+            raise ValueError("'frames' is for faults of a bus or line; leave it out")
+        if self.frames.function is not None and self.target != "bus":
+            raise ValueError("'function' is for faults of a CAN bus; leave it out")
+        return self
+
+    @property
+    def kind(self) -> Kind:
+        """What sort of fault it is."""
+        return FAULTS[self.target, self.fault]
+
+    @property
+    def amount(self) -> float | None:
+        """The value, or its default."""
+        return self.kind.default if self.value is None else self.value
+
+    @property
+    def when(self) -> str:
+        """When it comes, in words."""
+        after = f" + {self.after_s:g} s" if self.after_s else ""
+        if self.time_s is not None:
+            return f"{self.time_s + self.after_s:g} s"
+        return f"{self.phase or f'state {self.state}'}{after}"
+
+
+class FaultSchedule(Schema):
+    """A whole schedule, as written in its file.
+
+    Attributes:
+        faults: Version of the file format.
+        rows: The faults, in any order.
+    """
+
+    faults: Literal[1]
+    rows: Annotated[tuple[FaultRow, ...], Field(min_length=1)]
+
+
+def load_faults(path: Path) -> Document[FaultSchedule]:
+    """Read a schedule: CSV by its ending, else YAML.
+
+    In CSV the first line names the columns, which are the keys of a row; ``device`` and ``function`` stand for those
+    of ``frames``, and ``deenergised_within_s``, ``exit_status`` and ``words`` for those of ``expect``.
+
+    Raises:
+        InputError: It is not there, or not valid; every problem with its place in the file.
+    """
+    if path.suffix.lower() != ".csv":
+        return load_located(path, FaultSchedule)
+    try:
+        root = _csv_tree(read_text(path))
+    except DocumentError as error:
+        raise InputError(f"{path}:{error.mark.line}:{error.mark.column}: document: {error.message}") from error
+    return validated(path, root, FaultSchedule)
+
+
+def _csv_tree(text: str) -> Node:
+    reader = csv.reader(io.StringIO(text), strict=True)
+    top = Mark(1, 1)
+    rows: list[Node] = []
+    try:
+        header = [name.strip() for name in next(reader, [])]
+        if not header or len(set(header)) != len(header):
+            raise DocumentError("the first line must name the columns, each once", top)
+        for cells in reader:
+            if any(cell.strip() for cell in cells):
+                rows.append(_csv_row(header, cells, reader.line_num))
+    except csv.Error as error:
+        raise DocumentError(f"not valid CSV: {error}", Mark(reader.line_num, 1)) from error
+    return Node({"faults": Node(1, top, {}), "rows": Node(list(rows), top, {})}, top, {"faults": top, "rows": top})
+
+
+def _csv_row(header: list[str], cells: list[str], line: int) -> Node:
+    if len(cells) != len(header):
+        raise DocumentError(f"{len(cells)} cells under {len(header)} columns; add or remove commas", Mark(line, 1))
+    sections: dict[str, tuple[dict[str, Node], dict[str, Mark]]] = {
+        "": ({}, {}),
+        "expect": ({}, {}),
+        "frames": ({}, {}),
+    }
+    column = 1
+    for name, cell in zip(header, cells, strict=True):
+        mark = Mark(line, column)
+        column += len(cell) + 1
+        if not cell.strip():
+            continue
+        section = "expect" if name in _EXPECTED else "frames" if name in ("device", "function") else ""
+        children, marks = sections[section]
+        children[name], marks[name] = Node(_cell(cell.strip(), name), mark, {}), mark
+    children, marks = sections.pop("")
+    start = Mark(line, 1)
+    for section, (nested, nested_marks) in sections.items():
+        if nested:
+            children[section], marks[section] = Node(dict(nested), start, nested_marks), start
+    return Node(dict(children), start, marks)
+
+
+def _cell(text: str, name: str) -> Scalar:
+    if name == "words":
+        return text
+    for convert in (_whole, float):
+        try:
+            number: Any = convert(text)
+        except ValueError:
+            continue
+        return number if isinstance(number, int | float) else None
+    return text
+
+
+def _whole(text: str) -> int:
+    return int(text, 0)

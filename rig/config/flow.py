@@ -1,0 +1,97 @@
+"""Closed-loop stages in a sequence file: the gas flow that is asked for, and the controller that is to bring it."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Annotated, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, model_validator
+
+from rig.config.configuration import Schema
+
+Array = NDArray[np.float64]
+
+_Positive = Annotated[float, Field(gt=0)]
+_NonNegative = Annotated[float, Field(ge=0)]
+
+
+class FlowStep(Schema):
+    """From a time on, a flow.
+
+    Attributes:
+        at_s: Time since the start of the excitation; the first step is at 0.
+        flow_kg_s: Mass flow that is asked for.
+    """
+
+    at_s: _NonNegative
+    flow_kg_s: _Positive
+
+
+class FlowController(Schema):
+    """PI on the logarithm of the pressure over the one wanted (Fig. 5, 11); the gains are chosen, the
+    paper has none.
+
+    Outside its range, or faster than its speed, the valve is not moved, and the integral waits
+    there.
+
+    Attributes:
+        gain_deg: Valve angle per unit of the logarithm; one percent of pressure is about 0.01.
+        integral_1_s: Inverse reset time.
+        filter_Hz: Cut-off of the low-pass on the measured pressure.
+        angle_min_deg: Lowest valve angle.
+        angle_max_deg: Highest valve angle.
+        speed_deg_s: Highest valve speed.
+    """
+
+    gain_deg: _Positive = 8.0
+    integral_1_s: _NonNegative = 8.0
+    filter_Hz: _Positive = 10.0
+    angle_min_deg: float = 0.0
+    angle_max_deg: float = 30.0
+    speed_deg_s: _Positive = 50.0
+
+    @model_validator(mode="after")
+    def _range_is_open(self) -> Self:
+        if not self.angle_min_deg < self.angle_max_deg:
+            raise ValueError(
+                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg {self.angle_max_deg:g}; swap them"
+            )
+        return self
+
+
+class FlowSection(Schema):
+    """A flow command over time.
+
+    Attributes:
+        steps: Flow steps, in order.
+        ramp_s: Time that each step takes.
+        controller: The pressure controller.
+    """
+
+    steps: Annotated[tuple[FlowStep, ...], Field(min_length=1)]
+    ramp_s: _NonNegative = 0.2
+    controller: FlowController = FlowController()
+
+    @model_validator(mode="after")
+    def _in_order(self) -> Self:
+        times = [step.at_s for step in self.steps]
+        if times[0] != 0.0:
+            raise ValueError(f"the first step must be at 0 s, where the excitation begins (got at_s {times[0]:g})")
+        for earlier, later in pairwise(times):
+            if later <= earlier + self.ramp_s:
+                raise ValueError(
+                    f"the step at {later:g} s begins before the one at {earlier:g} s is over (ramp_s {self.ramp_s:g}); "
+                    "list steps in order, further apart than ramp_s"
+                )
+        return self
+
+    def command(self, duration_s: float, cycle_s: float) -> Array:
+        """Return the flow asked for in each cycle, kg/s, shape (n,)."""
+        t = np.arange(round(duration_s / cycle_s)) * cycle_s
+        corners = [(0.0, self.steps[0].flow_kg_s)]
+        for before, step in pairwise(self.steps):
+            corners += [(step.at_s, before.flow_kg_s), (step.at_s + max(self.ramp_s, cycle_s), step.flow_kg_s)]
+        times, flows = np.array(corners).T
+        return np.asarray(np.interp(t, times, flows))

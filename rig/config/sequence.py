@@ -1,0 +1,287 @@
+"""The sequence file: stages as data, and the angles they command."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, field_validator, model_validator
+
+from rig.config.bench import NonNegative, Positive
+from rig.config.configuration import Document, Schema, load_located
+from rig.config.flow import FlowSection
+from rig.config.packaged import resolve
+
+Array = NDArray[np.float64]
+
+
+class Tone(Schema):
+    """One sine of an excitation: amplitude sin(2 pi frequency t + phase).
+
+    Attributes:
+        amplitude_deg: Amplitude at the joint.
+        frequency_Hz: Frequency.
+        phase_deg: Phase at the start of the excitation.
+    """
+
+    amplitude_deg: Positive
+    frequency_Hz: Positive
+    phase_deg: float = 0.0
+
+
+class Ramp(Schema):
+    """A slow ramp: away from the centre at constant speed, and back.
+
+    Attributes:
+        travel_deg: How far away from the centre; the sign is the direction.
+        speed_deg_s: Speed out and back.
+        rest_s: Commanded rest at the far end. What is left of `duration_s` is rest at the centre.
+        times: How often out and back, without a rest at the centre between.
+    """
+
+    travel_deg: float
+    speed_deg_s: Positive
+    rest_s: NonNegative = 1.0
+    times: Annotated[int, Field(ge=1, le=1000)] = 1
+
+    @property
+    def period_s(self) -> float:
+        """Time to the far end and back with the rest there, s."""
+        return 2.0 * abs(self.travel_deg) / self.speed_deg_s + self.rest_s
+
+    @property
+    def moving_s(self) -> float:
+        """The same of all times, s."""
+        return self.times * self.period_s
+
+
+class StageSection(Schema):
+    """One stage: what loads the valve, and an excitation of the joint, by tones or by one ramp.
+
+    In a `hot_fire` stage a gas generator loads the valve, and a flow command may take the place of
+    an excitation: the
+    valve then goes where a controller moves it.
+
+    Attributes:
+        name: Name of the stage, without spaces; each stage has its own.
+        stage: The load condition. `unloaded`: the empty lever; `loaded`: a weight on it;
+            `hot_fire`: the gas generator.
+        weight_kg: Mass on the lever of a loaded stage.
+        tones: Sines that are added up.
+        ramp: A slow ramp instead of tones.
+        flow: A flow command instead of tones, in a hot firing.
+        duration_s: Length of the excitation; fade-in and fade-out of the tones lie inside.
+        ramp_in_s: Fade-in of the tones.
+        ramp_out_s: Fade-out of the tones.
+        repeats: How often the excitation is run; each repeat becomes one recording.
+        center_deg: Joint angle that the excitation is around.
+        settle_s: Rest at the starting angle before each repeat.
+        time_limit_s: Longest time under power in this stage; a bound computed from the plan unless
+            given.
+        role: `validate` sets the stage's recordings aside: identification does not fit them, and
+            scores them once at the end.
+    """
+
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
+    stage: Literal["unloaded", "loaded", "hot_fire"]
+    weight_kg: NonNegative = 0.0
+    tones: tuple[Tone, ...] = ()
+    ramp: Ramp | None = None
+    flow: FlowSection | None = None
+    duration_s: Annotated[float, Field(gt=0, le=3600)]
+    ramp_in_s: NonNegative = 1.0
+    ramp_out_s: NonNegative = 1.0
+    repeats: Annotated[int, Field(ge=1, le=1000)] = 1
+    center_deg: float = 0.0
+    settle_s: Annotated[float, Field(ge=0, le=600)] = 0.2
+    time_limit_s: Positive | None = None
+    role: Literal["fit", "validate"] = "fit"
+
+    @model_validator(mode="after")
+    def _one_excitation(self) -> Self:
+        if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
+            raise ValueError("a stage needs tones, a ramp or a flow, and only one of them")
+        if self.flow is not None and self.stage != "hot_fire":
+            raise ValueError(f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire")
+        if self.ramp is None:
+            return self
+        if given := self.model_fields_set & {"ramp_in_s", "ramp_out_s"}:
+            raise ValueError(f"{' and '.join(sorted(given))} fade tones in and out; a ramp has none: leave it out")
+        if self.ramp.moving_s > self.duration_s:
+            raise ValueError(
+                f"the ramp takes {self.ramp.moving_s:g} s, longer than duration_s {self.duration_s:g} s; lengthen it"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if self.tones and self.ramp_in_s + self.ramp_out_s > self.duration_s:
+            raise ValueError(
+                f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than duration_s "
+                f"{self.duration_s:g} s; the ramps lie inside the duration"
+            )
+        if self.stage == "unloaded" and self.weight_kg != 0:
+            raise ValueError(f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use stage: loaded")
+        if self.stage == "loaded" and self.weight_kg == 0:
+            raise ValueError("a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever")
+        if self.stage == "hot_fire" and self.weight_kg != 0:
+            raise ValueError(
+                f"the gas generator loads a hot firing, no weight, but weight_kg is {self.weight_kg:g}; remove it"
+            )
+        return self
+
+
+class SequenceLimits(Schema):
+    """Limits of this sequence; each may only be tighter than the bench's.
+
+    Attributes:
+        angle_min_deg: Lowest joint angle.
+        angle_max_deg: Highest joint angle.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque at the joint.
+        current_A: Highest motor current.
+        following_error_deg: Largest difference of commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference of joint and motor encoder, at the joint.
+        temperature_C: Highest temperature of the drive.
+        supply_min_V: Lowest supply voltage.
+        supply_max_V: Highest supply voltage.
+        sample_age_ms: Oldest sample that a cycle may go on with.
+        lateness_ms: Latest start of a cycle.
+    """
+
+    angle_min_deg: float | None = None
+    angle_max_deg: float | None = None
+    speed_deg_s: Positive | None = None
+    torque_N_m: Positive | None = None
+    current_A: Positive | None = None
+    following_error_deg: Positive | None = None
+    encoder_disagreement_deg: Positive | None = None
+    temperature_C: float | None = None
+    supply_min_V: NonNegative | None = None
+    supply_max_V: Positive | None = None
+    sample_age_ms: Positive | None = None
+    lateness_ms: Positive | None = None
+
+
+class FirstPass(Schema):
+    """A short pass at low amplitude before each stage, under tighter limits.
+
+    While the joint does not move, passes of twice the amplitude follow.
+
+    Attributes:
+        amplitude: Share of the stage's own amplitude.
+        duration_s: Length of the pass; one period of the slowest tone and the fades unless given.
+        limit_share: Share of the speed limit that is allowed meanwhile. The limits on torque,
+            current and following error are half way from this share to the whole.
+    """
+
+    amplitude: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    duration_s: Annotated[float, Field(gt=0, le=600)] | None = None
+    limit_share: Annotated[float, Field(gt=0, le=1)] = 0.5
+
+
+class Sequence(Schema):
+    """One sequence, as written in its file.
+
+    Attributes:
+        sequence: Version of the file format.
+        name: Name of the sequence, without spaces; part of the run folder's name.
+        stages: The stages, in the order they are run.
+        limits: Limits of this sequence.
+        first_pass: `auto` makes a first pass on a real bench and none on a simulated one.
+    """
+
+    sequence: Literal[1]
+    name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]+$")]
+    stages: Annotated[tuple[StageSection, ...], Field(min_length=1)]
+    limits: SequenceLimits = SequenceLimits()
+    first_pass: FirstPass | Literal["auto", "never"] = "auto"
+
+    @field_validator("stages")
+    @classmethod
+    def _names_differ(cls, stages: tuple[StageSection, ...]) -> tuple[StageSection, ...]:
+        names = [stage.name for stage in stages]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"stage names must differ; {', '.join(repeated)} is used more than once")
+        return stages
+
+    @model_validator(mode="after")
+    def _something_is_fitted(self) -> Self:
+        fitted = [stage.stage != "unloaded" for stage in self.stages if stage.role == "fit"]
+        if not fitted:
+            raise ValueError("every stage has role validate; at least one must have role fit")
+        aside = [stage.name for stage in self.stages if stage.role == "validate" and stage.stage != "unloaded"]
+        if aside and not any(fitted):
+            raise ValueError(
+                f"{', '.join(aside)} is loaded and set aside, but no loaded stage is fitted, so that its working load "
+                "would be unknown; give one role fit"
+            )
+        return self
+
+
+def load_sequence(name: str | Path) -> Document[Sequence]:
+    """Read a sequence by path, or by the bare name of a packaged one (``figure10``).
+
+    Raises:
+        InputError: It is not there, or not valid; every problem with its place in the file.
+    """
+    return load_located(resolve(name, "sequences"), Sequence)
+
+
+def excitation(stage: StageSection, cycle_s: float) -> Array:
+    """Compute the joint angle commanded in each cycle of one repeat.
+
+    Returns:
+        Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the time k ``cycle_s``.
+    """
+    t = np.asarray(np.arange(round(stage.duration_s / cycle_s)) * cycle_s, dtype=np.float64)
+    if stage.ramp is not None:
+        return math.radians(stage.center_deg) + _there_and_back(stage.ramp, t)
+    swing = np.zeros_like(t)
+    for tone in stage.tones:
+        phase = 2.0 * math.pi * tone.frequency_Hz * t + math.radians(tone.phase_deg)
+        swing += math.radians(tone.amplitude_deg) * np.sin(phase)
+    rise = raised_cosine(t, stage.ramp_in_s)
+    fall = raised_cosine(stage.duration_s - t, stage.ramp_out_s)
+    return math.radians(stage.center_deg) + rise * fall * swing
+
+
+def _there_and_back(ramp: Ramp, t: NDArray[np.floating[Any]]) -> Array:
+    """Return the angle from the centre, rad, shape of ``t``."""
+    away_s = abs(ramp.travel_deg) / ramp.speed_deg_s
+    begun = np.minimum(np.floor(t / ramp.period_s), ramp.times - 1) if ramp.period_s > 0.0 else 0.0
+    t = t - begun * ramp.period_s
+    share = np.minimum(t, away_s) - np.clip(t - away_s - ramp.rest_s, 0.0, away_s)
+    return np.asarray(math.copysign(math.radians(ramp.speed_deg_s), ramp.travel_deg) * share)
+
+
+def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Array:
+    """Compute a smooth move that starts and ends at rest.
+
+    Args:
+        start: Present joint angle, rad.
+        end: Angle to arrive at, rad.
+        peak_speed: Speed in the middle of the move, rad/s.
+        cycle_s: Control cycle, s.
+
+    Returns:
+        Angles in rad, shape (n,), the last one equal to ``end``; empty when there is nowhere to go.
+    """
+    distance = abs(end - start)
+    # A raised cosine over T peaks at pi/2 of its mean speed distance / T.
+    n = math.ceil(0.5 * math.pi * distance / peak_speed / cycle_s)
+    if n == 0:
+        return np.empty(0)
+    moved = raised_cosine(np.arange(1, n + 1) * cycle_s, n * cycle_s)
+    return start + (end - start) * moved
+
+
+def raised_cosine(t: NDArray[np.floating[Any]], duration: float) -> Array:
+    """Rise smoothly from 0 at t = 0 to 1 at t = ``duration`` and stay there; 1 throughout if there is no duration."""
+    if duration <= 0:
+        return np.ones_like(t)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(t / duration, 0.0, 1.0)))

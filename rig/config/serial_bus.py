@@ -1,0 +1,89 @@
+"""Serial buses and encoders in a bench file: their sections, whether a cycle fits, and the devices behind them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from drivers.amt21.line import DEFAULT_ADDRESS
+from drivers.can.timing import ANSWER_SHARE
+from drivers.epos import frames as epos_serial
+from drivers.epos import node as epos_serial_node
+from rig.config.configuration import Schema
+
+MOCK: Final = "mock"
+UNWATCHED_SHARE: Final = 0.6
+"""Share of the bench's torque, current and speed limits that is in force where the drive has no watchdog."""
+_ALONE: Final = (
+    "the drive goes on holding its last target under power, and nothing but the main switch or the emergency stop "
+    "takes it off. Stay beside it. Torque, current and speed limits are cut to "
+    f"{UNWATCHED_SHARE:.0%} of the bench file's"
+)
+NO_WATCHDOG: Final = f"this drive has no watchdog: if this program, its computer or the cable dies, {_ALONE}"
+GUARDED: Final = (
+    "this drive has no watchdog: if this program dies, a second process, its guardian, brakes and takes the power off; "
+    f"if the computer or the cable dies, {_ALONE}"
+)
+
+_Positive = Annotated[float, Field(gt=0)]
+_Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
+
+
+class SerialBus(Schema):
+    """An EPOS4 on RS-232 or USB.
+
+    Attributes:
+        interface: The protocol of the line.
+        port: `mock`, or a serial device of this computer such as `/dev/ttyUSB0`.
+        baud: Bits per second.
+        round_trip_ms: What adapter and drive add to the bytes of every request and its answer;
+            measure it. FTDI adapters add 16, in low-latency mode 6.
+    """
+
+    interface: Literal["epos_serial"]
+    port: str
+    baud: _Baud = 1_000_000
+    round_trip_ms: Annotated[float, Field(ge=0, le=100)] = 0.0
+
+
+class Amt21Section(Schema):
+    """An AMT21 joint encoder on an RS-485 line of its own.
+
+    A position that would take more speed or acceleration than the gate allows is discarded.
+
+    Attributes:
+        kind: The protocol of the encoder.
+        port: `mock`, or a serial device of this computer.
+        baud: Bits per second.
+        address: Address of the encoder on its line, a multiple of 4.
+        sign: 1 where the encoder counts up for a positive joint angle, else -1.
+        offset_deg: Joint angle at which the encoder reads zero.
+        gate_speed_deg_s: Highest joint speed between two positions.
+        gate_acceleration_deg_s2: Highest joint acceleration between positions.
+    """
+
+    kind: Literal["amt21"]
+    port: str
+    baud: _Baud = 2_000_000
+    address: Annotated[int, Field(ge=0, le=252, multiple_of=4)] = DEFAULT_ADDRESS
+    sign: Literal[1, -1] = 1
+    offset_deg: float = 0.0
+    gate_speed_deg_s: _Positive = 500.0
+    gate_acceleration_deg_s2: _Positive = 20_000.0
+
+
+def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
+    """Yield what is wrong where a control cycle does not fit the line."""
+    writes, reads = epos_serial_node.CYCLE_WRITES, epos_serial_node.CYCLE_READS
+    bits = epos_serial.cycle_bits(writes, reads)
+    needed_s = bits / bus.baud + (writes + reads) * bus.round_trip_ms * 1e-3
+    if needed_s > ANSWER_SHARE * cycle_s:
+        shortest_ms = math.ceil(1e3 * needed_s / ANSWER_SHARE - 1e-9)
+        yield (
+            f"too slow: {writes + reads} objects a cycle take up to {bits} bits and {needed_s * 1e3:.2f} ms, "
+            f"{needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} ms, limit {ANSWER_SHARE:.0%}; raise baud, lower "
+            f"round_trip_ms, or lower cycle_Hz to {1e3 / shortest_ms:g}"
+        )

@@ -1,0 +1,162 @@
+"""The ``mock`` section of a bench file: what it leaves out follows from the rest of the file.
+
+A bench that is simulated in place of the real one is then the same machine: the same motor, gear,
+lever, encoders, supply and current limit. Friction and inertia, which nobody knows before they are
+identified, are those of the paper, scaled by the limit on torque.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Mapping
+from typing import Any, Final
+
+from drivers.amt21.encoder import COUNTS_PER_TURN
+from drivers.mock.plant.parts.constants import Joint, Loops, Motor, Sensing
+from rig.common.yaml_tree import Mark, Node
+
+_PAPER_TORQUE_N_M: Final = 75.0
+"""Limit on torque of the bench whose friction the defaults are."""
+_FALLBACK: Final[Mapping[str, Any]] = {"canopen": 4096, "cia406": 262144, "amt21": COUNTS_PER_TURN}
+Section = dict[str, float]
+
+
+def follow_bench(root: Node) -> Node:
+    """Complete the ``mock`` section of a bench file; what it states is kept.
+
+    A simulated bench without the section gets a whole one. What can't be computed, because the file
+    lacks it or states it wrong, is left to the checks of the file.
+    """
+    top = root.value
+    if not isinstance(top, dict):
+        return root
+    plain = root.plain()
+    given = top.get("mock")
+    if given is None or given.value is None:
+        if not _simulated(plain):
+            return root
+        given = Node({}, root.mark, {})
+    if not isinstance(given.value, dict):
+        return root
+    mock = _under(given, derived(plain), root.keys.get("mock", given.mark))
+    return Node({**top, "mock": mock}, root.mark, {"mock": mock.mark, **root.keys})
+
+
+def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
+    """Return the values of ``mock`` that follow from the other sections of a bench file.
+
+    Args:
+        bench: The file as plain data, valid or not.
+    """
+    motor = _known(
+        resistance_ohm=_number(bench, "machine", "resistance_ohm"),
+        inductance_H=_number(bench, "machine", "inductance_H"),
+        torque_constant_N_m_A=_number(bench, "machine", "torque_constant_N_m_A"),
+        back_emf_constant_V_s_rad=_number(bench, "machine", "back_emf_constant_V_s_rad"),
+        gear_ratio=_number(bench, "machine", "gear_ratio"),
+    )
+    joint = _joint(bench)
+    inertia = _number(bench, "mock", "joint", "inertia_kg_m2") or joint["inertia_kg_m2"]
+    gear = _number(bench, "mock", "motor", "gear_ratio") or motor.get("gear_ratio", Motor.gear_ratio)
+    share = inertia / Joint.inertia_kg_m2
+    motor["rotor_inertia_kg_m2"] = Motor.rotor_inertia_kg_m2 * share * (Motor.gear_ratio / gear) ** 2
+    supply = _supply(bench)
+    machine: dict[str, Section | float] = {
+        "motor": motor,
+        "joint": joint,
+        "loops": _loops(bench, motor, share, supply),
+        "sensing": _sensing(bench),
+    }
+    return machine if supply is None else {**machine, "supply_V": supply}
+
+
+def _joint(bench: Mapping[str, Any]) -> Section:
+    share = (_number(bench, "limits", "torque_N_m") or _PAPER_TORQUE_N_M) / _PAPER_TORQUE_N_M
+    scaled = ("inertia_kg_m2", "Mc_N_m", "Ms_N_m", "sigma_2_N_m_s_rad")
+    lever = ("moment_arm_m", "lever_ratio", "gravity_m_s2")
+    return {
+        **{name: getattr(Joint, name) * share for name in scaled},
+        **_known(**{name: _number(bench, "machine", name) for name in lever}),
+    }
+
+
+def _loops(bench: Mapping[str, Any], motor: Section, inertia_share: float, supply_V: float | None) -> Section:
+    """Return gains of the bandwidths that the practical bench has, whatever the motor."""
+
+    def of_motor(name: str) -> float:
+        return float(_number(bench, "mock", "motor", name) or motor.get(name, getattr(Motor, name)))
+
+    resistance, inductance = of_motor("resistance_ohm"), of_motor("inductance_H")
+    per_second = (resistance / inductance) / (Motor.resistance_ohm / Motor.inductance_H)
+    gain = Loops.velocity_gain_N_m_s_rad
+    assert gain is not None
+    return _known(
+        velocity_gain_N_m_s_rad=gain * inertia_share,
+        current_gain_V_A=Loops.current_gain_V_A * (inductance / Motor.inductance_H),
+        current_integral_1_s=Loops.current_integral_1_s * per_second,
+        voltage_limit_V=_number(bench, "mock", "supply_V") or supply_V,
+        current_limit_A=_number(bench, "limits", "current_A"),
+    )
+
+
+def _sensing(bench: Mapping[str, Any]) -> Section:
+    limit_A, rate_Hz = _number(bench, "limits", "current_A"), _number(bench, "cycle_Hz")
+    return _known(
+        motor_counts_per_turn=_counts(bench, "servo", "counts_per_motor_turn", "canopen"),
+        joint_counts_per_turn=_counts(bench, "encoder", "counts_per_turn", "cia406"),
+        current_noise_A=limit_A and Sensing.current_noise_A * (limit_A / Loops.current_limit_A),
+        cycle_s=rate_Hz and 1.0 / rate_Hz,
+    )
+
+
+def _counts(bench: Mapping[str, Any], section: str, key: str, kind: str) -> float | None:
+    """Return counts per turn of an encoder that the file states, or that its kind has."""
+    found = bench.get(section)
+    stated = found.get("kind", kind) if isinstance(found, dict) else kind
+    fixed = _FALLBACK.get(stated) if isinstance(stated, str) else None
+    return _number(bench, section, key) or fixed
+
+
+def _supply(bench: Mapping[str, Any]) -> float | None:
+    """Return the middle of the limits on the supply, V; None where one of them is open."""
+    low, high = (_number(bench, "limits", f"supply_{end}_V") for end in ("min", "max"))
+    return None if low is None or high is None else 0.5 * (low + high)
+
+
+def _simulated(bench: Mapping[str, Any]) -> bool:
+    bus = bench.get("bus", {})
+    if bus is None:
+        return True
+    if not isinstance(bus, dict):
+        return False
+    name = bus.get("interface", "mock")
+    return bool(name == "mock" or (name == "epos_serial" and bus.get("port") == "mock"))
+
+
+def _number(tree: Mapping[str, Any], *path: str) -> Any:
+    """Return a positive number of the file, or None where there is none."""
+    value: Any = tree
+    for key in path:
+        value = value.get(key) if isinstance(value, Mapping) else None
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return None
+    # Whole numbers of a file may be beyond what a float holds.
+    return value if 0 < value < math.inf and value <= sys.float_info.max else None
+
+
+def _known(**values: float | None) -> Section:
+    return {name: value for name, value in values.items() if value is not None}
+
+
+def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
+    """Put values under a mapping of the file, whose own keys win."""
+    if not isinstance(given.value, dict):
+        return given
+    children = dict(given.value)
+    for name, value in values.items():
+        if isinstance(value, dict):
+            children[name] = _under(children.get(name, Node({}, mark, {})), value, mark)
+        elif name not in children:
+            children[name] = Node(value, mark, {})
+    return Node(children, given.mark, given.keys)

@@ -1,0 +1,1 @@
+"""The control loop: phases, cycle, safety, sequencer, operator, session, jogging."""

@@ -1,0 +1,58 @@
+"""Whether a run needs a person: nobody but one hangs weights on a bench that isn't simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+
+from rig.common.errors import InputError
+from rig.config.bench import Bench
+from rig.config.configuration import Document
+from rig.planning.plan import Plan
+from rig.terminal.stop_button import StopButton
+from rig.wiring.connect import Attach, connect
+from rig.wiring.devices import Devices
+
+
+def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: bool) -> None:
+    """Refuse a run with weights in which no person is asked for their mass.
+
+    Args:
+        plan: What is to be run.
+        bench: On which bench.
+        yes: Whether the prompts are answered as planned (``--yes``).
+        terminal: Whether a person can be asked.
+
+    Raises:
+        InputError: Weights hang on a real bench, and nobody would be asked.
+    """
+    value = bench.value
+    heavy = [stage.name for stage in plan.stages if stage.weight_kg]
+    if value.simulated or not heavy or value.weights_hung_by == "hoist" or (terminal and not yes):
+        return
+    reason = "--yes would answer the weight prompts" if yes else "there is no terminal to ask at"
+    raise InputError(
+        f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, and a person hangs them on this bench: "
+        "run at a terminal without --yes, or, where a hoist hangs them and is read back, set `weights_hung_by: hoist`"
+    )
+
+
+@contextmanager
+def connected(
+    stop: StopButton,
+    document: Document[Bench],
+    seed: int,
+    realtime: bool,
+    attach: Attach | None = None,
+    torque_offset: bool = False,
+    purpose: str = "rig",
+) -> Iterator[Devices]:
+    """Open a bench as :func:`rig.wiring.connect.connect` does; a stop interrupts the opening, where nothing has power.
+
+    Raises:
+        KeyboardInterrupt: The operator stopped it.
+    """
+    with ExitStack() as stack:
+        with stop.interruptible():
+            devices = stack.enter_context(connect(document, seed, realtime, attach, torque_offset, purpose))
+        yield devices

@@ -1,0 +1,172 @@
+"""``rig check``: what a bench is, shows and holds, and whether a run would refuse it.
+
+Nothing is written, energised or moved.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import Any
+
+from rig.common.errors import InputError
+from rig.common.findings import Finding, refusals, verdict, warnings
+from rig.common.provenance import sha256_file, utc_now, versions
+from rig.common.tables import table
+from rig.config.bench import Bench
+from rig.config.calibration import calibration_records
+from rig.config.configuration import Document
+from rig.config.serial_bus import GUARDED, NO_WATCHDOG
+from rig.control.readings import Readings, reading_findings, take_readings
+from rig.control.session import DEVICES, describe_devices
+from rig.planning.plan import bench_limits, servo_limits
+from rig.wiring.bench_text import Watcher, watcher
+from rig.wiring.connect import device_files
+from rig.wiring.devices import Devices
+from rig.wiring.preflight import bench_findings, device_findings
+
+SCHEMA = "loadrig.check/1"
+_UNSET_RAD = 2000.0 * math.pi
+"""A drive in which nothing was set holds the ends of its range: more than this is no limit."""
+
+
+def require_connectable(document: Document[Bench]) -> list[Finding]:
+    """Return what is wrong with a bench that can be connected to all the same.
+
+    Raises:
+        InputError: It cannot be; lists every reason.
+    """
+    found = bench_findings(document, utc_now().date())
+    in_the_way = [finding.text for finding in found if not finding.connectable]
+    if in_the_way:
+        raise InputError(in_the_way)
+    return found
+
+
+def examine(
+    document: Document[Bench], devices: Devices, seed: int, found: list[Finding]
+) -> tuple[dict[str, Any], Readings]:
+    """Read everything that can be read without moving or changing anything.
+
+    Args:
+        document: The bench.
+        devices: On its opened link.
+        seed: Of a simulated bench's noise.
+        found: What its file says, of :func:`require_connectable`.
+
+    Returns:
+        The record of ``--json``, and the readings in it.
+
+    Raises:
+        DeviceError: A device does not answer.
+    """
+    bench = document.value
+    described = describe_devices(devices)
+    limits = bench_limits(bench)
+    wanted = servo_limits(limits, bench)
+    readings = take_readings(devices, bench.machine.gear_ratio)
+    found = [*found, *device_findings(devices, wanted, bench.cycle_s), *reading_findings(readings, limits)]
+    watching = watcher(devices)
+    return {
+        "schema": SCHEMA,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "versions": versions(),
+        "seed": seed,
+        "inputs": [
+            {"file": str(path), "sha256": sha256_file(path)}
+            for path in (document.path, *device_files(document).values())
+        ],
+        "bench": bench.name,
+        "bench_file": str(document.path),
+        "real": not bench.simulated,
+        "state": readings.state,
+        "readings": readings.record(),
+        "good": not refusals(found),
+        "verdict": verdict(found),
+        "causes": list(dict.fromkeys(finding.cause.value for finding in found if finding.refused)),
+        "problems": refusals(found),
+        "warnings": warnings(found),
+        "has_watchdog": devices.link.has_watchdog,
+        "watched_by": watching.kind,
+        "watch_s": watching.after_s,
+        "calibrations": calibration_records(bench, utc_now().date()),
+        **described,
+        "bench_limits": dataclasses.asdict(wanted),
+    }, readings
+
+
+def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> str:
+    """Return what was found for the terminal.
+
+    Args:
+        found: Of :func:`examine`.
+        readings: The same.
+        watching: Who stops the drive when this program does not.
+    """
+    lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
+    lines += [f"state of the drive: {readings.state}", f"watched by: {watching.words}", "", _limits(found), ""]
+    lines += [f"warning: {text}" for text in (*_warned(watching), *found["warnings"])]
+    lines += [f"problem: {text}" for text in found["problems"]]
+    lines.append(f"verdict: {found['verdict']}")
+    return "\n".join(lines)
+
+
+def _warned(watching: Watcher) -> list[str]:
+    return {"nobody": [NO_WATCHDOG], "guardian": [GUARDED]}.get(watching.kind, [])
+
+
+def _devices(found: dict[str, Any]) -> str:
+    return table(
+        ["device", "name", "vendor", "product", "revision", "serial", "hardware", "software"],
+        [
+            [
+                role,
+                who["name"],
+                f"{who['vendor_id']:08X}h",
+                f"{who['product_code']:08X}h",
+                f"{who['revision']:08X}h",
+                str(who["serial_number"]),
+                who["hardware_version"],
+                who["software_version"],
+            ]
+            for role, who in ((role, found[role]) for role in DEVICES if role in found)
+        ],
+    )
+
+
+def _limits(found: dict[str, Any]) -> str:
+    """Return the limits of drive and bench file side by side."""
+    held = found["limits"]
+    return table(
+        ["limit", "drive holds now", "bench file", "unit"],
+        [
+            [_title(name), _show(name, held[name]), _show(name, allowed), _unit(name)]
+            for name, allowed in found["bench_limits"].items()
+            if name != "quick_stop_option"
+        ],
+        right=[1, 2],
+    )
+
+
+def _angular(name: str) -> bool:
+    return name.endswith(("_rad", "_rad_s", "_rad_s2"))
+
+
+def _title(name: str) -> str:
+    for ending in ("_rad_s2", "_rad_s", "_rad", "_N_m", "_A"):
+        name = name.removesuffix(ending)
+    return name.replace("_", " ")
+
+
+def _unit(name: str) -> str:
+    if _angular(name):
+        return "deg" + ("/s^2" if name.endswith("_s2") else "/s" if name.endswith("_s") else "")
+    return "N m" if name.endswith("_N_m") else "A"
+
+
+def _show(name: str, value: float | None) -> str:
+    if value is None:
+        return "off"
+    if _angular(name) and abs(value) > _UNSET_RAD:
+        return "not set"
+    return f"{math.degrees(value) if _angular(name) else value:.4g}"

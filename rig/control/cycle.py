@@ -1,0 +1,298 @@
+"""The control cycle: send a target, collect the answer, record it, judge it, in that order and on time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from typing import Protocol
+
+from drivers.clock import NS, Clock
+from drivers.interfaces import RawFrame
+from rig.common.errors import StorageError
+from rig.common.sample import Sample
+from rig.common.timing import Timing
+from rig.control.safety import Latch, Trip, check_stage_time
+from rig.planning.limits import Limits
+from rig.terminal.stop_button import StopButton
+from rig.wiring.devices import Devices
+
+PROGRESS_CYCLES = 100
+
+
+Progress = Callable[[str, int, Sample], None]
+"""Called now and then with stage name, cycles since the last call and the latest sample."""
+
+
+class SampleSink(Protocol):
+    """Takes what each cycle leaves behind; a :class:`rig.runs.recorder.Recorder` does."""
+
+    def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
+        """Keep one cycle.
+
+        Raises:
+            StorageError: It cannot be kept.
+        """
+        ...
+
+
+class TripError(Exception):
+    """A sample broke a limit.
+
+    Args:
+        trip: Which.
+    """
+
+    def __init__(self, trip: Trip) -> None:
+        super().__init__(trip.message)
+        self.trip = trip
+
+
+class Cycle:
+    """Runs control cycles and keeps their time.
+
+    A cycle that starts more than a period late moves the following ones back rather than rushing to catch up.
+
+    Args:
+        limits: Checked on every sample, until :meth:`use` changes them.
+        cycle_ns: Control cycle, ns.
+        devices: What to move.
+        recorder: Takes every sample.
+        stop: Looked at every cycle.
+        progress: Told how it goes.
+
+    Attributes:
+        overruns: Cycles that started more than a period late.
+        stale: Cycles in which a part of the answer was missing.
+        count: Cycles so far.
+        timing: How punctual they were.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        cycle_ns: int,
+        devices: Devices,
+        recorder: SampleSink,
+        stop: StopButton,
+        progress: Progress,
+    ) -> None:
+        self._link, self._servo, self._encoder = devices.link, devices.servo, devices.encoder
+        self._pressure = devices.pressure
+        self._clock = devices.link.clock
+        self._pacer = devices.pacer
+        self._recorder = recorder
+        self._stop = stop
+        self._progress = progress
+        self._limits = limits
+        self._period_ns = cycle_ns
+        self._latch = Latch()
+        self._start_ns = self._clock.now_ns()
+        self._fresh_ns = self._powered_ns = self._start_ns
+        self._time_limit_s: float | None = None
+        self._age_s = self._late_s = self._target = 0.0
+        self._start_grid(self._start_ns)
+        self.count = 0
+        self.overruns = 0
+        self.stale = 0
+        self.timing = Timing()
+
+    @property
+    def now_ns(self) -> int:
+        """Time since the start of the run, ns."""
+        return self._clock.now_ns() - self._start_ns
+
+    @property
+    def target(self) -> float:
+        """Joint angle commanded last, rad."""
+        return self._target
+
+    @property
+    def next_s(self) -> float:
+        """Run time at which the next cycle starts, s."""
+        return (self._next_ns - self._start_ns) * 1e-9
+
+    def ask_reset(self) -> None:
+        """Note that the operator asks for the safety latch to be reset at the next :meth:`begin`."""
+        self._latch.ask()
+
+    def end(self) -> None:
+        """Open the safety latch at an orderly end."""
+        self._latch.open()
+
+    def use(self, limits: Limits) -> None:
+        """Check samples against these limits from now on."""
+        self._limits = limits
+
+    def begin(self, target: float, time_limit_s: float | None = None) -> None:
+        """Start cycling afresh after a pause, at rest on ``target``, and reset the safety latch with the first sample.
+
+        Args:
+            target: Present joint angle, rad.
+            time_limit_s: How long commands may be followed from now on, s; None for ever.
+
+        Raises:
+            TripError: That sample is outside a limit, or nobody asked for the reset; nothing was commanded to move.
+        """
+        self.resume()
+        self._powered_ns = self._next_ns
+        self._time_limit_s = time_limit_s
+        self._servo.set_target(target)
+        sample = self._exchange(target, 0)
+        trip = self._latch.reset(sample, self._age_s, self._late_s, self._limits)
+        if trip is not None:
+            raise TripError(trip)
+
+    def resume(self) -> None:
+        """Go on after work that took longer than a cycle and is no sign of lateness."""
+        self._fresh_ns = self._clock.now_ns()
+        self._start_grid(self._fresh_ns)
+
+    def follow(
+        self,
+        targets: Iterable[float],
+        segment: int,
+        stage: str,
+        keep: Callable[[Sample], object] | None = None,
+        compensate: Callable[[Sample | None], float] | None = None,
+    ) -> None:
+        """Command one joint angle in rad a cycle; each sample is judged before the next command goes out.
+
+        Args:
+            targets: Joint angles, rad; each is taken after the sample before it was judged and kept.
+            segment: Number of the excitation, 0 for none.
+            stage: Name for the progress display.
+            keep: Called with every sample that passed.
+            compensate: Called before every command with the sample before it (None before the first); returns the
+                torque in N m that the drive is to add until the next. It adds none after the last.
+
+        Raises:
+            TripError: A sample broke a limit.
+            OperatorStopError: The stop button was pressed.
+            DeviceError: A device or the bus failed.
+            StorageError: The recording cannot be written.
+        """
+        stop, judge, limits = self._stop, self._latch.judge, self._limits
+        set_target = self._servo.set_target
+        time_limit_s = self._time_limit_s
+        sample: Sample | None = None
+        since = 0
+        for target in targets:
+            stop.check()
+            if time_limit_s is not None:
+                self._check_time(time_limit_s)
+            set_target(target)
+            if compensate is not None:
+                self._servo.set_torque_offset(compensate(sample))
+            sample = self._exchange(target, segment)
+            trip = judge(sample, self._age_s, self._late_s, limits)
+            if trip is not None:
+                raise TripError(trip)
+            if keep is not None:
+                keep(sample)
+            since += 1
+            if since == PROGRESS_CYCLES:
+                self._progress(stage, since, sample)
+                since = 0
+        if compensate is not None:
+            self._servo.set_torque_offset(0.0)
+
+    def watch(self) -> None:
+        """Run one cycle that commands nothing and is not judged, for the time in which the drive brakes by itself.
+
+        Raises:
+            DeviceError: A device or the bus failed.
+        """
+        now_ns = self._clock.now_ns()
+        if now_ns > self._next_ns:
+            # After a pause, which is no lateness.
+            self._start_grid(now_ns)
+        # A recording that cannot be written is no reason to leave the drive alone while it brakes.
+        with suppress(StorageError):
+            self._exchange(self._target, 0)
+
+    def _start_grid(self, now_ns: int) -> None:
+        """Have the next cycle start now, by the real clock as well."""
+        self._next_ns = now_ns
+        if self._pacer is not None:
+            self._pacer_offset_ns = self._pacer.now_ns() - now_ns
+
+    def _check_time(self, limit_s: float) -> None:
+        trip = check_stage_time((self._next_ns - self._powered_ns) / NS, limit_s, self.next_s)
+        if trip is not None:
+            raise TripError(trip)
+
+    def _exchange(self, target: float, segment: int) -> Sample:
+        """Wait for the cycle's start, send what is staged, collect and record the answer."""
+        link, clock = self._link, self._clock
+        self._target = target
+        begin_ns = self._next_ns
+        paced_late_ns = 0 if self._pacer is None else self._pace(self._pacer, begin_ns)
+        clock.sleep_until_ns(begin_ns)
+        late_ns = clock.now_ns() - begin_ns
+        timing = self.timing
+        timing.lateness.note(max(late_ns, paced_late_ns))
+        self._late_s = max(late_ns, paced_late_ns) * 1e-9
+        if late_ns > self._period_ns:
+            self._overrun(late_ns)
+            begin_ns += late_ns
+        link.exchange()
+        servo, encoder = self._servo.sample(), self._encoder.sample()
+        fresh = servo.fresh and encoder.fresh
+        pressure = math.nan
+        if self._pressure is not None:
+            pressure, valid = self._pressure.sample()
+            fresh = fresh and valid
+        time_ns = begin_ns - self._start_ns
+        sample = Sample(
+            time_ns * 1e-9,
+            (clock.now_ns() - self._start_ns) * 1e-9,
+            servo.device_time_s,
+            encoder.device_time_s,
+            target,
+            servo.motor_angle_rad,
+            encoder.angle_rad,
+            servo.velocity_rad_s,
+            servo.current_A,
+            servo.voltage_V,
+            servo.supply_voltage_V,
+            servo.temperature_C,
+            servo.following_error_rad,
+            servo.statusword,
+            segment,
+            fresh,
+            pressure,
+        )
+        if fresh:
+            self._fresh_ns = begin_ns
+        else:
+            self._lost(servo.fresh, encoder.fresh)
+        self._age_s = (begin_ns - self._fresh_ns) * 1e-9
+        timing.oldest_s = max(timing.oldest_s, self._age_s)
+        timing.answer.note(clock.now_ns() - begin_ns)
+        self.count += 1
+        self._next_ns = begin_ns + self._period_ns
+        self._recorder.sample(time_ns, sample, link.take_frames())
+        return sample
+
+    def _pace(self, pacer: Clock, begin_ns: int) -> int:
+        """Hold simulated time back to real time; returns how late this computer is, ns.
+
+        The simulated bench cannot be late itself. It is judged by this computer's lateness as a real one would be.
+        """
+        due_ns = begin_ns + self._pacer_offset_ns
+        pacer.sleep_until_ns(due_ns)
+        late_ns = pacer.now_ns() - due_ns
+        if late_ns > self._period_ns:
+            self._overrun(late_ns)
+            self._pacer_offset_ns += late_ns
+        return late_ns
+
+    def _overrun(self, late_ns: int) -> None:
+        self.overruns += 1
+        self.timing.missed_syncs += late_ns // self._period_ns
+
+    def _lost(self, servo_fresh: bool, encoder_fresh: bool) -> None:
+        self.stale += 1
+        self.timing.lost_servo += not servo_fresh
+        self.timing.lost_encoder += not encoder_fresh

@@ -1,0 +1,172 @@
+"""A bench moved by hand: one move at a time, at low limits, without power before and after it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.errors import DeviceError
+from drivers.interfaces import RawFrame, ServoLimits, ServoState
+from rig.common.errors import InputError
+from rig.common.sample import Sample
+from rig.config.bench import Bench
+from rig.config.sequence import approach
+from rig.control.cycle import Cycle, Progress, TripError
+from rig.control.sequencer import Outcome
+from rig.planning.limits import Limits
+from rig.planning.plan import bench_limits, servo_limits
+from rig.runs.run_record import Ending
+from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.devices import Devices
+from rig.wiring.drive_limits import require_held, require_within_own
+from rig.wiring.teardown import attempt_all, give_back, make_safe, words_of
+
+SPEED_MARGIN = 2.0
+"""Limit on the speed over the speed that was asked for: room for breaking away."""
+TORQUE_SHARE = 0.6
+"""Share of the bench's limits on torque and current."""
+GREATEST_SPEED_SHARE = 0.25
+"""Share of the bench's limit on speed that may be asked for."""
+REST_S = 0.2
+"""Rest at the end of a move before the power goes off."""
+
+
+@dataclass(frozen=True)
+class Jog:
+    """Moves to make, in order.
+
+    Attributes:
+        angles: Joint angles to go to, rad.
+        speed: Greatest speed on the way, rad/s.
+        limits: In force meanwhile.
+    """
+
+    angles: tuple[float, ...]
+    speed: float
+    limits: Limits
+
+
+def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) -> Jog:
+    """Check what is asked for against the bench.
+
+    Raises:
+        InputError: An angle or the speed is outside what may be; lists all.
+    """
+    limits, section = bench_limits(bench), bench.limits
+    greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
+    problems = [
+        f"--to {angle:g}: outside the bench's {section.angle_min_deg:g} to {section.angle_max_deg:g} deg"
+        for angle in angles_deg
+        if not section.angle_min_deg <= angle <= section.angle_max_deg
+    ]
+    if not 0.0 < speed_deg_s <= greatest:
+        problems.append(f"--speed {speed_deg_s:g}: must be above 0 and at most {greatest:g} deg/s on this bench")
+    if problems:
+        raise InputError(problems)
+    speed = math.radians(speed_deg_s)
+    low = dataclasses.replace(
+        limits,
+        speed=SPEED_MARGIN * speed,
+        torque=TORQUE_SHARE * limits.torque,
+        current=TORQUE_SHARE * limits.current,
+    )
+    return Jog(tuple(math.radians(angle) for angle in angles_deg), speed, low)
+
+
+class _Discard:
+    """A jog leaves no recording."""
+
+    def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
+        """Keep nothing."""
+
+
+def move(
+    jog: Jog,
+    bench: Bench,
+    devices: Devices,
+    stop: StopButton,
+    progress: Progress,
+    tell: Callable[[str, bool], None],
+    reset_fault: bool = False,
+) -> Outcome:
+    """Make the moves and leave the drive de-energised, whatever happens. Never raises.
+
+    The limits are written into the drive before each enabling, and its own back at the end. A fault that the drive is
+    in is cleared where ``reset_fault`` says so. ``tell`` shows how it ended, and whether that is good, the moment it is
+    known; what nobody foresaw is the outcome's ``error``.
+    """
+    cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
+    servo = devices.servo
+    own: list[ServoLimits] = []
+    ending, words, error = _moves(jog, bench, devices, cycle, stop, reset_fault, own)
+    presses = stop.presses
+    safe = make_safe(
+        servo,
+        cycle.watch,
+        bench.cycle_ns,
+        brake=ending is not Ending.DONE,
+        hurry=lambda: stop.presses > presses,
+        watched=devices.link.has_watchdog,
+    )
+    if ending is Ending.DONE and not safe.verified:
+        ending = Ending.FAILED
+    words = f"{words}; {safe.message}"
+    unforeseen = [*safe.unforeseen, *attempt_all(lambda: tell(f"{ending.value}: {words}", ending is Ending.DONE))]
+    if own:
+        unforeseen += give_back(servo, own[0], safe)
+    if unforeseen:
+        ending, error = Ending.CRASHED, error or unforeseen[0]
+    return Outcome(ending, words, safe, error=error)
+
+
+def _moves(
+    jog: Jog,
+    bench: Bench,
+    devices: Devices,
+    cycle: Cycle,
+    stop: StopButton,
+    reset_fault: bool,
+    own: list[ServoLimits],
+) -> tuple[Ending, str, BaseException | None]:
+    """Make the moves; returns how they ended. ``own`` takes the drive's own limits once they are read."""
+    servo, wanted = devices.servo, servo_limits(jog.limits, bench)
+    try:
+        stop.check()
+        if reset_fault and servo.state() is ServoState.FAULT:
+            servo.reset_fault()
+        devices.prepare(bench.cycle_s)
+        held = servo.read_limits()
+        require_within_own(wanted, held, servo.limit_steps())
+        own.append(held)
+        servo.write_limits(wanted)
+        require_held(servo.read_limits(), wanted, servo.limit_steps())
+        here = _enable(cycle, devices, bench)
+        for angle in jog.angles:
+            _go(cycle, here, angle, jog.speed, bench.cycle_s)
+            here = angle
+        servo.disable()
+    except TripError as trip:
+        return Ending.TRIPPED, str(trip), None
+    except (OperatorStopError, KeyboardInterrupt):
+        return Ending.STOPPED, stop.words, None
+    except DeviceError as failure:
+        return Ending.FAILED, str(failure), None
+    except BaseException as defect:  # noqa: BLE001 the drive is made safe first; the command raises it again
+        return Ending.CRASHED, f"the program broke down ({words_of(defect)})", defect
+    return Ending.DONE, f"{len(jog.angles)} moves done", None
+
+
+def _enable(cycle: Cycle, devices: Devices, bench: Bench) -> float:
+    """Energise and hold; returns the joint angle held, rad."""
+    devices.servo.enable()
+    here = devices.servo.sample().motor_angle_rad / bench.machine.gear_ratio
+    cycle.ask_reset()
+    cycle.begin(here)
+    return here
+
+
+def _go(cycle: Cycle, start: float, end: float, speed: float, cycle_s: float) -> None:
+    cycle.follow(approach(start, end, speed, cycle_s).tolist(), 0, f"to {math.degrees(end):g} deg")
+    cycle.follow([end] * round(REST_S / cycle_s), 0, "rest")

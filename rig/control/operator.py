@@ -1,0 +1,196 @@
+"""The person at the bench, who hangs the weights and types their mass, and what stands in for one."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from enum import Enum
+from typing import Protocol
+
+from drivers.clock import NS, Clock, RealClock
+from rig.terminal.prompt import Asker, InputEndedError, Prompt
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import OperatorStopError, StopButton
+
+WEIGHT_TOLERANCE = 0.005
+"""Share of the planned mass by which the typed one may differ, unless the bench file says otherwise."""
+LEAST_TOLERANCE_KG = 0.001
+"""Difference that is always allowed: the last digit of a balance, and an empty lever."""
+_LOOK_NS = NS // 20
+_ROUNDING = 1e-9
+_MASS = re.compile(r"([+-]?\d+(?:[.,]\d*)?|[+-]?[.,]\d+)\s*(kg|g)?", re.IGNORECASE)
+_UNIT_KG = {"kg": 1.0, "g": 1e-3}
+
+
+class Verb(Enum):
+    """What the operator can ask for between stages, where the drive is de-energised."""
+
+    GO_ON = "go on"
+    REPEAT = "repeat"
+    ABORT = "abort"
+
+
+class Operator(Protocol):
+    """Whoever hangs the weights."""
+
+    def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
+        """Have a weight hung and its mass confirmed. The drive was read back as off.
+
+        Returns:
+            The mass on the lever, kg, which force and fit are to use, or :attr:`Verb.REPEAT` to do the stage before
+            this one again.
+
+        Raises:
+            OperatorStopError: The operator gave up.
+        """
+        ...
+
+    def hangs(self, stage: str, weight_kg: float) -> float:
+        """Return the mass that ends up on a simulated lever, kg."""
+        ...
+
+    def paused(self, stage: str, stop: StopButton) -> Verb:
+        """Wait at the boundary after ``stage`` until the operator says how to go on."""
+        ...
+
+    def tell(self, words: str) -> None:
+        """Show the operator something that needs no answer, without blocking."""
+        ...
+
+    def result(self, words: str, good: bool) -> None:
+        """Show how the run ended, the moment it is known, without blocking."""
+        ...
+
+
+class AutomaticOperator:
+    """Answers every prompt with what the plan says (``--yes``); a pause ends with the signal that asked for it.
+
+    Args:
+        hung: Stage to the mass that is hung there in truth, kg, where it is not the planned one: a mistake to be
+            found, on a simulated lever.
+        clock: To wait by while paused.
+        screen: Where messages go.
+    """
+
+    def __init__(
+        self,
+        hung: Mapping[str, float] | None = None,
+        clock: Clock | None = None,
+        screen: Screen | None = None,
+    ) -> None:
+        self._hung = hung or {}
+        self._clock = clock or RealClock()
+        self._screen = screen or Screen()
+
+    def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
+        """Confirm the planned weight."""
+        return weight_kg
+
+    def hangs(self, stage: str, weight_kg: float) -> float:
+        """Return the confirmed mass, or the mistake."""
+        return self._hung.get(stage, weight_kg)
+
+    def paused(self, stage: str, stop: StopButton) -> Verb:
+        """Wait for the next pause signal."""
+        self.tell(f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press Ctrl-C to stop")
+        while stop.pausing:
+            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+            self._screen.pump()
+        return Verb.GO_ON
+
+    def tell(self, words: str) -> None:
+        """Show words on stderr."""
+        self._screen.say(words)
+
+    def result(self, words: str, good: bool) -> None:
+        """Show the end of a run, on stdout where it is good."""
+        self._screen.say(words, err=not good)
+
+
+class ConsoleOperator(AutomaticOperator):
+    """Asks at the terminal.
+
+    Args:
+        screen: Where questions and messages go.
+        asker: Asks and reads; a :class:`rig.terminal.prompt.Prompt` on the terminal unless given.
+        patience_s: How long an answer is waited for; None for ever.
+        tolerance: Share of the planned mass by which the typed one may differ.
+    """
+
+    def __init__(
+        self,
+        screen: Screen | None = None,
+        asker: Asker | None = None,
+        patience_s: float | None = None,
+        tolerance: float = WEIGHT_TOLERANCE,
+    ) -> None:
+        super().__init__(screen=screen)
+        self._asker = asker or Prompt(self._screen, patience_s=patience_s)
+        self._tolerance = tolerance
+
+    def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
+        """Ask until the typed mass is the planned one within the tolerance, or another verb is typed.
+
+        The planned mass is not shown before a first answer, so that what is typed is what was weighed.
+
+        Raises:
+            OperatorStopError: Ctrl-C, ``abort``, the input ended, or nobody answered in time.
+        """
+        action = "Hang the weight that is planned for it" if weight_kg else "Take every weight off the lever"
+        self.tell(f"Stage {stage}: the drive is off. {action}, and let it come to rest. No hurry: this is a pause.")
+        self.tell("Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`.")
+        allowed_kg = max(self._tolerance * weight_kg, LEAST_TOLERANCE_KG) * (1.0 + _ROUNDING)
+        while True:
+            try:
+                typed = self._asker.ask("Mass on the lever, kg: ").lower()
+            except InputEndedError as error:
+                raise OperatorStopError(f"stopped at the weight prompt: {error}") from error
+            except KeyboardInterrupt as error:
+                raise OperatorStopError("stopped by the operator at the weight prompt") from error
+            if typed == Verb.ABORT.value:
+                raise OperatorStopError("aborted at the weight prompt")
+            if typed == Verb.REPEAT.value:
+                return Verb.REPEAT
+            mass = parse_mass_kg(typed)
+            if mass is None:
+                self.tell(f"{typed!r} is neither a mass such as 30.6 kg nor `repeat` nor `abort`")
+            elif abs(mass - weight_kg) <= allowed_kg:
+                return mass
+            else:
+                self.tell(
+                    f"{mass:g} kg is not the planned {weight_kg:g} kg (tolerance {allowed_kg:.3g} kg): "
+                    "change the weight and type its mass, or `abort`"
+                )
+
+    def paused(self, stage: str, stop: StopButton) -> Verb:
+        """Ask how to go on.
+
+        Raises:
+            OperatorStopError: Nobody answered in time.
+        """
+        self.tell(f"Paused after stage {stage}; the drive is off.")
+        try:
+            answer = self._verb()
+        except (InputEndedError, KeyboardInterrupt):
+            answer = Verb.ABORT
+        stop.pausing = False
+        return answer
+
+    def _verb(self) -> Verb:
+        names = {verb.value: verb for verb in Verb}
+        while True:
+            typed = self._asker.ask("What now (go on, repeat, abort) [go on]: ").lower()
+            if not typed:
+                return Verb.GO_ON
+            if typed in names:
+                return names[typed]
+            self.tell(f"{typed!r} is not one of `go on`, `repeat`, `abort`")
+
+
+def parse_mass_kg(text: str) -> float | None:
+    """Return a mass as it is typed, in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None where it is none."""
+    found = _MASS.fullmatch(text.strip())
+    if found is None:
+        return None
+    number, unit = found.groups()
+    return float(number.replace(",", ".")) * _UNIT_KG[(unit or "kg").lower()]

@@ -1,0 +1,49 @@
+"""Progress of a run on the status line; nothing where the output is not a terminal."""
+
+from __future__ import annotations
+
+import math
+from typing import Self
+
+from rig.common.sample import Sample
+from rig.terminal.screen import Screen
+
+_BAR = 12
+
+
+class RunProgress:
+    """Run time done and left, with stage, angle error and current.
+
+    Time is that of the motion: waiting at a prompt doesn't count.
+
+    Args:
+        cycle_s: Control cycle, s.
+        duration_s: Expected time in motion, s.
+        screen: Where it is shown.
+    """
+
+    def __init__(self, cycle_s: float, duration_s: float, screen: Screen | None = None) -> None:
+        self._cycle_s = cycle_s
+        self._total_s = duration_s
+        self._done_s = 0.0
+        self._screen = screen or Screen()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exception: object) -> None:
+        """Leave the status line to the next message."""
+
+    def __call__(self, stage: str, cycles: int, sample: Sample) -> None:
+        """Advance by so many cycles, and show the latest sample."""
+        self._done_s = min(self._done_s + cycles * self._cycle_s, self._total_s)
+        if not self._screen.has_status:
+            self._screen.pump()
+            return
+        share = self._done_s / self._total_s if self._total_s else 1.0
+        bar = "#" * round(_BAR * share)
+        error_deg = math.degrees(sample.angle - sample.command)
+        self._screen.status(
+            f"{stage} |{bar:<{_BAR}}| {self._total_s - self._done_s:.0f} s left, "
+            f"error {error_deg:+.3f} deg, {sample.current:+.2f} A"
+        )

@@ -1,0 +1,220 @@
+"""The check made on every sample before the next command goes out, and the latch that holds a trip.
+
+Pure functions and one latch. This is a stop function in software, not an emergency stop.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+from rig.common.sample import Sample
+from rig.planning.limits import GasLimits, Limits
+
+RUNNING_MASK = 0x6F
+RUNNING = 0x27
+"""Statusword 6041h under mask 6Fh: operation enabled."""
+
+
+class Check(Enum):
+    """What a trip was about."""
+
+    NOT_RESET = "not reset"
+    SAMPLE_AGE = "sample age"
+    DRIVE_STATE = "drive state"
+    ANGLE = "joint angle"
+    SPEED = "joint speed"
+    CURRENT = "motor current"
+    TORQUE = "joint torque"
+    FOLLOWING_ERROR = "following error"
+    DISAGREEMENT = "encoder against drive"
+    TEMPERATURE = "motor temperature"
+    SUPPLY = "DC link voltage"
+    PRESSURE = "chamber pressure"
+    CONTACT_FORCE = "contact force"
+    LATENESS = "lateness of the control cycle"
+    STAGE_TIME = "time under power in this stage"
+
+
+_REMEDY = {
+    Check.NOT_RESET: "confirm the weight at the prompt",
+    Check.SAMPLE_AGE: "check the bus cabling, termination and load, then run again",
+    Check.DRIVE_STATE: "read the drive's error code (603Fh), remove its cause, then run again",
+    Check.ANGLE: "reduce the amplitude or the centre, or check the encoder offset",
+    Check.SPEED: "reduce amplitude or frequency, or check the drive gains for oscillation",
+    Check.CURRENT: "look for jamming or a weight above the plan, then run again",
+    Check.TORQUE: "look for jamming or a weight above the plan, then run again",
+    Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",
+    Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
+    Check.TEMPERATURE: "let the motor cool, then run again",
+    Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run again",
+    Check.PRESSURE: "look for a clogged throat or a valve that closed too far, and let the generator burn out",
+    Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator burn out",
+    Check.LATENESS: "close what else runs on this computer, or lower cycle_Hz, then run again",
+    Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
+}
+
+AGAIN = ", then run again"
+"""End of a remedy after which the same run can be tried once more."""
+
+
+def remedy(check: Check) -> str:
+    """Return what to do about a trip before anything moves again."""
+    return _REMEDY[check].removesuffix(AGAIN)
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """A limit that was broken, by which sample.
+
+    Attributes:
+        check: Which check.
+        value: What was found.
+        limit: What was allowed: the bound that was crossed.
+        unit: Of both.
+        time: Of the sample, s since the start of the run.
+    """
+
+    check: Check
+    value: float
+    limit: float
+    unit: str
+    time: float
+
+    @property
+    def message(self) -> str:
+        """Value, limit, unit, when and what to do."""
+        return f"{self._found} at {self.time:.3f} s; {_REMEDY[self.check]}"
+
+    @property
+    def now(self) -> str:
+        """The same of a value that was read outside of a run."""
+        return f"{self._found}; {_REMEDY[self.check]}"
+
+    @property
+    def _found(self) -> str:
+        if self.check is Check.DRIVE_STATE:
+            return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
+        if self.check is Check.NOT_RESET:
+            return "the safety latch is open: nobody has asked for its reset"
+        return f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit {_show(self.limit, self.unit)}"
+
+
+def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
+    """Compare one sample with the limits.
+
+    Written as "inside", so that a value that is not a number trips.
+
+    Args:
+        sample: The sample just received.
+        age: Time since the last fresh sample, s.
+        late: How late the cycle started, s.
+        limits: The limits of this run.
+
+    Returns:
+        The first limit broken, or None.
+    """
+    time = sample.time
+    if not late <= limits.lateness:
+        return Trip(Check.LATENESS, late, limits.lateness, "s", time)
+    if not age <= limits.sample_age:
+        return Trip(Check.SAMPLE_AGE, age, limits.sample_age, "s", time)
+    if sample.statusword & RUNNING_MASK != RUNNING:
+        return Trip(Check.DRIVE_STATE, sample.statusword, RUNNING, "1", time)
+    angle = sample.angle
+    if not limits.angle_min <= angle <= limits.angle_max:
+        bound = limits.angle_min if angle < limits.angle_min else limits.angle_max
+        return Trip(Check.ANGLE, angle, bound, "rad", time)
+    if not abs(sample.velocity) <= limits.speed:
+        return Trip(Check.SPEED, abs(sample.velocity), limits.speed, "rad/s", time)
+    current = abs(sample.current)
+    if not current <= limits.current:
+        return Trip(Check.CURRENT, current, limits.current, "A", time)
+    if not current * limits.torque_per_ampere <= limits.torque:
+        return Trip(Check.TORQUE, current * limits.torque_per_ampere, limits.torque, "N m", time)
+    if not abs(sample.following_error) <= limits.following_error:
+        return Trip(Check.FOLLOWING_ERROR, abs(sample.following_error), limits.following_error, "rad", time)
+    disagreement = abs(sample.motor_angle / limits.gear_ratio - angle)
+    if not disagreement <= limits.encoder_disagreement:
+        return Trip(Check.DISAGREEMENT, disagreement, limits.encoder_disagreement, "rad", time)
+    if not sample.temperature <= limits.temperature:
+        return Trip(Check.TEMPERATURE, sample.temperature, limits.temperature, "deg C", time)
+    supply = sample.supply_voltage
+    if not limits.supply_min <= supply <= limits.supply_max:
+        bound = limits.supply_min if supply < limits.supply_min else limits.supply_max
+        return Trip(Check.SUPPLY, supply, bound, "V", time)
+    return None if limits.gas is None else _check_gas(sample, limits.gas)
+
+
+def _check_gas(sample: Sample, limits: GasLimits) -> Trip | None:
+    pressure = sample.pressure
+    if not pressure <= limits.pressure:
+        return Trip(Check.PRESSURE, pressure, limits.pressure, "Pa", sample.time)
+    force = (pressure - limits.back_pressure) * limits.area(sample.angle)
+    if not force <= limits.contact_force:
+        return Trip(Check.CONTACT_FORCE, force, limits.contact_force, "N", sample.time)
+    return None
+
+
+def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
+    """Compare how long a stage has been under power with its limit; all in s."""
+    if not elapsed <= limit:
+        return Trip(Check.STAGE_TIME, elapsed, limit, "s", time)
+    return None
+
+
+class Latch:
+    """Remembers the first trip. Starts tripped.
+
+    Closing it takes two things: that the operator asks (:meth:`ask`), and a sample inside every limit (:meth:`reset`).
+    Asking is good for one reset. Neither moves anything.
+    """
+
+    def __init__(self) -> None:
+        self._trip: Trip | None = _NOT_RESET
+        self._asked = False
+
+    @property
+    def trip(self) -> Trip | None:
+        """The trip that holds the latch open, or None when it is closed."""
+        return self._trip
+
+    def open(self) -> None:
+        """Open the latch at an orderly end, and forget what was asked."""
+        self._trip = _NOT_RESET
+        self._asked = False
+
+    def ask(self) -> None:
+        """Note that the operator asks for the next reset."""
+        self._asked = True
+
+    def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
+        """Close the latch if it was asked for and the sample is inside every limit; else hold the reason why not.
+
+        Returns:
+            None when the latch is now closed.
+        """
+        if self._asked:
+            self._trip = check(sample, age, late, limits)
+            self._asked = False
+        elif self._trip is None:
+            self._trip = _NOT_RESET
+        return self._trip
+
+    def judge(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
+        """Check a sample. Once open, the latch stays open whatever the later samples say."""
+        if self._trip is None:
+            self._trip = check(sample, age, late, limits)
+        return self._trip
+
+
+_NOT_RESET = Trip(Check.NOT_RESET, 0.0, 0.0, "1", 0.0)
+
+
+def _show(value: float, unit: str) -> str:
+    """Show angles in degrees as well, since the bench file states them so."""
+    if unit in ("rad", "rad/s"):
+        degrees = unit.replace("rad", "deg")
+        return f"{value:.4g} {unit} ({math.degrees(value):.4g} {degrees})"
+    return f"{value:.4g} {unit}"

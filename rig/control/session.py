@@ -1,0 +1,304 @@
+"""One run from opened bus to closed folder: recording started, plan run, everything written down however it ends."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import NS, RealClock
+from rig.common.errors import StorageError
+from rig.common.provenance import sha256, sha256_file, utc_now, versions
+from rig.config.bench import Bench
+from rig.config.calibration import calibration_records, overdue
+from rig.config.configuration import Document
+from rig.config.redact import redacted
+from rig.config.sequence import Sequence
+from rig.config.serial_bus import GUARDED, NO_WATCHDOG
+from rig.control.cycle import Cycle, Progress
+from rig.control.operator import Operator
+from rig.control.sequencer import Outcome, Sequencer
+from rig.planning.feedforward import Feedforward
+from rig.planning.plan import Plan, stage_records
+from rig.planning.reference import Reference
+from rig.runs.recorded_inputs import input_entry
+from rig.runs.recorder import Recorder, open_recorder
+from rig.runs.run import RunFolder, bench_constants, first_unfinished, part_file
+from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT, Ending, PartRecord, RunRecord
+from rig.terminal.stop_button import StopButton
+from rig.weighing.scale import Scale
+from rig.wiring.connect import device_files
+from rig.wiring.devices import Devices
+
+MEDIA_YAML = "application/yaml"
+MEDIA_JSON = "application/json"
+DEVICES = ("servo", "encoder", "pressure")
+"""Roles that devices have; not every bench has all."""
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """What a run was asked for.
+
+    Attributes:
+        bench: The bench file, validated.
+        sequence: The sequence file, validated.
+        seed: Of a simulated bench's noise.
+        realtime: Whether a simulated bench is held to real time.
+        operator: Who runs it, as given.
+        reference: An accepted identification of the bench, to check the weights by.
+        reset_fault: Whether a fault that the drive is in may be cleared.
+        feedforward: What the torque that the drive adds is computed from; None where it adds none.
+    """
+
+    bench: Document[Bench]
+    sequence: Document[Sequence]
+    seed: int
+    realtime: bool
+    operator: str | None = None
+    reference: Reference | None = None
+    reset_fault: bool = False
+    feedforward: Feedforward | None = None
+
+    def files(self) -> dict[str, bytes]:
+        """Return the content of both files under the names of their attachments."""
+        return {
+            BENCH_ATTACHMENT: self.bench.path.read_bytes(),
+            SEQUENCE_ATTACHMENT: self.sequence.path.read_bytes(),
+        }
+
+
+def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
+    """Return ``run.json`` as it stands before anything moves."""
+    paths = (inputs.bench.path, inputs.sequence.path)
+    calibrations = calibration_records(inputs.bench.value, utc_now().date())
+    return RunRecord(
+        name=plan.name,
+        created=utc_now().isoformat(timespec="seconds"),
+        seed=inputs.seed,
+        simulated=inputs.bench.value.simulated,
+        realtime=inputs.realtime,
+        cycle_s=plan.cycle_s,
+        versions=versions(),
+        inputs={
+            name: input_entry(path, sha256(content))
+            for (name, content), path in zip(inputs.files().items(), paths, strict=True)
+        }
+        | {name: input_entry(path, sha256_file(path)) for name, path in device_files(inputs.bench).items()}
+        | _feedforward_entry(inputs.feedforward),
+        bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
+        stages=stage_records(plan),
+        operator=inputs.operator,
+        calibrations=calibrations,
+        warnings=[f"{warning}; the results rest on it" for warning in overdue(calibrations)],
+    )
+
+
+def _feedforward_entry(feedforward: Feedforward | None) -> dict[str, dict[str, str]]:
+    if feedforward is None:
+        return {}
+    return {FEEDFORWARD_INPUT: input_entry(feedforward.source, feedforward.sha256)}
+
+
+def execute(
+    inputs: Inputs,
+    plan: Plan,
+    devices: Devices,
+    path: Path,
+    operator: Operator,
+    stop: StopButton,
+    progress: Progress,
+    start_recording: Callable[[Path], Recorder] = open_recorder,
+    record: RunRecord | None = None,
+) -> tuple[RunFolder, Outcome]:
+    """Run a plan into an empty folder, or go on with a run. The link is open on entry and left open.
+
+    Args:
+        inputs: What was asked for.
+        plan: Computed from it.
+        devices: What to move.
+        path: The run folder.
+        operator: Who hangs the weights.
+        stop: Looked at every cycle.
+        progress: Told how it goes.
+        start_recording: Creates the recording.
+        record: ``run.json`` of a run that stopped, to go on at its first unfinished stage.
+
+    Raises:
+        DeviceError: A device cannot even be identified; nothing was energised.
+        StorageError: The recording cannot be started; nothing was energised.
+    """
+    wall = RealClock()
+    began_ns = wall.now_ns()
+    record = record or new_record(inputs, plan)
+    identities = describe_devices(devices)
+    part = _begin_part(record, inputs, identities)
+    if not devices.link.has_watchdog:
+        words = NO_WATCHDOG if devices.guard is None else GUARDED
+        operator.tell(words)
+        if words not in record.warnings:
+            record.warnings.append(words)
+    folder = RunFolder(path, record)
+    folder.save()
+    if devices.guard is not None:
+        devices.guard.record_in(path)
+    recorder = _start_recording(folder, inputs, identities, start_recording)
+    outcome = None
+    try:
+        sequencer = Sequencer(
+            plan,
+            devices,
+            operator,
+            recorder,
+            folder,
+            stop,
+            progress,
+            Scale(inputs.reference),
+            start=first_unfinished(record) or 0,
+            segment=max((segment.index for segment in record.segments), default=0),
+            reset_fault=inputs.reset_fault,
+        )
+        outcome = sequencer.run()
+        _count(record, part, sequencer.cycle)
+    finally:
+        outcome = _close(recorder, outcome)
+        part.seconds = (wall.now_ns() - began_ns) / NS
+        _finish(record, part, outcome)
+        outcome = _save(folder, outcome)
+    assert outcome is not None
+    return folder, outcome
+
+
+def _start_recording(
+    folder: RunFolder,
+    inputs: Inputs,
+    identities: dict[str, Any],
+    start: Callable[[Path], Recorder],
+) -> Recorder:
+    """Create the recording with its head.
+
+    Raises:
+        StorageError: It cannot be written; nothing was energised, and ``run.json`` says so.
+    """
+    recorder = None
+    try:
+        recorder = start(folder.recording)
+        _head(recorder, inputs, folder.record, identities)
+    except StorageError as error:
+        message = f"{error}; nothing was energised"
+        folder.record.parts[-1].state = Ending.FAILED.value
+        with suppress(StorageError):
+            folder.ended(Ending.FAILED.value, message, de_energised=True)
+        if recorder is not None:
+            with suppress(StorageError):
+                recorder.close()
+        raise StorageError(message) from error
+    return recorder
+
+
+def _begin_part(record: RunRecord, inputs: Inputs, identities: Mapping[str, Any]) -> PartRecord:
+    """Add a recording to the record of a run."""
+    record.state, record.message, record.trip, record.de_energised = "running", "", None, None
+    record.drive_state = None
+    part = PartRecord(
+        file=part_file(len(record.parts) + 1),
+        created=utc_now().isoformat(timespec="seconds"),
+        seed=inputs.seed,
+        operator=inputs.operator,
+        versions=versions(),
+        devices=identities,
+    )
+    record.parts.append(part)
+    return part
+
+
+def _count(record: RunRecord, part: PartRecord, cycle: Cycle) -> None:
+    part.cycles, part.timing = cycle.count, cycle.timing.record()
+    record.cycles += cycle.count
+    record.overruns += cycle.overruns
+    record.stale += cycle.stale
+
+
+def describe_devices(devices: Devices) -> dict[str, Any]:
+    """Read identities and the limits that the drive holds.
+
+    Raises:
+        DeviceError: A device does not answer.
+    """
+    told = {
+        "servo": dataclasses.asdict(devices.servo.identity()),
+        "encoder": dataclasses.asdict(devices.encoder.identity()),
+        "limits": dataclasses.asdict(devices.servo.read_limits()),
+    }
+    if devices.pressure is not None:
+        told["pressure"] = dataclasses.asdict(devices.pressure.identity())
+    return told
+
+
+def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]) -> None:
+    """Put everything that explains the samples at the front, where even a torn file keeps it."""
+    part = record.parts[-1]
+    run = {"name": record.name, "created": part.created, "seed": str(part.seed), "operator": part.operator or ""}
+    recorder.metadata("run", {**run, "part": str(len(record.parts))})
+    recorder.metadata("versions", part.versions)
+    recorder.metadata("sha256", {name: entry["sha256"] for name, entry in record.inputs.items()})
+    for role in DEVICES:
+        if role in identities:
+            recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
+    if record.calibrations:
+        recorder.metadata("calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations})
+    for name, content in inputs.files().items():
+        recorder.attach(name, MEDIA_YAML, redacted(content) if name == BENCH_ATTACHMENT else content)
+    if inputs.feedforward is not None:
+        recorder.attach(FEEDFORWARD_INPUT, MEDIA_JSON, Path(inputs.feedforward.source).read_bytes())
+    recorder.attach("devices.json", MEDIA_JSON, json.dumps(identities, indent=1).encode())
+    recorder.attach("run.json", MEDIA_JSON, json.dumps(dataclasses.asdict(record)).encode())
+
+
+def _close(recorder: Recorder, outcome: Outcome | None) -> Outcome | None:
+    """Close the recording; a run whose recording cannot be finished has failed."""
+    try:
+        recorder.close()
+    except StorageError as error:
+        return _failed(outcome, f"the recording lacks its end: {error}; then use `rig recover`")
+    return outcome
+
+
+def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
+    """Save ``run.json``; on a full disk the last version stays, and the outcome says so."""
+    try:
+        folder.save()
+    except StorageError as error:
+        return _failed(outcome, str(error))
+    return outcome
+
+
+def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
+    """Return the outcome of a run whose files lack something; only a good ending becomes another."""
+    if outcome is None:
+        return None
+    ending = Ending.FAILED if outcome.ending is Ending.DONE else outcome.ending
+    return dataclasses.replace(outcome, ending=ending, message=f"{outcome.message}; {problem}")
+
+
+def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> None:
+    """Write the ending into the record; without an outcome the program itself broke down."""
+    record.seconds += part.seconds
+    if outcome is None:
+        record.state, record.message = Ending.CRASHED.value, "the program broke down"
+        part.state = record.state
+        record.stage_ended(record.state)
+        return
+    record.state, record.message = outcome.ending.value, outcome.message
+    part.state = record.state
+    record.stage_ended(record.state)
+    record.de_energised, record.drive_state = outcome.safe.verified, outcome.safe.state
+    if outcome.trip is not None:
+        trip = outcome.trip
+        value = trip.value if math.isfinite(trip.value) else None
+        record.trip = {**dataclasses.asdict(trip), "check": trip.check.value, "value": value, "message": trip.message}

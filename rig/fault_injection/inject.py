@@ -1,0 +1,357 @@
+"""Brings a fault schedule about on a simulated bench, and notes what the drive did."""
+
+from __future__ import annotations
+
+import dataclasses
+import errno
+import io
+import os
+import re
+import resource
+import signal
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from drivers.clock import NS, Clock
+from drivers.mock.bench import SimulatedBench
+from drivers.mock.dbc_bench import SimulatedDbcBench
+from drivers.mock.wires.stepped_clock import SteppedClock
+from rig.common.errors import InputError
+from rig.common.phase import Phase
+from rig.common.places import write_json
+from rig.common.tables import table
+from rig.config.bench import Bench
+from rig.config.configuration import Document, nearest
+from rig.config.faults import FaultRow, FaultSchedule, load_faults
+from rig.config.sequence import Sequence
+from rig.control.cycle import Progress
+from rig.control.operator import Operator, Verb
+from rig.control.sequencer import Outcome
+from rig.control.session import Inputs, execute
+from rig.fault_injection.scene import Scene, impossible
+from rig.planning.plan import Plan
+from rig.runs.recorder import Recorder
+from rig.runs.run import RunFolder
+from rig.terminal.prompt import unanswered
+from rig.terminal.stop_button import OperatorStopError, StopButton
+from rig.wiring.devices import Devices
+
+SCHEMA = "loadrig.faults/1"
+REPORT_FILE = "faults.json"
+_AFTERMATH_S = 2.0
+_PHASES: Mapping[Phase, str] = {Phase.LOAD: "prompt", Phase.RELEASE: "disable"}
+"""Phases of the sequencer that a schedule calls by another name."""
+
+
+@dataclass
+class Finding:
+    """What one fault led to.
+
+    Attributes:
+        row: Number in the schedule, from 1.
+        applied_s: When it came, bench time; None if its moment never did.
+        off_after_s: How long after that the drive was de-energised for good; None while it is energised.
+        as_expected: Whether the reaction was the expected one; None where nothing was expected.
+    """
+
+    row: int
+    when: str
+    target: str
+    fault: str
+    value: float | None
+    applied_s: float | None = None
+    off_after_s: float | None = None
+    as_expected: bool | None = None
+    remarks: tuple[str, ...] = ()
+
+
+class Saboteur:
+    """One schedule at work on one run: :meth:`attach`, :meth:`execute`, :meth:`conclude`.
+
+    Args:
+        schedule: The faults.
+        sequence: What is run; places the phase ``ramp_out``.
+        patience_s: How long the run waits for an answer; None for ever.
+    """
+
+    def __init__(self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None) -> None:
+        self._patience_s = patience_s
+        self._rows = rows = schedule.rows
+        self._ramp_out = {stage.name: stage.duration_s - stage.ramp_out_s for stage in sequence.stages}
+        self._waiting = set(range(len(rows)))
+        self._applied_ns: dict[int, int] = {}
+        self._off_ns: int | None = 0
+        self._weight_kg: float | None = None
+        self._answer_after_s: float | None = None
+        self._file: _DyingFile | None = None
+        self._limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def attach(self, bench: SimulatedBench | SimulatedDbcBench) -> Clock:
+        """Take hold of a bench; returns the clock that the host is to see."""
+        self._scene = Scene(bench)
+        self._clock = SteppedClock(bench.clock)
+        self._scene.watch(self._entered)
+        for number, row in enumerate(self._rows):
+            if row.time_s is not None:
+                self._schedule(number, row.time_s)
+        return self._clock
+
+    def execute(
+        self,
+        inputs: Inputs,
+        plan: Plan,
+        devices: Devices,
+        path: Path,
+        operator: Operator,
+        stop: StopButton,
+        progress: Progress,
+    ) -> tuple[RunFolder, Outcome]:
+        """Run as :func:`rig.control.session.execute` does, with the faults of this schedule."""
+        self._stop, self._folder = stop, path
+        devices = dataclasses.replace(devices, hang=self._hang, observer=self._observe)
+        operator = _Unreliable(operator, self._answer)
+        try:
+            return execute(inputs, plan, devices, path, operator, stop, progress, self._start_recording)
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, self._limits)
+
+    def _observe(self, stage: str, phase: Phase) -> None:
+        """Note that a phase of a stage begins, and set off what waits for it."""
+        name = _PHASES.get(phase, phase.value)
+        for number in sorted(self._waiting):
+            row = self._rows[number]
+            if row.stage not in (None, stage):
+                continue
+            if row.phase == name:
+                self._schedule(number, 0.0)
+            elif row.phase == "ramp_out" and phase is Phase.EXCITE:
+                self._schedule(number, self._ramp_out[stage])
+
+    def _hang(self, mass_kg: float) -> None:
+        """Hang a weight on the simulated lever: the right one, or the scheduled wrong one."""
+        self._scene.machine.hang(mass_kg if self._weight_kg is None else self._weight_kg)
+
+    def _start_recording(self, path: Path) -> Recorder:
+        """Create the recording on a file that can fail."""
+        self._file = _DyingFile(path, "xb")
+        return Recorder(io.BufferedWriter(self._file))
+
+    def conclude(self, status: int | None, message: str) -> list[Finding]:
+        """Let the devices live on for a while without the host, judge every row, and write the findings.
+
+        Args:
+            status: Exit status of the run; None where the process is about to be killed.
+            message: Its last words.
+
+        Raises:
+            OSError: The findings cannot be written.
+        """
+        clock = self._scene.clock
+        if self._off_ns is None:
+            clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))
+        findings = [self._judge(number, row, status, message) for number, row in enumerate(self._rows)]
+        write_json(self._folder / REPORT_FILE, {"schema": SCHEMA, "faults": [dataclasses.asdict(f) for f in findings]})
+        return findings
+
+    def _schedule(self, number: int, delay_s: float) -> None:
+        self._waiting.discard(number)
+        row = self._rows[number]
+        delay_s += row.after_s
+        if delay_s or row.state is not None:
+            clock = self._scene.clock
+            clock.call_at(clock.now_ns() + round(delay_s * NS), partial(self._apply, number))
+        else:
+            self._apply(number)
+
+    def _entered(self, state: str, powered: bool) -> None:
+        if powered:
+            self._off_ns = None
+        elif self._off_ns is None:
+            self._off_ns = self._scene.clock.now_ns()
+        for number in sorted(self._waiting):
+            if self._rows[number].state == state:
+                self._schedule(number, 0.0)
+
+    def _apply(self, number: int) -> None:
+        row = self._rows[number]
+        self._applied_ns[number] = self._scene.clock.now_ns()
+        action = ACTIONS.get((row.target, row.fault))
+        if action is None:
+            self._scene.apply(row)
+        else:
+            action(self, row)
+
+    def _judge(self, number: int, row: FaultRow, status: int | None, message: str) -> Finding:
+        finding = Finding(number + 1, row.when, row.target, row.fault, row.amount)
+        applied, expect = self._applied_ns.get(number), row.expect
+        if applied is None:
+            finding.as_expected, finding.remarks = False, ("its moment never came",)
+            return finding
+        finding.applied_s = applied / NS
+        remarks = []
+        if self._off_ns is not None:
+            finding.off_after_s = max(0, self._off_ns - applied) / NS
+        limit = expect.deenergised_within_s
+        if limit is not None and (finding.off_after_s is None or finding.off_after_s > limit):
+            found = "still energised" if finding.off_after_s is None else f"{finding.off_after_s:.3f} s"
+            remarks.append(f"de-energised after: expected at most {limit:g} s, found {found}")
+        if status is not None and expect.exit_status not in (None, status):
+            remarks.append(f"exit status: expected {expect.exit_status}, found {status}")
+        if status is not None and expect.words is not None and not re.search(expect.words, message):
+            remarks.append(f"words: expected {expect.words!r} in {message!r}")
+        if expect != type(expect)():
+            finding.as_expected = not remarks
+        finding.remarks = tuple(remarks)
+        return finding
+
+    def _answer(self, stage: str) -> None:
+        """Be the operator who does not answer, where one is scheduled.
+
+        Raises:
+            OperatorStopError: The input ended, or the run's patience did before it.
+        """
+        if self._answer_after_s is not None:
+            clock, patience_s = self._scene.clock, self._patience_s
+            waited_s = self._answer_after_s if patience_s is None else min(patience_s, self._answer_after_s)
+            clock.sleep_until_ns(clock.now_ns() + round(waited_s * NS))
+            if waited_s == patience_s:
+                raise unanswered(waited_s)
+            raise OperatorStopError(f"stopped at the weight prompt of {stage}: the input ended without an answer")
+
+    def _kill(self, row: FaultRow) -> None:
+        clock = self._scene.clock
+        clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
+        self.conclude(None, "")
+        os.kill(os.getpid(), signal.SIGKILL)
+
+    def _hang_up(self, row: FaultRow) -> None:
+        clock = self._scene.clock
+        clock.sleep_until_ns(clock.now_ns() + round((row.amount or 0.0) * NS))
+
+    def _fill_disk(self) -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (0, self._limits[1]))
+
+    def _break_recorder(self) -> None:
+        if self._file is not None:
+            self._file.dead = True
+
+    def _hang_wrong(self, row: FaultRow) -> None:
+        self._weight_kg = row.amount
+        if self._off_ns is not None and self._weight_kg is not None:
+            self._scene.machine.hang(self._weight_kg)
+
+    def _be_silent(self, row: FaultRow) -> None:
+        self._answer_after_s = row.amount
+
+
+_Action = Callable[[Saboteur, FaultRow], None]
+
+
+ACTIONS: Mapping[tuple[str, str], _Action] = {
+    ("host", "killed"): Saboteur._kill,
+    ("host", "hangs"): Saboteur._hang_up,
+    ("host", "clock_step"): lambda s, r: s._clock.step(r.amount or 0.0),
+    ("host", "recorder_fails"): lambda s, _: s._break_recorder(),
+    ("disk", "full"): lambda s, _: s._fill_disk(),
+    ("operator", "stop"): lambda s, _: s._stop.press(),
+    ("operator", "unanswered"): Saboteur._be_silent,
+    ("operator", "wrong_weight"): Saboteur._hang_wrong,
+}
+"""Target and name to what is done to this program and its operator.
+
+What is done to the bench is in :mod:`rig.fault_injection.scene`.
+"""
+
+
+def sabotage(
+    path: Path, bench: Document[Bench], sequence: Document[Sequence], patience_s: float | None = None
+) -> Saboteur:
+    """Read a schedule for a run on a simulated bench, which waits ``patience_s`` for answers.
+
+    Raises:
+        InputError: The schedule is not valid, or the bench is real.
+    """
+    schedule = load_faults(path)
+    if not bench.value.simulated:
+        text = "faults can only be brought about on a simulated bench; set bus.interface to mock"
+        raise InputError(bench.problem(("bus", "interface"), text))
+    schedule.require(
+        (("rows", number), why)
+        for number, row in enumerate(schedule.value.rows)
+        if (why := impossible(row, bench.value)) is not None
+    )
+    names = [stage.name for stage in sequence.value.stages]
+    schedule.require(
+        (("rows", number, "stage"), f"the sequence has no such stage; {nearest(row.stage, names)}")
+        for number, row in enumerate(schedule.value.rows)
+        if row.stage is not None and row.stage not in names
+    )
+    return Saboteur(schedule.value, sequence.value, patience_s)
+
+
+def describe(findings: list[Finding]) -> str:
+    """Return the findings as a table, and every unexpected reaction in words."""
+    verdicts = {None: "", True: "yes", False: "NO"}
+    rows = [
+        [
+            str(f.row),
+            f.when,
+            f"{f.target} {f.fault}",
+            "" if f.value is None else f"{f.value:g}",
+            "never" if f.applied_s is None else f"{f.applied_s:.3f}",
+            "" if f.off_after_s is None else f"{f.off_after_s:.3f}",
+            verdicts[f.as_expected],
+        ]
+        for f in findings
+    ]
+    head = ["row", "when", "fault", "value", "came at s", "off after s", "as expected"]
+    remarks = [f"row {f.row}: {remark}" for f in findings for remark in f.remarks]
+    return "\n".join([table(head, rows, right=(0, 3, 4, 5)), *remarks])
+
+
+class _Unreliable:
+    """An operator with the faults of a schedule."""
+
+    def __init__(self, inner: Operator, answer: Callable[[str], None]) -> None:
+        self._inner = inner
+        self._answer = answer
+
+    def confirm_weight(self, stage: str, weight_kg: float) -> Any:
+        """Ask the real one, unless the schedule answers."""
+        self._answer(stage)
+        return self._inner.confirm_weight(stage, weight_kg)
+
+    def hangs(self, stage: str, weight_kg: float) -> float:
+        """Hang what the real one hangs; a wrong weight is the bench's matter."""
+        return self._inner.hangs(stage, weight_kg)
+
+    def paused(self, stage: str, stop: StopButton) -> Verb:
+        """Wait as the real one does."""
+        return self._inner.paused(stage, stop)
+
+    def tell(self, words: str) -> None:
+        """Show it to the real one."""
+        self._inner.tell(words)
+
+    def result(self, words: str, good: bool) -> None:
+        """Show it to the real one."""
+        self._inner.result(words, good)
+
+
+class _DyingFile(io.FileIO):
+    """A file whose medium can fail."""
+
+    dead = False
+
+    def write(self, data: Any) -> int:
+        """Write, or fail as a broken medium does.
+
+        Raises:
+            OSError: The medium is broken.
+        """
+        if self.dead:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return super().write(data)

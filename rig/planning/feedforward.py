@@ -1,0 +1,205 @@
+"""Friction feed-forward: an identification of the bench turned into torque that its drive adds (60B2h)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from drivers.canopen.cia402_servo import FRAMES_WITH_OFFSET
+from identification.model import compensation, feedback
+from identification.model.parameters import STRIBECK_TERMS
+from identification.recording import Bench as BenchConstants
+from rig.common.errors import InputError
+from rig.common.provenance import sha256_file
+from rig.common.sample import Sample
+from rig.config.bench import Bench, Bus, bus_overload
+from rig.config.configuration import Document
+from rig.config.dbc import DbcServoSection
+from rig.config.sequence import Array
+from rig.planning.reference import moment_per_kg, read_identification
+
+UNLOADED = ("Mc", "sigma_2", "J")
+LOADED = ("mu_c", "mu_2")
+RISES = STRIBECK_TERMS[:2]
+"""Kinetic level, static level and Stribeck speed of eq. 9 and 12."""
+CATCH_UP_SHARE = 0.1
+"""Of the speed limit: where damping balances the most that stiffness may add."""
+
+
+@dataclass(frozen=True)
+class Feedforward:
+    """What is known of a bench, to compute torque from.
+
+    Attributes:
+        values: Parameter name to value, SI; those of the load may be missing. A rise that is open is none.
+        alpha: Stribeck exponent.
+        moment_per_kg: Contact moment of one kilogram on the lever, N m.
+        source: The result file.
+        sha256: Of that file.
+        left_open: Parameters of friction's rise toward rest that the identification does not give.
+    """
+
+    values: Mapping[str, float]
+    alpha: float
+    moment_per_kg: float
+    source: str
+    sha256: str
+    left_open: tuple[str, ...] = ()
+
+    @property
+    def remark(self) -> str | None:
+        """What the operator is to know of it."""
+        if not self.left_open:
+            return None
+        return (
+            f"feed-forward: {self.source} leaves {', '.join(self.left_open)} open: no rise of friction toward rest is "
+            "fed forward there, and stiffness takes its place; a run without feed-forward, in which the joint comes to "
+            "rest and breaks away again, shows it"
+        )
+
+    def missing(self, loaded: bool) -> tuple[str, ...]:
+        """Return the parameters that a stage needs and the identification does not give."""
+        return tuple(name for name in (*UNLOADED, *(LOADED if loaded else ())) if name not in self.values)
+
+
+@dataclass(frozen=True)
+class Offsets:
+    """Torque offsets of one stage, one a cycle, shape (n,) each.
+
+    Attributes:
+        torque: What the commanded motion takes, N m.
+        stiffness: Torque per angle error, N m/rad; fades out where nothing is commanded to move.
+        damping: Torque per speed error, N m s/rad; fades out likewise.
+        angle: Commanded joint angle that belongs to the sample before the cycle, rad.
+        speed: Commanded joint speed that belongs to the speed measured last before the cycle, rad/s.
+        reach: Greatest magnitude of what stiffness adds, N m.
+        limit: Greatest magnitude that is sent, N m.
+    """
+
+    torque: Array
+    stiffness: Array
+    damping: Array
+    angle: Array
+    speed: Array
+    reach: float
+    limit: float
+
+
+class Compensator:
+    """Gives the torque offset of each cycle of one excitation, in order.
+
+    Args:
+        offsets: Of the stage.
+        gear_ratio: Motor turns per joint turn.
+        cycle_s: Control cycle, s.
+    """
+
+    def __init__(self, offsets: Offsets, gear_ratio: float, cycle_s: float) -> None:
+        columns = (offsets.torque, offsets.stiffness, offsets.damping, offsets.angle, offsets.speed)
+        self._rows = zip(*(column.tolist() for column in columns), strict=True)
+        self._reach, self._limit = offsets.reach, offsets.limit
+        self._gear_ratio, self._cycle_s = gear_ratio, cycle_s
+        self._before: float | None = None
+
+    def __call__(self, sample: Sample | None) -> float:
+        """Return the torque offset to send next, N m, within its limit.
+
+        Args:
+            sample: Of the cycle before; None in the first. What is not fresh adds nothing, and damping needs a fresh
+                one before it as well.
+        """
+        torque, stiffness, damping, commanded, speed = next(self._rows)
+        angle = sample.motor_angle / self._gear_ratio if sample is not None and sample.fresh else None
+        if angle is not None:
+            pull = stiffness * (commanded - angle)
+            torque += min(max(pull, -self._reach), self._reach)
+            if self._before is not None:
+                torque += damping * (speed - (angle - self._before) / self._cycle_s)
+        self._before = angle
+        return float(min(max(torque, -self._limit), self._limit))
+
+
+def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
+    """Read the result of ``rig identify`` on an earlier run of this bench.
+
+    Raises:
+        InputError: It cannot be read, is no such result, or leaves open a parameter of the unloaded joint other than
+            those of friction's rise toward rest.
+    """
+    raw = read_identification(path)
+    try:
+        names = (*UNLOADED, *LOADED, *(name for rise in RISES for name in rise[1:]))
+        known = {name: raw["parameters"].get(name, {}).get("value") for name in names}
+        values = {name: float(value) for name, value in known.items() if value is not None and math.isfinite(value)}
+        alpha = float(raw["alpha"])
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    left_open = []
+    for kinetic, *rise in RISES:
+        if kinetic in values and (unknown := [name for name in rise if name not in values]):
+            left_open += unknown
+            values |= {rise[0]: values[kinetic], rise[1]: 1.0}
+    found = Feedforward(values, alpha, moment_per_kg(bench), str(path), sha256_file(path), tuple(left_open))
+    if missing := found.missing(loaded=False):
+        raise InputError([_open(path, name) for name in missing])
+    return found
+
+
+def require_torque_offset(bench: Document[Bench]) -> None:
+    """Refuse a bench whose drive cannot add a torque that is sent once a cycle.
+
+    Raises:
+        InputError: Says why, with the place in the bench file.
+    """
+    value = bench.value
+    if isinstance(value.servo, DbcServoSection):
+        text = "feed-forward needs the torque offset 60B2h, which this drive's own frames lack; run without it"
+        raise InputError(bench.problem(("servo", "kind"), text))
+    if not isinstance(value.bus, Bus):
+        text = "feed-forward needs the torque offset in the instant of the target; a serial line brings it later"
+        raise InputError(bench.problem(("bus", "interface"), f"{text}: use a CANopen drive, or run without it"))
+    bench.require((("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value))
+
+
+def stage_offsets(
+    model: Feedforward, targets: Array, weight_kg: float, cycle_s: float, torque_limit: float, speed_limit: float
+) -> Offsets:
+    """Compute the torque offsets of a stage from what it will command, shape (n,).
+
+    Args:
+        model: What is known of the bench.
+        targets: Joint angles, rad, one a cycle; each is reached one cycle after it is sent.
+        weight_kg: Mass on the lever.
+        cycle_s: Control cycle, s.
+        torque_limit: Of the run, N m.
+        speed_limit: Of the run, rad/s. A joint far off its command, as soft gains leave it, is brought back at no more
+            than :data:`CATCH_UP_SHARE` of it.
+
+    Raises:
+        InputError: The stage is loaded, and the identification leaves open a parameter of the load.
+    """
+    moment = model.moment_per_kg * weight_kg
+    if missing := model.missing(loaded=moment > 0.0):
+        raise InputError([_open(Path(model.source), name) for name in missing])
+    torque = compensation.feedforward(targets, cycle_s, model.values, model.alpha, moment)
+    speed = compensation.commanded_speed(targets, cycle_s)
+    gains = feedback.gains(model.values["J"], cycle_s)
+    share = np.abs(compensation.motion(targets, cycle_s))
+    # When cycle k is sent, the last sample is that of cycle k - 1, in which the joint was to arrive at target k - 2.
+    return Offsets(
+        torque,
+        gains.stiffness * share,
+        gains.damping * share,
+        np.concatenate([np.repeat(targets[:1], 2), targets])[: len(targets)],
+        np.concatenate([np.zeros(2), speed])[: len(speed)],
+        gains.damping * CATCH_UP_SHARE * speed_limit,
+        torque_limit,
+    )
+
+
+def _open(path: Path, name: str) -> str:
+    return f"{path}: parameters.{name}: not identified; feed-forward needs it: identify a run in which this can be seen"

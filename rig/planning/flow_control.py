@@ -1,0 +1,129 @@
+"""From a flow command to the valve's angle: the closed loop of Fig. 5 and 11 around the position servo.
+
+A flow asks for the pressure at which the propellant gives it (eq. 2), and a PI controller turns the valve until the
+chamber has it. Where the valve is, is the gas generator's answer as much as the controller's: pressure and area load
+the valve (eq. 10), the load holds it back, and that shows in the pressure.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from identification.model.gas_generator import GasGenerator
+from identification.model.valve import throat_area
+from rig.common.sample import Sample
+from rig.config.flow import Array, FlowController
+
+_LEAST_PRESSURE_PA = 1e3
+"""Readings below are taken for this, so that a dead transmitter opens no logarithm of zero."""
+_ANGLES = 20001
+
+
+@dataclass(frozen=True)
+class FlowLaw:
+    """The controller at one control cycle, SI.
+
+    Attributes:
+        gain: Valve angle per unit of ln(p/p_c), rad.
+        integral: Share of the gain that is added each cycle.
+        share: Of a new reading that the low-pass takes.
+        least: Least angle, rad.
+        most: Greatest angle, rad.
+        step: Greatest change in a cycle, rad.
+    """
+
+    gain: float
+    integral: float
+    share: float
+    least: float
+    most: float
+    step: float
+
+
+@dataclass(frozen=True)
+class LawState:
+    """What the controller remembers: filtered pressure (Pa), integral and angle (rad)."""
+
+    pressure: float
+    integral: float
+    angle: float
+
+
+def make_law(controller: FlowController, cycle_s: float, speed_rad_s: float) -> FlowLaw:
+    """Return the controller of a sequence file at this cycle, no faster than ``speed_rad_s``."""
+    gain = math.radians(controller.gain_deg)
+    return FlowLaw(
+        gain=gain,
+        integral=gain * controller.integral_1_s * cycle_s,
+        share=-math.expm1(-2.0 * math.pi * controller.filter_Hz * cycle_s),
+        least=math.radians(controller.angle_min_deg),
+        most=math.radians(controller.angle_max_deg),
+        step=min(math.radians(controller.speed_deg_s), speed_rad_s) * cycle_s,
+    )
+
+
+def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> LawState:
+    """Run the controller once.
+
+    Args:
+        law: The controller.
+        state: What it left behind.
+        wanted: Pressure command p_c, Pa.
+        reading: Measured pressure, Pa.
+    """
+    pressure = state.pressure + law.share * (max(reading, _LEAST_PRESSURE_PA) - state.pressure)
+    error = math.log(pressure / wanted)
+    integral = state.integral + law.integral * error
+    asked = law.gain * error + integral
+    angle = min(max(asked, law.least, state.angle - law.step), law.most, state.angle + law.step)
+    # Anti-windup: at a bound the integral only moves away from it.
+    if (asked - angle) * error > 0.0:
+        integral = state.integral
+    return LawState(pressure, integral, angle)
+
+
+class Regulator:
+    """The controller in the control cycle: gives a target, sees the sample that comes of it, gives the next.
+
+    Args:
+        law: The controller.
+        pressures: Pressure command of each cycle, Pa.
+        angle: Where the valve is, rad.
+    """
+
+    def __init__(self, law: FlowLaw, pressures: Sequence[float], angle: float) -> None:
+        self._law = law
+        self._pressures = pressures
+        self._state = LawState(0.0, angle, angle)
+        self._wanted = 0.0
+
+    def targets(self) -> Iterator[float]:
+        """Yield the angle of each cycle, rad; after each of them :meth:`see` is to be called."""
+        for wanted in self._pressures:
+            self._wanted = wanted
+            yield self._state.angle
+
+    def see(self, sample: Sample) -> None:
+        """Take the sample of the last target."""
+        state = self._state
+        if state.pressure == 0.0:
+            state = replace(state, pressure=max(sample.pressure, _LEAST_PRESSURE_PA))
+        self._state = control(self._law, state, self._wanted, sample.pressure)
+
+
+def pressure_for(flow: Array, g: GasGenerator) -> Array:
+    """Return the pressure at which the propellant gives a flow (kg/s), eq. 2, Pa."""
+    return np.asarray(1e6 * (flow / (g.rho_b * g.A_b * g.a)) ** (1.0 / g.n))
+
+
+def angle_for(flow: Array, g: GasGenerator) -> Array:
+    """Return the valve angle at which a flow (kg/s) is steady, eq. 3, rad; that of the nearest throat there is."""
+    angles = np.linspace(0.0, g.valve.clearing_angle, _ANGLES)
+    areas = throat_area(angles, g.valve)
+    opening = np.flatnonzero(np.diff(areas) > 0.0)
+    moving = slice(int(opening[0]), int(opening[-1]) + 2)
+    return np.interp(flow * g.C_r / pressure_for(flow, g), areas[moving], angles[moving])

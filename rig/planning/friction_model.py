@@ -1,0 +1,121 @@
+"""Friction and inertia to predict a run with: an identification of the bench, or the paper's values."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from identification.model.nominal import NOMINAL
+from identification.recording import Bench as BenchConstants
+from rig.common.errors import InputError
+from rig.common.result_files import RESULT_FILE
+from rig.planning.reference import moment_per_kg, read_identification
+from rig.runs.run_file import read_record, recorded_bench
+
+NOMINAL_ALPHA = 2.0
+"""Stribeck exponent of the paper."""
+RUNS = Path("runs")
+"""Where runs, and the identifications beside them, are unless a place is given."""
+
+
+@dataclass(frozen=True)
+class FrictionModel:
+    """What is known of a bench's friction and inertia.
+
+    Attributes:
+        values: The nine parameters, SI, at the joint.
+        alpha: Stribeck exponent.
+        moment_arm_m: L1.
+        moment_per_kg: Contact moment of one kilogram on the lever, N m.
+        source: Where the values come from, in words.
+        measured: Whether they come from an identification.
+    """
+
+    values: Mapping[str, float]
+    alpha: float
+    moment_arm_m: float
+    moment_per_kg: float
+    source: str
+    measured: bool
+
+
+def friction_model(bench: BenchConstants, named: Path | None = None, runs: Path = RUNS) -> FrictionModel:
+    """Return the best that is known of a bench.
+
+    Args:
+        bench: Its constants.
+        named: Result of ``rig identify --json`` to use.
+        runs: Where to look otherwise for the newest one of a bench with the same constants.
+
+    Raises:
+        InputError: ``named`` cannot be read, or is no such result.
+    """
+    if named is not None:
+        return _identified(named, bench)
+    for path in _newest_first(runs):
+        try:
+            if recorded_bench(read_record(path.parent)) == bench:
+                return _identified(path, bench)
+        except InputError:
+            continue  # a folder that is no whole run says nothing of this bench
+    words = (
+        f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, as nothing was "
+        "identified on this bench; give --identification"
+    )
+    arm = bench.moment_arm or 0.0
+    return FrictionModel(NOMINAL, NOMINAL_ALPHA, arm, moment_per_kg(bench), words, measured=False)
+
+
+def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
+    """Return a warning where an identification lies beside a run on a bench of other constants.
+
+    Args:
+        path: Result of ``rig identify --json``.
+        bench: Constants of the bench that it is to be used on.
+    """
+    try:
+        recorded = recorded_bench(read_record(path.parent))
+    except InputError:
+        return None  # not beside a run: nothing is known of its bench
+    if recorded == bench:
+        return None
+    differing = [
+        f"{field.name} {_shown(getattr(recorded, field.name))}, here {_shown(getattr(bench, field.name))}"
+        for field in dataclasses.fields(bench)
+        if getattr(recorded, field.name) != getattr(bench, field.name)
+    ]
+    return (
+        f"{path}: identified on a bench of other constants ({'; '.join(differing)}); "
+        "identify a run on this bench, or check the bench file"
+    )
+
+
+def _shown(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float | int) else "other" if value is not None else "none"
+
+
+def _newest_first(runs: Path) -> list[Path]:
+    try:
+        found = [(path.stat().st_mtime, path) for path in runs.glob(f"*/{RESULT_FILE}")]
+    except OSError:
+        return []
+    return [path for _, path in sorted(found, reverse=True)]
+
+
+def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
+    raw = read_identification(path)
+    try:
+        told = {name: raw["parameters"].get(name, {}).get("value") for name in NOMINAL}
+        known = {name: float(value) for name, value in told.items() if value is not None and math.isfinite(value)}
+        alpha = float(raw["alpha"])
+    except (KeyError, TypeError, AttributeError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    missing = [name for name in NOMINAL if name not in known]
+    words = f"the identification {path}"
+    if missing:
+        words += f"; {', '.join(missing)}, which it leaves open, from the paper"
+    arm = bench.moment_arm or 0.0
+    return FrictionModel({**NOMINAL, **known}, alpha, arm, moment_per_kg(bench), words, measured=True)

@@ -1,0 +1,337 @@
+"""From bench and sequence to what will be run: every target computed, every limit checked, before anything moves."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drivers.interfaces import ServoLimits
+from rig.common.errors import InputError
+from rig.config.bench import Bench
+from rig.config.configuration import Document
+from rig.config.sequence import Array, FirstPass, Sequence, StageSection, excitation
+from rig.planning.feedforward import Feedforward, Offsets, require_torque_offset, stage_offsets
+from rig.planning.first_pass import PlannedPass, plan_passes
+from rig.planning.hot_fire import FlowPlan, expected_force, gas_limits, hot_objections, plan_flow
+from rig.planning.limits import Limits
+from rig.runs.run_record import Load, Role, StageRecord
+
+SAMPLES_PER_PERIOD = 20
+"""Fewest control cycles in a period of a tone; fewer make a staircase rather than a sine."""
+APPROACH_SPEED_SHARE = 0.25
+"""Share of the speed limit used to move to the start of a stage."""
+HOLD_S = 0.1
+"""Rest at the last target before the power goes off."""
+_LIMIT_NAMES = (
+    "angle_min_deg",
+    "angle_max_deg",
+    "speed_deg_s",
+    "torque_N_m",
+    "current_A",
+    "following_error_deg",
+    "encoder_disagreement_deg",
+    "temperature_C",
+    "supply_min_V",
+    "supply_max_V",
+    "sample_age_ms",
+    "lateness_ms",
+)
+_LOWER_BOUNDS = frozenset({"angle_min_deg", "supply_min_V"})
+TIME_LIMIT_SHARE = 1.5
+"""Longest time under power in a stage over what the plan needs, where the sequence gives none."""
+
+
+@dataclass(frozen=True)
+class PlannedStage:
+    """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
+
+    ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques that the drive adds
+    during the excitation, None where it adds none. With a ``flow`` a controller moves the valve, and ``targets`` are
+    where it should come to be. ``contact_force_N`` is the greatest.
+    """
+
+    name: str
+    stage: Load
+    weight_kg: float
+    contact_force_N: float
+    targets: Array
+    repeats: int
+    settle_s: float
+    duration_s: float
+    peak_speed_rad_s: float
+    peak_angle_rad: float
+    time_limit_s: float
+    first_passes: tuple[PlannedPass, ...] = ()
+    offsets: Offsets | None = None
+    flow: FlowPlan | None = None
+    role: Role = "fit"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole run, ready to start.
+
+    Attributes:
+        name: Of the sequence.
+        stages: In the order in which they run.
+        limits: The limits in force: the bench's, tightened by the sequence's.
+        servo_limits: The same, as the drive is to hold them.
+        approach_speed: Peak speed of moves to a start angle, rad/s.
+        cycle_ns: Control cycle, ns.
+        feedforward: What the stages' torque offsets were computed from; None where there are none.
+    """
+
+    name: str
+    stages: tuple[PlannedStage, ...]
+    limits: Limits
+    servo_limits: ServoLimits
+    approach_speed: float
+    cycle_ns: int
+    feedforward: Feedforward | None = None
+
+    @property
+    def cycle_s(self) -> float:
+        """Control cycle, s."""
+        return self.cycle_ns * 1e-9
+
+    @property
+    def duration_s(self) -> float:
+        """Time in motion and at rest, without moves to the start, s."""
+        return sum(_under_power_s(s) for s in self.stages)
+
+
+def _under_power_s(stage: PlannedStage, passes: int = 1) -> float:
+    before = sum(first.duration_s + stage.settle_s for first in stage.first_passes[:passes])
+    return before + stage.repeats * (stage.duration_s + stage.settle_s) + HOLD_S
+
+
+def make_plan(
+    sequence: Document[Sequence],
+    bench: Document[Bench],
+    first_pass: bool | None = None,
+    feedforward: Feedforward | None = None,
+) -> Plan:
+    """Compute all targets and check them against the bench.
+
+    Args:
+        sequence: What to do.
+        bench: On which bench.
+        first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
+        feedforward: What is known of the bench, for torque that the drive adds during the excitations; None for none.
+
+    Raises:
+        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all. Or
+            the drive cannot add torque, or too little is known of the bench for it.
+    """
+    if feedforward is not None:
+        require_torque_offset(bench)
+    values, problems = _tighten(sequence, bench.value)
+    limits = _limits(values, bench.value)
+    stages = []
+    low = _first_pass(sequence.value, bench.value, first_pass)
+    for index, section in enumerate(sequence.value.stages):
+        stage = _plan_stage(section, bench.value, limits, low)
+        if feedforward is not None and len(stage.targets) and stage.flow is None:
+            offsets = stage_offsets(
+                feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque, limits.speed
+            )
+            stage = dataclasses.replace(stage, offsets=offsets)
+        stages.append(stage)
+        problems.extend(
+            sequence.problem(("stages", index, *key), text, value)
+            for key, text, value in _objections(section, stage, limits, bench.value)
+        )
+    if problems:
+        raise InputError(problems)
+    return Plan(
+        name=sequence.value.name,
+        stages=tuple(stages),
+        limits=limits,
+        servo_limits=servo_limits(limits, bench.value),
+        approach_speed=APPROACH_SPEED_SHARE * limits.speed,
+        cycle_ns=bench.value.cycle_ns,
+        feedforward=feedforward,
+    )
+
+
+def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage:
+    """Return a stage with the mass that was confirmed, kg: contact force and feed-forward follow from it."""
+    if weight_kg == stage.weight_kg:
+        return stage
+    force = stage.contact_force_N * (weight_kg / stage.weight_kg if stage.weight_kg else 1.0)
+    stage = dataclasses.replace(stage, weight_kg=weight_kg, contact_force_N=force)
+    if stage.offsets is None or plan.feedforward is None:
+        return stage
+    limits = plan.limits
+    offsets = stage_offsets(plan.feedforward, stage.targets, weight_kg, plan.cycle_s, limits.torque, limits.speed)
+    return dataclasses.replace(stage, offsets=offsets)
+
+
+def bench_limits(bench: Bench) -> Limits:
+    """Return the bench's own limits in SI units."""
+    return _limits({name: getattr(bench.limits, name) for name in _LIMIT_NAMES}, bench)
+
+
+def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPass | None:
+    """Return how the first passes are made, or None for none."""
+    stated = sequence.first_pass
+    described = stated if isinstance(stated, FirstPass) else None
+    wanted = asked if asked is not None else described is not None or (stated == "auto" and not bench.simulated)
+    return (described or FirstPass()) if wanted else None
+
+
+def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstPass | None) -> PlannedStage:
+    flow = plan_flow(section, bench, limits.speed)
+    targets = excitation(section, bench.cycle_s) if flow is None else flow.angles
+    steps = np.diff(targets)
+    stage = PlannedStage(
+        name=section.name,
+        stage=section.stage,
+        weight_kg=section.weight_kg,
+        contact_force_N=_contact_force(section, targets, bench),
+        targets=targets,
+        repeats=section.repeats,
+        settle_s=section.settle_s,
+        duration_s=len(targets) * bench.cycle_s,
+        peak_speed_rad_s=min(float(np.max(np.abs(steps), initial=0.0)), math.inf if flow is None else flow.law.step)
+        / bench.cycle_s,
+        peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
+        time_limit_s=0.0,
+        # What a hot firing presses with is measured, and its friction says nothing of a mass.
+        first_passes=()
+        if low is None or section.stage == "hot_fire"
+        else plan_passes(section, low, limits, bench.cycle_s),
+        flow=flow,
+        role=section.role,
+    )
+    across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
+    passes = len(stage.first_passes)
+    moves_s = across_s * (stage.repeats + passes)
+    longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
+    return dataclasses.replace(stage, time_limit_s=longest_s)
+
+
+def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float:
+    """Return the greatest contact force of a stage, N."""
+    if section.stage == "hot_fire":
+        return expected_force(targets, bench)
+    return bench.machine.lever_ratio * section.weight_kg * bench.machine.gravity_m_s2
+
+
+_Objection = tuple[tuple[str | int, ...], str, object]
+
+
+def _objections(section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench) -> Iterator[_Objection]:
+    """Yield key, message and value of everything a stage asks for and may not have."""
+    if len(stage.targets) < 2:
+        yield ("duration_s",), f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms", section.duration_s
+        return
+    yield from hot_objections(section, stage.targets, bench)
+    if section.time_limit_s is not None and section.time_limit_s < _under_power_s(stage):
+        text = f"below the {_under_power_s(stage):.4g} s that this stage takes by itself; raise it"
+        yield ("time_limit_s",), text, section.time_limit_s
+    if section.weight_kg > bench.limits.weight_kg:
+        text = f"above the bench limit weight_kg {bench.limits.weight_kg:g} kg; use less weight"
+        yield ("weight_kg",), text, section.weight_kg
+    if section.stage != "hot_fire" and stage.contact_force_N > bench.limits.contact_force_N:
+        yield (
+            ("weight_kg",),
+            f"contact force {stage.contact_force_N:.0f} N is above the bench limit contact_force_N "
+            f"{bench.limits.contact_force_N:g} N; use less weight",
+            section.weight_kg,
+        )
+    way: tuple[str, ...]
+    pace: tuple[str, ...]
+    way, pace, slower = ("tones",), ("tones",), "reduce amplitude or frequency, or lengthen the ramps"
+    if section.ramp is not None:
+        way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
+    elif section.flow is not None:
+        way = ("flow", "steps")
+    for extreme in (float(stage.targets.min()), float(stage.targets.max())):
+        if not limits.angle_min <= extreme <= limits.angle_max:
+            yield (
+                way,
+                f"the joint would go to {math.degrees(extreme):.4g} deg, outside {math.degrees(limits.angle_min):.4g} "
+                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or move center_deg",
+                math.degrees(extreme),
+            )
+    if stage.peak_speed_rad_s > limits.speed:
+        yield (
+            pace,
+            f"peak speed {math.degrees(stage.peak_speed_rad_s):.4g} deg/s is above the limit "
+            f"{math.degrees(limits.speed):.4g} deg/s; {slower}",
+            math.degrees(stage.peak_speed_rad_s),
+        )
+    if stage.offsets is not None and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque:
+        text = (
+            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m {limits.torque:g} N m; use less weight"
+        )
+        yield ("weight_kg",), text, section.weight_kg
+    fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
+    for index, tone in enumerate(section.tones):
+        if tone.frequency_Hz > fastest:
+            text = f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it or raise cycle_Hz"
+            yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
+
+
+def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:
+    """Merge the sequence's limits into the bench's, collecting those that would loosen."""
+    values: dict[str, float] = {}
+    problems: list[str] = []
+    for name in _LIMIT_NAMES:
+        allowed: float = getattr(bench.limits, name)
+        asked: float | None = getattr(sequence.value.limits, name)
+        values[name] = allowed if asked is None else asked
+        if asked is not None and (asked < allowed if name in _LOWER_BOUNDS else asked > allowed):
+            text = f"looser than the bench's {allowed:g}; a sequence may only tighten a limit"
+            problems.append(sequence.problem(("limits", name), text, asked))
+    if values["angle_min_deg"] >= values["angle_max_deg"]:
+        text = f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is empty; swap or widen it"
+        problems.append(sequence.problem(("limits",), text))
+    if values["supply_min_V"] >= values["supply_max_V"]:
+        text = f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; swap or widen it"
+        problems.append(sequence.problem(("limits",), text))
+    return values, problems
+
+
+def _limits(values: dict[str, float], bench: Bench) -> Limits:
+    return Limits(
+        angle_min=math.radians(values["angle_min_deg"]),
+        angle_max=math.radians(values["angle_max_deg"]),
+        speed=math.radians(values["speed_deg_s"]),
+        torque=values["torque_N_m"],
+        current=values["current_A"],
+        following_error=math.radians(values["following_error_deg"]),
+        encoder_disagreement=math.radians(values["encoder_disagreement_deg"]),
+        temperature=values["temperature_C"],
+        supply_min=values["supply_min_V"],
+        supply_max=values["supply_max_V"],
+        sample_age=values["sample_age_ms"] * 1e-3,
+        lateness=values["lateness_ms"] * 1e-3,
+        torque_per_ampere=bench.machine.torque_constant_N_m_A * bench.machine.gear_ratio,
+        gear_ratio=bench.machine.gear_ratio,
+        gas=gas_limits(bench),
+    )
+
+
+def servo_limits(limits: Limits, bench: Bench) -> ServoLimits:
+    """Return the limits as the drive is to hold them."""
+    return ServoLimits(
+        angle_min_rad=limits.angle_min,
+        angle_max_rad=limits.angle_max,
+        speed_rad_s=limits.speed,
+        torque_N_m=limits.torque,
+        current_A=limits.current,
+        following_error_rad=limits.following_error,
+        quick_stop_option=bench.servo.quick_stop_option,
+        quick_stop_deceleration_rad_s2=math.radians(bench.servo.quick_stop_deceleration_deg_s2),
+    )
+
+
+def stage_records(plan: Plan) -> list[StageRecord]:
+    """Return the stages of a plan as they stand before the run."""
+    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role) for s in plan.stages]

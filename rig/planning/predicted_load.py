@@ -1,0 +1,145 @@
+"""Peak torque and current of the stages of a plan, from friction and load (eq. 9 to 13) and inertia."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from identification.model.friction import load_coefficient, system_friction
+from rig.config.bench import Bench
+from rig.config.sequence import Array, approach
+from rig.planning.friction_model import FrictionModel
+from rig.planning.hot_fire import steady_force
+from rig.planning.limits import Limits
+from rig.planning.plan import Plan, PlannedStage
+
+WARNING_SHARE = 0.8
+"""Share of a limit beyond which a predicted peak is warned of."""
+LOOP_S = 0.005
+"""Time in which a stiff drive makes a step of the commanded speed, s; a softer one takes less torque."""
+
+
+@dataclass(frozen=True)
+class PredictedPeak:
+    """The greatest torque of one part of a stage, and its limits.
+
+    Attributes:
+        stage: Name of the stage.
+        part: ``first pass`` or ``stage``.
+        torque_N_m: At the joint.
+        torque_limit_N_m: In force meanwhile.
+        current_A: Of the motor.
+        current_limit_A: In force meanwhile.
+    """
+
+    stage: str
+    part: str
+    torque_N_m: float
+    torque_limit_N_m: float
+    current_A: float
+    current_limit_A: float
+
+    @property
+    def torque_share(self) -> float:
+        """Of its limit."""
+        return self.torque_N_m / self.torque_limit_N_m
+
+    @property
+    def current_share(self) -> float:
+        """Of its limit."""
+        return self.current_A / self.current_limit_A
+
+    @property
+    def share(self) -> float:
+        """The greater of the two."""
+        return max(self.torque_share, self.current_share)
+
+
+def predicted_peaks(plan: Plan, bench: Bench, model: FrictionModel) -> list[PredictedPeak]:
+    """Return the predicted peaks of every stage and of its first pass, in the order of the run."""
+    return [peak for stage in plan.stages for peak in _peaks(stage, plan, bench, model)]
+
+
+def _peaks(stage: PlannedStage, plan: Plan, bench: Bench, model: FrictionModel) -> Iterator[PredictedPeak]:
+    moment = model.moment_per_kg * stage.weight_kg
+    if stage.first_passes:
+        low = stage.first_passes[0]
+        torque = peak_torque(low.targets, plan.cycle_s, np.full(len(low.targets), moment), model)
+        yield _peak(stage.name, "first pass", torque, low.limits)
+    hot = stage.stage == "hot_fire"
+    moments = model.moment_arm_m * steady_force(stage.targets, bench) if hot else np.full(len(stage.targets), moment)
+    if stage.flow is None:
+        torque = peak_torque(stage.targets, plan.cycle_s, moments, model)
+    else:
+        # A controller may move the joint from rest to its fastest at any moment.
+        fastest = stage.peak_speed_rad_s
+        breaking = _at_speed(0.0, moments, model) + model.values["J"] * fastest / LOOP_S
+        torque = max(breaking, _at_speed(fastest, moments, model))
+    for move in moves_to_start(stage, plan):
+        held = np.full(len(move), np.max(moments[:1], initial=0.0))
+        torque = max(torque, peak_torque(move, plan.cycle_s, held, model))
+    yield _peak(stage.name, "stage", torque, plan.limits)
+
+
+def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
+    """Return the joint angles of each move to the start of a part of a stage, rad.
+
+    The first is from 0. A part that begins where the joint is has none.
+    """
+    parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
+    moves, here = [], 0.0
+    for targets in parts:
+        move = approach(here, float(targets[0]), plan.approach_speed, plan.cycle_s)
+        moves += [np.concatenate([[here], move])] if len(move) else []
+        here = float(targets[-1])
+    return moves
+
+
+def _peak(stage: str, part: str, torque: float, limits: Limits) -> PredictedPeak:
+    current = torque / limits.torque_per_ampere
+    return PredictedPeak(stage, part, torque, limits.torque, current, limits.current)
+
+
+def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionModel) -> float:
+    """Return the greatest torque at the joint while it follows commanded angles, N m.
+
+    It breaks away from rest against the static friction, and follows against friction, working load
+    and inertia (eq. 15). What feedback adds, as where the joint sticks and slips, is not predicted.
+
+    Args:
+        angle: Commanded joint angles, rad, one a cycle, shape (n,), at least two.
+        cycle_s: Control cycle, s.
+        moments: Contact moment F_P L1 at each angle, N m, shape (n,).
+        model: What is known of the bench.
+    """
+    speed = np.diff(angle) / cycle_s
+    moments = moments[1:]
+    sign = np.sign(speed)
+    inertia = model.values["J"] * _acceleration(speed, cycle_s)
+    following = sign * _friction(np.abs(speed), moments, model) + inertia
+    starts = np.flatnonzero((sign != 0.0) & (np.diff(sign, prepend=0.0) != 0.0))
+    static = _friction(np.zeros(len(starts)), moments[starts], model)
+    return float(max(np.max(np.abs(following)), np.max(static + np.abs(inertia[starts]), initial=0.0)))
+
+
+def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:
+    """Return the friction at one speed under the greatest of the contact moments, N m."""
+    return float(_friction(np.full(1, speed), np.max(moments, keepdims=True), model)[0])
+
+
+def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
+    """Return system friction and working load (eq. 9, 13) at speeds >= 0, N m; static at rest."""
+    # The sign of eq. 9 and 12 is 0 at rest; the smallest speed has the sign of the motion to come.
+    speed = np.maximum(speed, np.finfo(np.float64).tiny)
+    return np.asarray(
+        system_friction(speed, model.values, model.alpha) + moments * load_coefficient(speed, model.values, model.alpha)
+    )
+
+
+def _acceleration(speed: Array, cycle_s: float) -> Array:
+    """Return the mean slope of commanded speeds over :data:`LOOP_S`, rad/s^2, shape (n,)."""
+    half = max(1, round(0.5 * LOOP_S / cycle_s))
+    held = np.concatenate([np.zeros(half), speed, np.zeros(half)])
+    return np.asarray((held[2 * half :] - held[: -2 * half]) / (2 * half * cycle_s))

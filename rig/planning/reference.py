@@ -1,0 +1,114 @@
+"""An accepted identification of a bench, as the weight check uses it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from identification.model.friction import load_coefficient, system_friction
+from identification.recording import Bench
+from rig.common.errors import InputError
+from rig.common.input_files import read_json
+from rig.common.result_files import IDENTIFY_SCHEMA
+from rig.config.sequence import Array
+
+NEEDED = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2")
+_SIGMA_OF_90 = 1.6449
+LARGEST_ALPHA = 100.0
+"""Stribeck exponent above which no result of an identification has it."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a bench's friction is known to be.
+
+    Attributes:
+        values: Parameter name to value, SI units.
+        sigmas: Parameter name to standard error.
+        alpha: Stribeck exponent.
+        moment_per_kg: Contact moment F_P L1 of one kilogram on the lever, N m (eq. 13, 17).
+        source: The result file.
+    """
+
+    values: Mapping[str, float]
+    sigmas: Mapping[str, float]
+    alpha: float
+    moment_per_kg: float
+    source: str
+
+    def unloaded(self, speed: Array) -> Array:
+        """Return the friction without a weight, N m, at speeds >= 0 (eq. 9)."""
+        return system_friction(speed, self.values, self.alpha)
+
+    def per_kg(self, speed: Array) -> Array:
+        """Return the friction that one kilogram adds, N m (eq. 12, 13)."""
+        return self.moment_per_kg * load_coefficient(speed, self.values, self.alpha)
+
+    def shifted(self, name: str) -> Reference:
+        """Return a copy with one parameter larger by its standard error."""
+        values = {**self.values, name: self.values[name] + self.sigmas[name]}
+        return Reference(values, self.sigmas, self.alpha, self.moment_per_kg, self.source)
+
+
+def moment_per_kg(bench: Bench) -> float:
+    """Return the contact moment of one kilogram on the lever, N m (eq. 13, 17)."""
+    return bench.contact_force(1.0) * (bench.moment_arm or 0.0)
+
+
+def load_reference(path: Path, bench: Bench) -> Reference:
+    """Read the result of ``rig identify`` on an earlier run of this bench.
+
+    Raises:
+        InputError: It cannot be read, is no such result, or leaves open a parameter that the check needs.
+    """
+    raw = read_identification(path)
+    try:
+        return _reference(path, raw, bench)
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+
+
+def read_identification(path: Path) -> dict[str, Any]:
+    """Read the result file of ``rig identify`` on a rotary bench.
+
+    Raises:
+        InputError: It cannot be read, or is no such result.
+    """
+    raw = read_json(path)
+    if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
+        found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
+        raise InputError(f"{path}: schema: a result of `rig identify` ({IDENTIFY_SCHEMA}) is needed (got {found!r})")
+    if "motion" not in raw:
+        raise InputError(f"{path}: damaged: no 'motion'; run `rig identify` again")
+    if raw["motion"] != "rotary":
+        raise InputError(f"{path}: motion: a rotary bench is needed (got {raw['motion']!r})")
+    alpha = raw.get("alpha", 2.0)
+    if isinstance(alpha, bool) or not isinstance(alpha, int | float) or not 0.0 < alpha <= LARGEST_ALPHA:
+        raise InputError(f"{path}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha!r})")
+    return raw
+
+
+def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
+    found = raw["parameters"]
+    problems = [
+        f"{path}: parameters.{name}: not identified; the weight check needs a run with stages unloaded and loaded"
+        for name in NEEDED
+        if name not in found or not _finite(found[name])
+    ]
+    if problems:
+        raise InputError(problems)
+    return Reference(
+        values={name: float(found[name]["value"]) for name in NEEDED},
+        sigmas={name: 0.5 * (found[name]["high"] - found[name]["low"]) / _SIGMA_OF_90 for name in NEEDED},
+        alpha=float(raw["alpha"]),
+        moment_per_kg=moment_per_kg(bench),
+        source=str(path),
+    )
+
+
+def _finite(parameter: Mapping[str, Any]) -> bool:
+    values = [parameter[key] for key in ("value", "low", "high")]
+    return all(value is not None and math.isfinite(value) for value in values)

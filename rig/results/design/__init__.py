@@ -1,0 +1,1 @@
+"""Experiments proposed for a bench, and how they are written."""

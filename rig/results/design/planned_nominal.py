@@ -1,0 +1,103 @@
+"""What `rig identify --plan` is told of a bench: the result of an identification, and the drive in its recordings."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from identification.design.pinning import NAMES
+from identification.model.nominal import NOMINAL
+from identification.recording import Recording
+from rig.common.errors import InputError
+from rig.common.provenance import sha256_file
+from rig.planning.reference import read_identification
+from rig.runs.run import load_run
+
+_SMALLEST = 1e-12
+"""Of a parameter, in SI units; the largest is its inverse. What lies beyond is no machine."""
+
+
+@dataclass(frozen=True)
+class Believed:
+    """What is believed of a bench before an experiment.
+
+    Attributes:
+        values: The nine, SI.
+        source: Where they came from, in words.
+        weakest: The parameter that was pinned worst; None where that is not known.
+        recordings: What they were identified from, where it is a run that can still be read.
+        torque_noise: Of the measured torque, N m rms; None where that is not known.
+    """
+
+    values: dict[str, float]
+    source: str
+    weakest: str | None = None
+    recordings: tuple[Recording, ...] = ()
+    torque_noise: float | None = None
+
+
+def believed(path: Path | None) -> Believed:
+    """Return what a result of `rig identify --json` says; what it left open comes from the catalogue.
+
+    Raises:
+        InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
+    """
+    if path is None:
+        return Believed(dict(NOMINAL), "the catalogue's nominal values")
+    raw = read_identification(path)
+    try:
+        known = {n: raw["parameters"][n]["value"] for n in NAMES if n in raw["parameters"]}
+        found = {n: float(v) for n, v in known.items() if v is not None}
+        widths = {n: _half_width(raw["parameters"][n]) for n in known}
+        noise = _torque_noise(raw.get("noise"))
+        inputs = {Path(entry["file"]): str(entry["sha256"]) for entry in raw.get("inputs", [])}
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
+    problems = [
+        f"{path}: parameters.{n}: must be from {_SMALLEST:g} to {1 / _SMALLEST:g} (got {v:g})"
+        for n, v in found.items()
+        if not _SMALLEST <= v <= 1 / _SMALLEST
+    ]
+    if problems:
+        raise InputError(problems)
+    open_names = [n for n in NAMES if n not in found]
+    words = f"the identification {path}"
+    if open_names:
+        words += f"; {', '.join(open_names)}, which it leaves open, from the catalogue"
+    weakest = max(widths, key=lambda n: widths[n]) if widths else None
+    return Believed({**NOMINAL, **found}, words, weakest, _recordings(inputs), noise)
+
+
+def _torque_noise(noise: dict[str, Any] | None) -> float | None:
+    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it was not found.
+
+    Raises:
+        KeyError, TypeError, ValueError: It is damaged.
+    """
+    if noise is None or noise["unit"] != "N m":
+        return None
+    whole = math.hypot(float(noise["torque"]), float(noise["correlated"]))
+    if not math.isfinite(whole):
+        raise ValueError("the noise is no number")
+    return whole or None
+
+
+def _half_width(parameter: dict[str, Any]) -> float:
+    """Return a parameter's relative half width in a result file; infinite where it was left open."""
+    value, low, high = (parameter[key] for key in ("value", "low", "high"))
+    return math.inf if not value or low is None or high is None else 0.5 * (high - low) / abs(value)
+
+
+def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
+    """Return the recordings of the runs among the inputs that are still what they were; others are left out."""
+    out: list[Recording] = []
+    for folder in sorted({file.parent for file in inputs}):
+        mine = {file: digest for file, digest in inputs.items() if file.parent == folder}
+        try:
+            if all(sha256_file(file) == digest for file, digest in mine.items()):
+                out += load_run(folder).recordings
+        except (InputError, OSError):
+            continue  # not a run, or no longer there: the drive is then assumed
+    return tuple(out)

@@ -1,0 +1,125 @@
+"""A result file as a simulated bench: the corrected model becomes the machine behind the bus.
+
+Names of effects and parameters are the same on both sides; this is the one place where they meet.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from drivers.mock.plant.effects.pack import problems
+from identification.corrected.model import CorrectedModel
+from identification.recording import Bench as Constants
+from rig.common.errors import InputError
+from rig.common.input_files import is_file
+from rig.common.yaml_tree import parse
+from rig.config.bench import Bench, load_bench
+from rig.config.serial_bus import MOCK
+from rig.runs.mcap.reader import read_run
+from rig.runs.run_record import BENCH_ATTACHMENT, RECORDING_FILE, RUN_FILE
+from rig.runs.truth import JOINT_FIELDS
+
+BENCH_FILE = "bench.yaml"
+_LOAD = ("mu_c", "mu_s", "mu_2")
+_MOTOR = {
+    "resistance_ohm": "resistance",
+    "inductance_H": "inductance",
+    "torque_constant_N_m_A": "torque_constant",
+    "back_emf_constant_V_s_rad": "back_emf_constant",
+    "gear_ratio": "gear_ratio",
+}
+Tree = dict[str, Any]
+
+
+def base_bench(source: Path) -> Tree:
+    """Return the bench that a source was recorded on, on the simulated bus, as plain data.
+
+    Campaigns say nothing of drive loops and limits, and stand on the packaged practical bench.
+
+    Raises:
+        InputError: The run's bench cannot be read.
+    """
+    packaged = _plain(load_bench("practical").path.read_text(encoding="utf-8"))
+    attached = None
+    if is_file(source / RUN_FILE):
+        attached = read_run(source / RECORDING_FILE).attachments.get(BENCH_ATTACHMENT)
+    if attached is None:
+        return packaged
+    bench = _plain(attached.decode("utf-8"))
+    if bench.get("bus", {}).get("interface", MOCK) != MOCK:
+        bench |= {key: packaged[key] for key in ("bus", "servo", "encoder")}
+    return {"mock": packaged["mock"], **bench}
+
+
+def _plain(text: str) -> Tree:
+    tree, _ = parse(text)
+    plain = tree.plain()
+    if not isinstance(plain, dict):
+        raise InputError("the bench file in the recording is not a mapping")
+    return plain
+
+
+def model_bench(base: Mapping[str, Any], model: CorrectedModel, constants: Constants) -> tuple[Tree, list[str]]:
+    """Return a bench file's data whose simulated machine is the model of a result, and what it cannot carry.
+
+    Args:
+        base: Bench whose drive loops, sensors and limits are kept.
+        model: Of a result.
+        constants: Of the bench the recordings were made on.
+
+    Raises:
+        InputError: The result does not hold what a machine needs.
+    """
+    values = model.parameters
+    notes = []
+    missing = [n for n in ("J", "Mc", "Ms", "sigma_2") if n not in values]
+    absent = [key for key, name in _MOTOR.items() if getattr(constants, name) is None]
+    if missing or absent or constants.motion != "rotary":
+        why = ", ".join([*missing, *absent]) or "rotary motion"
+        raise InputError(f"a simulated bench needs {why}, which the result or its recordings do not give")
+    bench = json.loads(json.dumps(base))
+    mock = bench.setdefault("mock", {})
+    joint = mock.setdefault("joint", {})
+    joint.update({JOINT_FIELDS[name]: value for name, value in values.items() if name in JOINT_FIELDS})
+    joint.update({JOINT_FIELDS[name]: 0.0 for name in _LOAD if name not in values})
+    joint["alpha"] = model.alpha
+    motor = {key: getattr(constants, name) for key, name in _MOTOR.items()}
+    mock["motor"] = {**mock.get("motor", {}), **motor}
+    bench["machine"] = {**bench["machine"], **motor}
+    for section in (joint, bench["machine"]):
+        section["lever_ratio"], section["gravity_m_s2"] = constants.lever_ratio, constants.gravity
+        if constants.moment_arm is not None:
+            section["moment_arm_m"] = constants.moment_arm
+    effects = dict(model.effects)
+    for path, text in problems(effects):
+        notes.append(f"{path[0]} is left out of the simulated bench: {'.'.join(path)}: {text}")
+        effects = {name: given for name, given in effects.items() if name != path[0]}
+    mock["effects"] = effects
+    if model.curve is not None:
+        notes.append(
+            "the empirical curve of what is missing is left out of the simulated bench, which has no such term"
+        )
+    bench["name"] = f"{bench['name']}-corrected"
+    return bench, notes
+
+
+def bench_text(bench: Mapping[str, Any], notes: Sequence[str]) -> str:
+    """Return a bench file, checked against the schema.
+
+    Raises:
+        InputError: The corrected machine is not one that can be simulated.
+    """
+    try:
+        Bench.model_validate_json(json.dumps(bench), strict=True)
+    except ValueError as error:
+        raise InputError(f"the corrected model is no machine that can be simulated: {error}") from error
+    head = [
+        "# A simulated bench whose machine is the corrected model; run it with `rig run SEQUENCE --bench` this file."
+    ]
+    body = yaml.safe_dump(dict(bench), sort_keys=False, default_flow_style=False)
+    return "\n".join([*head, *(f"# {note}" for note in notes)]) + "\n" + body

@@ -1,0 +1,124 @@
+"""The model that a result file carries: nominal parameters, effects, and the curve of what has no name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from identification.corrected.model import COORDINATES, CorrectedModel
+from identification.diagnosis.entries import ENTRIES
+from identification.diagnosis.gas.rows import PRESSURE
+from identification.diagnosis.result import Curve
+from rig.common.errors import InputError
+from rig.common.input_files import read_json
+from rig.common.result_files import IDENTIFY_SCHEMA
+from rig.planning.reference import LARGEST_ALPHA
+from rig.results.diagnose.record import DIAGNOSE_SCHEMA
+
+SCHEMAS = (IDENTIFY_SCHEMA, DIAGNOSE_SCHEMA)
+OF_ONE_RECORDING = ("wrong_weight", "encoder_slip")
+"""Effects whose parameter ``recording`` counts recordings from 1."""
+_LARGEST = 1e12
+"""Magnitude of a parameter, in SI units, up to which there are machines."""
+_MOTION_OF_INERTIA = {"kg": "linear", "kg m^2": "rotary"}
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Read a result file of ``rig identify`` or ``rig diagnose``.
+
+    Raises:
+        InputError: It cannot be read or is another file; names it and what was found.
+    """
+    record = read_json(path)
+    found = record.get("schema") if isinstance(record, dict) else type(record).__name__
+    if found not in SCHEMAS:
+        raise InputError(f"{path}: schema: must be {' or '.join(SCHEMAS)} (got {found!r})")
+    return dict(record)
+
+
+def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
+    """Refuse a result of a rotary bench for a linear one, and the other way round: its numbers are in other units.
+
+    Raises:
+        InputError: The result says that it is of the other motion, by itself or by the unit of its inertia.
+    """
+    found = record.get("motion")
+    if found is None:
+        given = (record.get(key, {}).get("J") for key in ("parameters", "parameter_shift"))
+        units = [e.get("unit") for e in given if isinstance(e, Mapping)]
+        found = next((_MOTION_OF_INERTIA[u] for u in units if u in _MOTION_OF_INERTIA), motion)
+    if found != motion:
+        raise InputError(
+            f"{place}: motion: a result of a {found} bench, and the recordings are of a {motion} one; give a result "
+            f"of a {motion} bench, or set bench.motion: {found} in the campaign"
+        )
+
+
+def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = "result") -> CorrectedModel:
+    """Return the model of a result.
+
+    Args:
+        record: Of ``rig identify --json`` or ``rig diagnose --json``.
+        recordings: Names of the recordings it was made from, in order.
+        place: Of the record, for messages.
+
+    Raises:
+        InputError: A value is missing or not a number, an effect has other parameters than the catalogue's, or the
+            diagnosis is one of a gas generator.
+    """
+    if record.get("fit", {}).get("equation") == PRESSURE:
+        raise InputError(f"{place}: a diagnosis of a gas generator says nothing of the torque; give one of the motion")
+    given = record.get("fitted") or record.get("parameters") or {}
+    parameters = {}
+    for name, entry in given.items():
+        value = entry.get("value") if isinstance(entry, Mapping) else entry
+        if value is not None:
+            parameters[str(name)] = _finite(place, f"parameters.{name}", value)
+    if not parameters:
+        raise InputError(f"{place}: parameters: no value to simulate with")
+    effects = dict(_effect(place, effect, recordings) for effect in record.get("effects", ()))
+    alpha = _finite(place, "alpha", record.get("alpha", 2.0))
+    if not 0.0 < alpha <= LARGEST_ALPHA:
+        raise InputError(f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})")
+    return CorrectedModel(parameters, alpha, effects, _curve(place, record.get("curve")))
+
+
+def _effect(place: str, effect: Mapping[str, Any], recordings: Sequence[str]) -> tuple[str, dict[str, float]]:
+    name = effect["name"]
+    if name not in ENTRIES:
+        raise InputError(f"{place}: effects: {name} is no effect of the catalogue; see rig effects")
+    known = {q.name for q in ENTRIES[name].parameters}
+    given = {
+        key: _finite(place, f"effects.{name}.{key}", entry["value"])
+        for key, entry in effect["parameters"].items()
+        if key in known or key == "recording"
+    }
+    if name in OF_ONE_RECORDING and "recording" not in given:
+        shown = [recordings.index(r) for r in effect["where"]["recordings"] if r in recordings]
+        given["recording"] = 1.0 + min(shown, default=0)
+    if known - given.keys():
+        raise InputError(f"{place}: effects: {name} lacks {', '.join(sorted(known - given.keys()))}")
+    return name, given
+
+
+def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
+    if entry is None:
+        return None
+    if entry["coordinate"] not in COORDINATES:
+        return None
+    grid, value = (
+        np.array([_finite(place, f"curve.{key}", v) for v in entry[key]], dtype=float) for key in ("grid", "value")
+    )
+    return Curve(entry["equation"], entry["coordinate"], entry["unit"], entry["residual_unit"], grid, value)
+
+
+def _finite(place: str, name: str, value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise InputError(f"{place}: {name}: must be a finite number (got {value!r})")
+    if abs(value) > _LARGEST:
+        raise InputError(f"{place}: {name}: must be from {-_LARGEST:g} to {_LARGEST:g} (got {value:g})")
+    return float(value)

@@ -1,0 +1,1 @@
+"""Identification of a run or a campaign, and its report."""

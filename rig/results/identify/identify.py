@@ -1,0 +1,183 @@
+"""From a source to its identification: every method asked for, timed, with its provenance."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from identification.estimate.ladder import Rung, climb
+from identification.estimate.long import identify_any_length
+from identification.estimate.paper_method.comparison import Contender, compare
+from identification.estimate.paper_method.paper import identify_paper
+from identification.estimate.transfer import Transfer, transfer
+from identification.recording import Dataset, RecordingError
+from identification.result import Identification
+from rig.common.errors import InputError
+from rig.common.input_files import is_folder
+from rig.common.result_files import Provenance
+from rig.runs.partial import partial_warnings, without_partial
+from rig.runs.run_file import read_record
+from rig.runs.run_record import FEEDFORWARD_INPUT, RUN_FILE
+from rig.sources import load_source
+from rig.weighing.label_check import comparable, off_label
+
+
+class Method(Protocol):
+    """An estimator, as the command line calls it."""
+
+    def __call__(
+        self,
+        dataset: Dataset,
+        *,
+        bandwidth_Hz: float | None,
+        rng: np.random.Generator,
+        progress: Callable[[str, float], None] | None = None,
+    ) -> Identification:
+        """Identify a dataset."""
+        ...
+
+
+METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
+"""Name on the command line to estimator."""
+
+
+_FED = (
+    "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, and breakaways are "
+    "lost; static friction and Stribeck speeds may be off by tens of percent, outside their intervals; identify a run "
+    "without it"
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What ``rig identify`` found.
+
+    Attributes:
+        dataset: What was identified.
+        results: One per method, in the order asked for.
+        provenance: Seed, inputs, time.
+        ladder: Every rung of the friction models, where asked for.
+        transfer: The first result scored on other recordings, where asked for.
+        scored_on: Where those are.
+        comparison: All estimators side by side, where asked for.
+    """
+
+    dataset: Dataset
+    results: tuple[Identification, ...]
+    provenance: Provenance
+    ladder: tuple[Rung, ...] = ()
+    transfer: Transfer | None = None
+    scored_on: Path | None = None
+    comparison: tuple[Contender, ...] = ()
+
+
+def identify_source(
+    source: Path,
+    methods: Sequence[str],
+    bandwidth_Hz: float | None,
+    seed: int,
+    progress: Callable[[str, float], None],
+    *,
+    ladder: bool = False,
+    score: Path | None = None,
+    profile: bool = False,
+    draws: int = 0,
+    take_partial: bool = False,
+) -> Outcome:
+    """Identify a run folder or campaign file.
+
+    Args:
+        source: Run folder or campaign file.
+        methods: Names out of :data:`METHODS`; each starts from the same seed.
+        bandwidth_Hz: Bandwidth of the fit; None leaves it to the recordings.
+        seed: Of the random generator.
+        progress: Called with what is being done and the share that is done.
+        ladder: Whether to fit and score every rung of the friction models as well.
+        score: Another source to score the first result on.
+        profile: Whether the default method profiles the likelihood of every parameter.
+        draws: Bootstrap draws of the default method, 0 for none.
+        take_partial: Whether to take the unfinished excitations of a run as well; the result warns of them.
+
+    Raises:
+        InputError: A source cannot be read, or its recordings cannot be identified.
+    """
+    started = time.perf_counter()
+    progress("reading", 0.0)
+    dataset = load_source(source, partial=take_partial)
+    other = None if score is None else load_source(score)
+    described_by = source / RUN_FILE if is_folder(source) else source
+    off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
+    if is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs:
+        off = (*off, _FED)
+    off = (*partial_warnings(dataset), *off)
+    results = []
+    for method in methods:
+        begun = time.perf_counter()
+        rng = np.random.default_rng(seed)
+
+        def told(stage: str, share: float, method: str = method) -> None:
+            progress(f"{method}: {stage}", share)
+
+        try:
+            estimate = METHODS[method]
+            if method == "default":
+                estimate = partial(identify_any_length, profile=profile, draws=draws)
+            result = estimate(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
+        except RecordingError as error:
+            raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
+        warnings = (*result.warnings, *off)
+        results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings))
+    rungs: tuple[Rung, ...] = ()
+    if ladder:
+        try:
+            rungs = climb(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+        except RecordingError as error:
+            raise InputError(f"{source}: {error}") from error
+    carried = None
+    if other is not None:
+        progress("scoring", 0.0)
+        try:
+            carried = transfer(results[0], dataset, other)
+        except RecordingError as error:
+            raise InputError(f"{score}: {error}") from error
+    read = (*dataset.recordings, *(other.recordings if other is not None else ()))
+    provenance = Provenance.of(seed, read, time.perf_counter() - started, described_by)
+    return Outcome(dataset, tuple(results), provenance, rungs, carried, score)
+
+
+COMPARED_SEEDS = 5
+"""Runs of each search that has chance in it."""
+
+
+def compare_methods(
+    source: Path, outcome: Outcome, truth: Mapping[str, float] | None, progress: Callable[[str, float], None]
+) -> Outcome:
+    """Return the outcome with all estimators side by side, each search run from ``COMPARED_SEEDS`` seeds.
+
+    Args:
+        source: What was identified, for messages.
+        outcome: Its identification; the first result is the default method's.
+        truth: True parameters of a simulated bench; they enter the table only.
+        progress: Called with what is being done and the share that is done.
+
+    Raises:
+        InputError: The campaign fixes values or declares terms.
+    """
+    started = time.perf_counter()
+    seed = outcome.provenance.seed
+    seeds = range(seed, seed + COMPARED_SEEDS)
+    try:
+        found = compare(outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress)
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    spent = outcome.provenance.seconds + time.perf_counter() - started
+    return dataclasses.replace(
+        outcome, comparison=found, provenance=dataclasses.replace(outcome.provenance, seconds=spent)
+    )

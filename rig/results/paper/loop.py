@@ -1,0 +1,116 @@
+"""Fig. 5 and 11: the closed loop, in which the load disturbs the control and the control moves the load."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+from drivers.mock.plant.gas_direct import impacted_area, throat_area
+from identification.plots import regulator
+from identification.recording import Array, Recording
+from rig.common.figures import Picture
+from rig.config.bench import load_bench
+from rig.config.flow import FlowSection
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
+from rig.planning.flow_control import pressure_for
+from rig.planning.hot_fire import believed
+from rig.results.paper.exhibit import Exhibit, columns
+from rig.results.paper.machine import true_machine
+
+BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
+SETTLED = 0.02
+"""A flow has settled when it stays within this share of the command."""
+_SMOOTHING_S = 0.05  # a settling is judged on means over this time, so that sensor noise does not count
+_THIN = 10  # of the samples, in the data file
+
+
+def exhibit(scratch: Path, seed: int) -> Exhibit:
+    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current and load."""
+    bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
+    dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
+    recording = next(r for r in dataset.recordings if r.name == STAGE)
+    flow = next(stage.flow for stage in sequence.value.stages if stage.name == STAGE)
+    generator = believed(bench.value)
+    if flow is None or generator is None:
+        raise ValueError(f"{SEQUENCE} has no flow command, or {BENCH} no gas generator")
+    machine = true_machine(BENCH)
+    time = recording.time - recording.time[0]
+    commanded = flow.command(len(time) * recording.period, recording.period)[: len(time)]
+    angle, pressure = recording.channels["angle"], recording.channels["pressure"]
+    gas = machine.gas
+    outflow = pressure * throat_area(machine, angle) / gas.characteristic_velocity_m_s
+    force = (pressure - gas.back_pressure_Pa) * impacted_area(machine, angle)
+    asked = pressure_for(commanded, generator)
+    return Exhibit(
+        "fig_11",
+        "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
+        "Block diagrams of the loop, in which pressure and valve angle make the load that the motor works against, and "
+        "the angle makes the pressure. No controller and no response are given.",
+        (
+            f"{SEQUENCE} on {BENCH}, stage {STAGE}: steps of the flow command through the whole simulated chain, "
+            "pressure measured by a transmitter.",
+            _settling(flow, time, outflow, recording),
+            "The flow first goes the wrong way: a throat that opens lets more out before the pressure falls. "
+            + _hunting(flow, time, recording.channels["current"]),
+            f"Contact force {np.min(force):.0f} to {np.max(force):.0f} N, moved by pressure and angle alone; the motor "
+            f"current that holds and moves the valve against its friction reaches "
+            f"{np.max(np.abs(recording.channels['current'])):.1f} A.",
+        ),
+        (
+            Picture.of(
+                "fig_11",
+                "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured pressure and angle",
+                regulator.closed_loop(
+                    time,
+                    {"command": commanded, "flow": outflow},
+                    {"command": 1e-6 * asked, "measured": 1e-6 * pressure},
+                    {"command": recording.channels["command"], "measured": angle},
+                    recording.channels["current"],
+                    force,
+                ),
+            ),
+        ),
+        {
+            "fig_11": columns(
+                time_s=time[::_THIN],
+                flow_command_kg_s=commanded[::_THIN],
+                flow_kg_s=outflow[::_THIN],
+                pressure_command_Pa=asked[::_THIN],
+                pressure_Pa=pressure[::_THIN],
+                angle_command_rad=recording.channels["command"][::_THIN],
+                angle_rad=angle[::_THIN],
+                current_A=recording.channels["current"][::_THIN],
+                contact_force_N=force[::_THIN],
+            )
+        },
+    )
+
+
+def _hunting(flow: FlowSection, time: Array, current: Array) -> str:
+    """Say how the current swings at steady flow, before the first step."""
+    before = current[(time >= 1.0) & (time < flow.steps[1].at_s)]
+    return (
+        f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
+        f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of the limit cycles "
+        "that the paper warns of."
+    )
+
+
+def _settling(flow: FlowSection, time: Array, outflow: Array, recording: Recording) -> str:
+    """Say how long each step takes to stay within its band."""
+    n = max(1, round(_SMOOTHING_S / recording.period))
+    smooth = np.convolve(np.pad(outflow, (n // 2, n - 1 - n // 2), mode="edge"), np.full(n, 1.0 / n), mode="valid")
+    ends = [step.at_s for step in flow.steps[1:]] + [float(time[-1])]
+    words = []
+    for (before, step), end in zip(pairwise(flow.steps), ends[1:], strict=True):
+        part = (time >= step.at_s) & (time < end)
+        off = np.flatnonzero(np.abs(smooth[part] / step.flow_kg_s - 1.0) > SETTLED)
+        if off.size and off[-1] + 1 == np.count_nonzero(part):
+            took = "not before the next step"
+        else:
+            took = f"{(off[-1] + 1) * recording.period if off.size else 0.0:.2f} s"
+        words.append(f"{before.flow_kg_s:g} to {step.flow_kg_s:g} kg/s {took}")
+    return f"Time to stay within {SETTLED:.0%} of the commanded flow: {', '.join(words)}."

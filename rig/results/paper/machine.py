@@ -1,0 +1,46 @@
+"""The packaged benches as the figures need them: their true machine, and what is identified from a log of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from drivers.mock.plant.parts.constants import Machine
+from rig.common.places import write_json
+from rig.common.result_files import identification_record
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
+from rig.planning.feedforward import Feedforward, load_feedforward
+from rig.results.identify.identify import identify_source
+from rig.runs.run import bench_constants
+
+
+def true_machine(name: str) -> Machine:
+    """Return the simulated machine of a packaged bench.
+
+    Raises:
+        ValueError: It has none.
+    """
+    machine = load_bench(name).value.mock
+    if machine is None:
+        raise ValueError(f"the packaged bench {name!r} has no simulated machine")
+    return machine
+
+
+def identified(name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]) -> Feedforward:
+    """Run ``figure10`` on a packaged bench and identify that run.
+
+    Args:
+        name: Of the bench.
+        scratch: Empty folder for the run and its result.
+        seed: Of the bench's noise and of the method.
+        progress: Called with what is being done and the share that is done.
+    """
+    bench = load_bench(name)
+    progress(f"running figure10 on {name}", 0.0)
+    run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
+    outcome = identify_source(scratch / f"{name}-run", ["default"], None, seed, progress)
+    result = scratch / f"{name}.json"
+    write_json(result, identification_record(outcome.results[0], outcome.provenance))
+    return load_feedforward(result, bench_constants(bench.value))

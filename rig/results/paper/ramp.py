@@ -1,0 +1,135 @@
+"""Fig. 2 and 9: a low-speed ramp on soft gains, before and after friction feed-forward."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from identification.plots import regulator
+from identification.recording import Array, Dataset, Recording
+from identification.tracking import Tracking, track, tracking_error
+from rig.common.figures import Picture
+from rig.config.bench import load_bench
+from rig.config.sequence import load_sequence
+from rig.control.simulated_run import run_simulated
+from rig.planning.feedforward import Feedforward
+from rig.results.paper.exhibit import Exhibit, Rows, columns
+
+BENCH, SEQUENCE = "practical_soft", "slow_ramp"
+_SPEED_SPAN_S = 0.02  # the speed shown is a mean over this time
+_THIN = 10  # of the samples, in the data files
+
+
+@dataclass(frozen=True)
+class RampStudy:
+    """The same ramps, unloaded and loaded, without and with feed-forward."""
+
+    plain: Dataset
+    fed: Dataset
+
+
+def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
+    """Run the ramps twice on the soft gains, with other noise than the identification saw."""
+    bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
+    return RampStudy(
+        run_simulated(bench, sequence, seed + 1, scratch / "plain"),
+        run_simulated(bench, sequence, seed + 1, scratch / "fed", model),
+    )
+
+
+def exhibits(study: RampStudy) -> list[Exhibit]:
+    """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under 3000 N)."""
+    plain, fed = study.plain.recordings, study.fed.recordings
+    ramp = f"{SEQUENCE} on {BENCH}: 8 deg at 1 deg/s and back"
+    fig_2 = Exhibit(
+        "fig_2",
+        "Fig. 2: low-speed ramp, stick-slip and steady-state error",
+        "Angle against time while the regulator follows a low-speed ramp, gas generator not working: the valve waits, "
+        "jumps and waits, and comes to rest beside the command. Neither speed nor gains are given.",
+        (
+            f"{ramp}, no weight. {_words('Without feed-forward', track(plain[0]))}",
+            _words("With the torque offset computed from parameters that a log of this bench gave", track(fed[0])),
+        ),
+        (Picture.of("fig_2", f"Fig. 2: {ramp}, no weight", _angle_figure(plain[0], fed[0])),),
+        {"fig_2": _data(plain[0], fed[0])},
+    )
+    names = ("no weight", "30.6 kg (3000 N)")
+    pairs = list(zip(plain, fed, strict=True))
+    fig_9 = Exhibit(
+        "fig_9",
+        "Fig. 9: a position loop that should turn uniformly",
+        "The speed, or angle, of the regulator under a command of uniform motion: stick-slip instead. It is why the "
+        "paper holds the conventional identification (eq. 14) for impossible here.",
+        tuple(
+            _words(f"{name}, {how}", track(recording))
+            for name, pair in zip(names, pairs, strict=True)
+            for how, recording in zip(("without feed-forward", "with it"), pair, strict=True)
+        ),
+        (
+            Picture.of(
+                "fig_9",
+                "Fig. 9: joint speed on the same ramp, mean over 20 ms, without and with feed-forward",
+                regulator.speeds([(name, *_speeds(*pair)) for name, pair in zip(names, pairs, strict=True)]),
+            ),
+        ),
+        {"fig_9": _speed_data(pairs)},
+    )
+    return [fig_2, fig_9]
+
+
+def _words(what: str, t: Tracking) -> str:
+    return (
+        f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; at rest "
+        f"{100.0 * t.waiting:.0f} % of the time in which it should move; {1e3 * t.at_end:+.3g} mrad off at the end; "
+        f"{t.energy:.0f} J electrical."
+    )
+
+
+def _time(recording: Recording) -> Array:
+    return np.asarray(recording.time - recording.time[0])
+
+
+def _angle_figure(plain: Recording, fed: Recording) -> regulator.Figure:
+    time = _time(plain)
+    return regulator.tracking(
+        time,
+        plain.channels["command"],
+        {"without feed-forward": plain.channels["angle"], "with it": fed.channels["angle"]},
+        {"without feed-forward": tracking_error(plain), "with it": tracking_error(fed)},
+    )
+
+
+def _speeds(plain: Recording, fed: Recording) -> tuple[Array, Array, dict[str, Array]]:
+    commanded = np.gradient(plain.channels["command"], plain.period)
+    return _time(plain), commanded, {"without feed-forward": _speed(plain), "with it": _speed(fed)}
+
+
+def _speed(recording: Recording) -> Array:
+    n = round(_SPEED_SPAN_S / recording.period)
+    padded = np.pad(recording.channels["angle"], (n // 2, n - n // 2), mode="edge")
+    return np.asarray((padded[n:] - padded[:-n]) / (n * recording.period))
+
+
+def _data(plain: Recording, fed: Recording) -> Rows:
+    few = slice(None, None, _THIN)
+    return columns(
+        time_s=_time(plain)[few],
+        command_rad=plain.channels["command"][few],
+        angle_rad=plain.channels["angle"][few],
+        angle_fed_rad=fed.channels["angle"][few],
+        current_A=plain.channels["current"][few],
+        current_fed_A=fed.channels["current"][few],
+    )
+
+
+def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
+    few = slice(None, None, _THIN)
+    first = pairs[0][0]
+    named = {"time_s": _time(first)[few], "command_rad_s": np.gradient(first.channels["command"], first.period)[few]}
+    for plain, fed in pairs:
+        named[f"{plain.stage}_rad_s"] = _speed(plain)[few]
+        named[f"{plain.stage}_fed_rad_s"] = _speed(fed)[few]
+    return columns(**named)

@@ -1,0 +1,40 @@
+"""The runs behind the paper's figures: low-speed ramps, uniform motion, areas, through the whole simulated chain."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from rig.results.paper import loop, machine, ramp, sine, sweep, uniform, valve
+from rig.results.paper.exhibit import Exhibit
+
+
+def study(seed: int, progress: Callable[[str, float], None]) -> list[Exhibit]:
+    """Run and draw every figure but those of the tables, in the paper's order.
+
+    Args:
+        seed: Of the simulated benches' noise.
+        progress: Called with what is being done and the share that is done.
+    """
+    with tempfile.TemporaryDirectory(prefix="rig-paper-") as name:
+        scratch = Path(name)
+        progress("Fig. 2 and 9: identifying the bench from a log of its own", 0.0)
+        model = machine.identified(ramp.BENCH, scratch, seed, _silent)
+        progress("Fig. 2 and 9: slow ramps", 0.2)
+        fig_2, fig_9 = ramp.exhibits(ramp.run_ramps(scratch, model, seed))
+        progress("compensation: identifying the bench from a log of its own", 0.25)
+        model = machine.identified(sine.BENCH, scratch, seed, _silent)
+        progress("compensation: the sine of both cases", 0.4)
+        compensation = sine.exhibit(*sine.run_sines(scratch, model, seed))
+        progress("eq. 14: uniform motion on two gain sets", 0.45)
+        eq_14 = uniform.exhibit(uniform.measure(scratch, seed))
+        progress("Fig. 4: the opening valve", 0.85)
+        fig_4 = sweep.exhibit(seed)
+        progress("Fig. 5 and 11: the closed loop", 0.9)
+        fig_11 = loop.exhibit(scratch, seed)
+    return [fig_2, valve.exhibit(), fig_4, fig_11, fig_9, eq_14, compensation]
+
+
+def _silent(what: str, share: float) -> None:
+    pass

@@ -1,0 +1,126 @@
+"""Fig. 4: the valve opens at constant speed, and the motor's current falls with chamber pressure and impacted area."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import spearmanr
+
+from drivers.mock.direct import record
+from drivers.mock.plant import gas_direct
+from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts import constants
+
+Array = NDArray[np.float64]
+
+PAPER_DEG_S = 50.0
+"""As the paper runs it."""
+SLOW_DEG_S = 5.0
+"""Slow enough for the pressure to keep up with the throat, to 7 %, and not so slow that the joint sticks and slips."""
+OPEN_DEG = 30.0
+CYCLE_S = 0.001
+UNIFORM = 0.05
+"""Share by which the speed may be off and the motion still count as uniform, as the paper supposes."""
+SMOOTHING_S = 0.020
+"""Over which the speed is taken, by the joint encoder."""
+REST_S = 0.2
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One opening of the valve as the bench's instruments see it; arrays of shape (n,), from the start of the motion.
+
+    Attributes:
+        speed_deg_s: Commanded.
+        time: s.
+        angle: Joint encoder, rad.
+        current: Mean over each cycle, A.
+        pressure: Of the transmitter, Pa.
+        area: A_s at the angle, m^2.
+        steady_pressure: Where the pressure would settle at that angle, Pa.
+        uniform: Samples at the commanded speed.
+        rank_pressure: Spearman's rank correlation of current and pressure over those.
+        rank_area: That of current and area.
+    """
+
+    speed_deg_s: float
+    time: Array
+    angle: Array
+    current: Array
+    pressure: Array
+    area: Array
+    steady_pressure: Array
+    uniform: NDArray[np.bool_]
+    rank_pressure: float
+    rank_area: float
+
+    @property
+    def lag(self) -> float:
+        """How far the pressure was above the steady one at most, as a share of that."""
+        return float(np.max(self.pressure[self.uniform] / self.steady_pressure[self.uniform]) - 1.0)
+
+    def at(self, degrees: Array) -> Array:
+        """Return angle (deg), current (A), pressure (MPa) and area (mm^2) at these angles, shape (m, 4).
+
+        Means over the samples within half a degree in uniform motion; NaN where there are none.
+        """
+        angle = np.rad2deg(self.angle)
+        rows = np.full((len(degrees), 4), np.nan)
+        for row, degree in zip(rows, degrees, strict=True):
+            near = self.uniform & (np.abs(angle - degree) <= 0.5)
+            row[0] = degree
+            if near.any():
+                row[1:] = [np.mean(v[near]) for v in (self.current, self.pressure * 1e-6, self.area * 1e6)]
+        return rows
+
+
+def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Sweep:
+    """Open the valve of a burning gas generator from 0 to 30 deg at constant speed.
+
+    Args:
+        machine: The bench; its gas generator burns steadily at the closed valve when the motion starts.
+        speed_deg_s: Commanded speed.
+        seed: Of the sensors' noise.
+
+    Raises:
+        ValueError: The joint sticks, or sticks and slips, all the way.
+    """
+    noise, transmitter = np.random.default_rng(seed).spawn(2)
+    plant = SimulatedMachine(machine, noise)
+    plant.power(True)
+    plant.advance(round(REST_S * 1e9))
+    plant.ignite()
+    plant.latch()
+    time = np.asarray(np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64)
+    samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
+    area = gas_direct.impacted_area(machine, samples.angle)
+    uniform = _uniform(samples.angle, math.radians(speed_deg_s))
+    if not uniform.any():
+        raise ValueError(
+            f"at {speed_deg_s:g} deg/s the joint never moves uniformly; sweep faster, or stiffen the drive"
+        )
+    ranks = [float(spearmanr(samples.current[uniform], v[uniform]).statistic) for v in (samples.pressure, area)]
+    return Sweep(
+        speed_deg_s,
+        time,
+        samples.angle,
+        samples.current,
+        samples.pressure,
+        area,
+        gas_direct.steady_pressure(machine, samples.angle),
+        uniform,
+        *ranks,
+    )
+
+
+def _uniform(angle: Array, wanted: float) -> NDArray[np.bool_]:
+    """Mark the samples at this speed (rad/s)."""
+    width = round(SMOOTHING_S / CYCLE_S)
+    kernel = np.ones(width) / width
+    speed = np.convolve(np.gradient(angle, CYCLE_S), kernel, mode="same")
+    marks = np.abs(speed - wanted) <= UNIFORM * wanted
+    marks[:width] = marks[-width:] = False
+    return np.asarray(marks)

@@ -1,0 +1,169 @@
+"""One blind rig drawn at random: true constants, noise, and what it hides."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from drivers.mock.plant.parts.constants import Machine
+from rig.results.prove.excitation import experiments
+from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
+
+Kind = Literal["nothing", "one", "two", "outside"]
+SPREAD = 0.4
+"""Nominal constants lie within this share of the practical bench's."""
+NOISE_SPREAD = (0.5, 1.5)
+SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "outside": 40.0}
+"""How many rigs of each kind a full proof has; other sizes keep the proportions."""
+
+_NEEDS_GRAVITY = frozenset({"load_dependent_friction"})
+_NEEDS_LEVER = frozenset(
+    {
+        "load_exponent",
+        "load_position_dependence",
+        "wrong_weight",
+        "load_swing",
+        "load_inertia",
+        "lever_pivot_friction",
+        "x_loaded_drag",
+    }
+)
+_GRAVITY_SHARE = 0.1
+"""Of the rigs that could have either load; so that the kind of load tells nothing."""
+
+Effects = dict[str, dict[str, float]]
+Assigned = tuple[Kind, tuple[str, ...]]
+"""Kind of a rig and the names of what it hides."""
+
+
+class Rig(NamedTuple):
+    """One rig as drawn.
+
+    Attributes:
+        kind: How many effects, and of which sort.
+        machine: The simulated machine with them.
+        pauses_s: Time without power before each recording.
+        seed: Of its noise.
+        gravity: Its load is a weight fixed to the joint, and there is no lever.
+    """
+
+    kind: Kind
+    machine: Machine
+    pauses_s: tuple[float, ...]
+    seed: int
+    gravity: bool = False
+
+
+def assignment(rigs: int, seed: int) -> list[Assigned]:
+    """Return kind and effect names of each rig, in an order that tells nothing.
+
+    Single effects go round the whole catalogue, and those outside it round theirs; pairs are drawn.
+    """
+    rng = np.random.default_rng([seed, 0])
+    counts = apportion(rigs)
+    singles = in_turn(list(SIZES), counts["one"], rng)
+    strangers = in_turn(list(OUTSIDE_SIZES), counts["outside"], rng)
+    drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]
+    drawn += [("one", (name,)) for name in singles]
+    drawn += [("outside", (name,)) for name in strangers]
+    names = list(SIZES)
+    for _ in range(counts["two"]):
+        drawn.append(("two", _pair(names, rng)))
+    return [drawn[k] for k in rng.permutation(len(drawn))]
+
+
+def _pair(names: list[str], rng: np.random.Generator) -> tuple[str, str]:
+    """Return two effects that one bench can have."""
+    while True:
+        first, second = (names[k] for k in rng.choice(len(names), 2, replace=False))
+        if not ({first, second} & _NEEDS_GRAVITY and {first, second} & _NEEDS_LEVER):
+            return first, second
+
+
+def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, int]:
+    """Return how many rigs there are of each kind (largest remainders)."""
+    total = sum(shares.values())
+    exact = {kind: rigs * share / total for kind, share in shares.items()}
+    counts = {kind: math.floor(value) for kind, value in exact.items()}
+    left = sorted(exact, key=lambda kind: counts[kind] - exact[kind])
+    for kind in left[: rigs - sum(counts.values())]:
+        counts[kind] += 1
+    return counts
+
+
+def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
+    """Return names in rounds of random order, so that none comes twice more than another."""
+    order: list[str] = []
+    while len(order) < count:
+        order += [names[k] for k in rng.permutation(len(names))]
+    return order[:count]
+
+
+def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
+    """Draw one rig.
+
+    Args:
+        kind: Its kind.
+        names: Effects to hide.
+        seed: Entropy; the same gives the same rig.
+    """
+    rng = np.random.default_rng(list(seed))
+    machine = _nominal(rng)
+    effects: Effects = {}
+    for name in names:
+        sizes = SIZES.get(name) or OUTSIDE_SIZES[name]
+        effects[name] = {key: size(rng) for key, size in sizes.items()}
+    if "wrong_weight" in effects:
+        wrong = effects["wrong_weight"]
+        label = experiments()[int(wrong["recording"]) - 1].weight_kg
+        wrong["mass_kg"] = label * (1.0 + wrong["mass_kg"] * float(rng.choice((-1.0, 1.0))))
+    warming_s = float(rng.uniform(100.0, 800.0))
+    if "viscous_thermal_drift" in effects:
+        warming_s = effects["viscous_thermal_drift"]["time_s"]
+    machine = replace(
+        machine,
+        temperature_C=float(rng.uniform(18.0, 28.0)),
+        warming_K=float(rng.uniform(5.0, 20.0)),
+        warming_s=warming_s,
+        effects=effects,
+    )
+    pauses = tuple(float(value) for value in rng.uniform(15.0, 90.0, len(experiments())))
+    seed_of_noise = int(rng.integers(1 << 62))
+    gravity = bool(_NEEDS_GRAVITY & set(names)) or (
+        not _NEEDS_LEVER & set(names) and float(rng.uniform()) < _GRAVITY_SHARE
+    )
+    return Rig(kind, machine, pauses, seed_of_noise, gravity)
+
+
+def _nominal(rng: np.random.Generator) -> Machine:
+    """Draw the nominal constants and the noise of the practical bench."""
+    base = Machine()
+    joint, sensing = base.joint, base.sensing
+
+    def around(value: float) -> float:
+        return float(value * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
+
+    coulomb, load = around(joint.Mc_N_m), around(joint.mu_c)
+    inertia = around(joint.inertia_kg_m2)
+    rotor = inertia * float(rng.uniform(0.3, 0.6)) / base.motor.gear_ratio**2
+    return replace(
+        base,
+        motor=replace(base.motor, rotor_inertia_kg_m2=rotor),
+        joint=replace(
+            joint,
+            inertia_kg_m2=inertia,
+            Mc_N_m=coulomb,
+            Ms_N_m=coulomb + around(joint.Ms_N_m - joint.Mc_N_m),
+            omega_sf_rad_s=around(joint.omega_sf_rad_s),
+            sigma_2_N_m_s_rad=around(joint.sigma_2_N_m_s_rad),
+            mu_c=load,
+            mu_s=load + around(joint.mu_s - joint.mu_c),
+            omega_sL_rad_s=around(joint.omega_sL_rad_s),
+            mu_2_s_rad=around(joint.mu_2_s_rad),
+        ),
+        sensing=replace(sensing, current_noise_A=sensing.current_noise_A * float(rng.uniform(*NOISE_SPREAD))),
+    )

@@ -1,0 +1,43 @@
+"""The two proofs: rigs that hide something in their motion, and rigs that hide something in their gas generator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from rig.results.prove.draw import Assigned, assignment, draw
+from rig.results.prove.gas_draw import gas_assignment
+from rig.results.prove.gas_simulate import seal_gas, simulate_gas
+from rig.results.prove.generate import Sealed, seal_rig, simulate_rig
+
+Seed = Sequence[int]
+
+
+class Family(NamedTuple):
+    """How rigs of one kind come to be.
+
+    Attributes:
+        assignment: (rigs, seed) to what each hides.
+        seal: (folder, number, what it hides, seed) to the sealed rig.
+        simulate: (sealed rig, what it hides, seed) to how strong that shows by channel, its campaign written.
+    """
+
+    assignment: Callable[[int, int], list[Assigned]]
+    seal: Callable[[Path, int, Assigned, Seed], Sealed]
+    simulate: Callable[[Sealed, Assigned, Seed], dict[str, float]]
+
+
+def _seal_motion(out: Path, number: int, assigned: Assigned, seed: Seed) -> Sealed:
+    return seal_rig(out, number, draw(*assigned, seed))
+
+
+def _simulate_motion(where: Sealed, assigned: Assigned, seed: Seed) -> dict[str, float]:
+    return simulate_rig(where, draw(*assigned, seed))
+
+
+MOTION, GAS = "motion", "gas"
+FAMILIES: Mapping[str, Family] = {
+    MOTION: Family(assignment, _seal_motion, _simulate_motion),
+    GAS: Family(gas_assignment, seal_gas, simulate_gas),
+}

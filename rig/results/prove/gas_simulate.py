@@ -1,0 +1,111 @@
+"""A blind gas rig: its truth sealed, its burns simulated and written, and how strong what it hides is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from drivers.mock.direct import Samples, record
+from drivers.mock.plant.machine import SimulatedMachine
+from drivers.mock.plant.parts.constants import Machine
+from rig.common.places import replacing, write_text
+from rig.results.prove.draw import Assigned
+from rig.results.prove.excitation import CYCLE_S
+from rig.results.prove.gas_draw import GasRig, draw_gas
+from rig.results.prove.gas_excitation import gas_experiments
+from rig.results.prove.generate import Sealed, seal_truth
+
+CHANNELS = ("time", "command", "angle", "pressure")
+"""What an engineer of such a bench has; the drive's current would tell the same of the gas, through friction."""
+
+
+def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) -> Sealed:
+    """Draw a rig, write down and seal what it hides; nothing is simulated yet.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    rig = draw_gas(*assigned, seed)
+    gas = rig.machine.gas
+    truth = {
+        "kind": rig.kind,
+        "effects": rig.machine.effects,
+        "parameters": {
+            "a": 1e-3 * gas.burning_rate_mm_s,
+            "n": gas.pressure_exponent,
+            "C_r": gas.characteristic_velocity_m_s,
+            "V_0": float(
+                np.mean([v for v, e in zip(rig.volumes_m3, gas_experiments(), strict=True) if e.role == "fit"])
+            ),
+            "d": gas.valve.hole_diameter_m,
+            "D": gas.valve.opening_diameter_m,
+            "b": gas.valve.plate_width_m,
+        },
+        **{name: value for name, value in rig._asdict().items() if name not in ("kind", "machine")},
+        "machine": asdict(rig.machine),
+    }
+    return seal_truth(out, number, truth)
+
+
+def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:
+    """Simulate a rig, write its campaign, and return how strong what it hides shows in the pressure.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    rig = draw_gas(*assigned, seed)
+    burns = campaign(rig)
+    write(where.campaign, burns)
+    if not rig.machine.effects:
+        return {}
+    twin = campaign(rig._replace(machine=replace(rig.machine, effects={})))
+    changes = np.concatenate([a.pressure - b.pressure for a, b in zip(burns, twin, strict=True)])
+    return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.gas.transmitter.noise_Pa}
+
+
+def campaign(rig: GasRig) -> list[Samples]:
+    """Simulate all burns over motor, drive loops and sensors, each from its ignition with a fresh grain.
+
+    Zeros and lateness are added to what the sensors gave; of a late pressure the first sample stands for those before.
+    """
+    done = []
+    for number, (experiment, volume) in enumerate(zip(gas_experiments(), rig.volumes_m3, strict=True)):
+        machine: Machine = replace(rig.machine, gas=replace(rig.machine.gas, free_volume_m3=volume))
+        motion, pressure = (np.random.default_rng([rig.seed, number, k]) for k in range(2))
+        plant = SimulatedMachine(machine, motion)
+        plant.power(True)
+        plant.ignite()
+        samples = record(plant, experiment.command, CYCLE_S, pressure_rng=pressure)
+        late = np.maximum(np.arange(len(samples.time)) - rig.late_cycles, 0)
+        seen = samples.pressure[late] + rig.pressure_zero_Pa
+        done.append(samples._replace(angle=samples.angle - rig.angle_zero_rad, pressure=seen))
+    return done
+
+
+def write(file: Path, burns: Sequence[Samples]) -> None:
+    """Write a campaign for the contract's reader; it says of the gas generator what the paper does.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    file.parent.mkdir(parents=True, exist_ok=True)
+    for experiment, samples in zip(gas_experiments(), burns, strict=True):
+        columns = {name: getattr(samples, name) for name in CHANNELS}
+        with replacing(file.parent / f"{experiment.name}.npz") as draft, draft.open("wb") as stream:
+            np.savez_compressed(stream, allow_pickle=False, **columns)
+    write_text(file, yaml.safe_dump(description(), sort_keys=False))
+
+
+def description() -> dict[str, Any]:
+    """Return the campaign file's content, the same for every rig."""
+    return {
+        "campaign": 1,
+        "bench": {"moment_arm": Machine().joint.moment_arm_m, "gas_generator": {}},
+        "defaults": {"channels": {name: name for name in CHANNELS}},
+        "recordings": [{"file": f"{e.name}.npz", "stage": "loaded", "role": e.role} for e in gas_experiments()],
+    }

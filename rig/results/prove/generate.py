@@ -1,0 +1,130 @@
+"""Blind rigs from nothing: drawn and sealed, then simulated and written.
+
+    python -m rig.results.prove.generate OUT --rigs 12 --seed 1
+
+leaves ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json`` with how strong its effects show.
+"""
+
+from __future__ import annotations
+
+import math
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import click
+
+from rig.common.places import write_json
+from rig.results.prove.absorbed import FLOOR_SUFFIX, floors
+from rig.results.prove.draw import Kind, Rig, assignment, draw
+from rig.results.prove.excitation import experiments
+from rig.results.prove.folder import CAMPAIGN_FILE, write
+from rig.results.prove.seal import seal
+from rig.results.prove.simulate import SETTLE_S, campaign, strength, twin_of
+from rig.runs.truth import true_parameters
+
+
+class Sealed(NamedTuple):
+    """One rig whose truth is sealed.
+
+    Attributes:
+        number: From 1.
+        campaign: Its campaign file, once it is simulated.
+        truth: Its sealed truth.
+        digest: SHA-256 of that file.
+    """
+
+    number: int
+    campaign: Path
+    truth: Path
+    digest: str
+
+
+def place(out: Path, number: int, digest: str = "") -> Sealed:
+    """Return where a rig of this number is, or will be."""
+    return Sealed(number, out / f"rig-{number:04d}" / CAMPAIGN_FILE, out / "sealed" / f"{number:04d}.json", digest)
+
+
+def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
+    """Write down and seal what a rig hides; nothing is simulated yet.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    truth = {
+        "kind": rig.kind,
+        "effects": as_recorded(rig.machine.effects),
+        "parameters": true_parameters(rig.machine),
+        "machine": asdict(rig.machine),
+        "pauses_s": rig.pauses_s,
+        "gravity": rig.gravity,
+        "seed": rig.seed,
+    }
+    return seal_truth(out, number, truth)
+
+
+def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
+    """Write down and seal the truth of one rig.
+
+    The salt of the seal is no part of what a seed repeats: the truth must not be guessed from the digest.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    where = place(out, number)
+    where.truth.parent.mkdir(parents=True, exist_ok=True)
+    return where._replace(digest=seal(where.truth, {"rig": number, **truth}, secrets.token_hex(16)))
+
+
+def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
+    """Simulate a rig, write its campaign, and return how strong what it hides shows in each channel.
+
+    Beside the truth go the noise floors of its twin that hides nothing.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    plan = experiments(rig.gravity)
+    recorded = campaign(rig, plan)
+    write(where.campaign.parent, rig.machine, recorded)
+    if not rig.machine.effects:
+        return {}
+    twin = twin_of(rig, plan)
+    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, twin))
+    return strength(recorded, twin)
+
+
+def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Return what is hidden as a recording shows it, whose time begins after the machine has settled under power.
+
+    The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
+    """
+    out = {name: dict(parameters) for name, parameters in effects.items()}
+    if "encoder_slip" in out:
+        out["encoder_slip"]["at_s"] -= SETTLE_S
+    if "load_swing" in out:
+        out["load_swing"]["fraction"] *= math.exp(-SETTLE_S / out["load_swing"]["decay_s"])
+    return out
+
+
+@click.command()
+@click.argument("out", type=click.Path(path_type=Path, file_okay=False))
+@click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True, help="How many.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
+@click.option("--only", multiple=True, help="Hide these effects in every rig, instead of drawing them.")
+def main(out: Path, rigs: int, seed: int, only: Sequence[str]) -> None:
+    """Generate blind rigs into OUT, without diagnosing them."""
+    drawn: list[tuple[Kind, tuple[str, ...]]] = assignment(rigs, seed)
+    if only:
+        drawn = [("one" if len(only) == 1 else "two", tuple(only))] * rigs
+    for number, (kind, names) in enumerate(drawn, start=1):
+        rig = draw(kind, names, (seed, number))
+        where = seal_rig(out, number, rig)
+        click.echo(f"{where.campaign}  {where.digest}")
+        write_json(where.truth.with_suffix(".strength.json"), simulate_rig(where, rig))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,71 @@
+"""One blind rig judged: by the diagnosis, by the baselines it must beat, and, once its truth is open, by the oracle."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+from identification.diagnosis.baselines import greedy_bic, library, sparse
+from identification.diagnosis.joint import Joint
+from identification.diagnosis.oracle import oracle
+from identification.diagnosis.terms import TERMS
+from identification.recording import Dataset
+from rig.results.diagnose.diagnose import as_json, diagnose_source
+from rig.results.prove.absorbed import residual_rms
+
+
+class Judgement(NamedTuple):
+    """What was said of one rig.
+
+    Attributes:
+        diagnosis: The record of ``rig diagnose --json``.
+        baselines: Method to the effects it names, the most important first.
+        oracle: From the true names to the record of :class:`identification.diagnosis.oracle.HeldOut`, or None.
+        seconds: Spent on the diagnosis.
+        baseline_seconds: Spent on the baselines.
+        left: What the nominal model's fit leaves in each equation, in its unit.
+    """
+
+    diagnosis: Mapping[str, Any]
+    baselines: Mapping[str, Sequence[str]]
+    oracle: Callable[[Sequence[str]], Mapping[str, Any] | None]
+    seconds: float
+    baseline_seconds: float
+    left: Mapping[str, float] = MappingProxyType({})
+
+
+Judge = Callable[[Path, int], Judgement]
+"""From a campaign file and a seed; the truth is told to nobody but the oracle, afterwards."""
+
+
+def judge(source: Path, seed: int) -> Judgement:
+    """Diagnose a campaign, and let the baselines name effects on the same rows.
+
+    Raises:
+        InputError: The source cannot be read, or its recordings cannot be diagnosed.
+    """
+    seen: list[Joint] = []
+    began = time.perf_counter()
+    outcome = diagnose_source(source, seed, onlooker=seen.append)
+    diagnosed = time.perf_counter()
+    if not seen:
+        # A gas generator's equation has neither these baselines nor this oracle.
+        return Judgement(as_json(outcome), {}, lambda _names: None, diagnosed - began, 0.0)
+    first = seen[0]
+    declared = outcome.dataset.model.terms
+    regressors = library(first, [t for t in TERMS if t.name not in declared])
+    named = {"greedy_bic": greedy_bic(regressors), "sparse": sparse(regressors)}
+    bandwidth = outcome.diagnosis.fit.bandwidth_Hz
+    later = time.perf_counter() - diagnosed
+    asked = partial(_oracle, outcome.dataset, first, bandwidth)
+    return Judgement(as_json(outcome), named, asked, diagnosed - began, later, residual_rms(first))
+
+
+def _oracle(dataset: Dataset, first: Joint, bandwidth_Hz: float, names: Sequence[str]) -> Mapping[str, Any] | None:
+    found = oracle(dataset, first, names, bandwidth_Hz)
+    return None if found is None else asdict(found)

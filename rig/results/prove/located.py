@@ -1,0 +1,54 @@
+"""Whether the diagnosis found the mismatch where the catalogue says that the hidden effect shows."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from identification.diagnosis.entries import ENTRIES
+from rig.results.prove.excitation import experiments
+
+LIKE: Mapping[str, frozenset[str]] = {
+    "direction": frozenset({"speed", "torque"}),
+    "load": frozenset({"torque"}),
+    "time": frozenset({"temperature"}),
+    "temperature": frozenset({"time"}),
+    "time since reversal": frozenset({"travel since reversal"}),
+    "travel since reversal": frozenset({"time since reversal"}),
+    "frequency": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
+}
+"""Coordinate of the catalogue to those that fix it as well on these rigs: speed and torque carry the direction in their
+sign, torque rises with the load, the machine warms with time, what changes with frequency shows where torque turns."""
+OWN_RECORDING = ("wrong_weight", "encoder_slip")
+"""Effects that show in one recording; that recording, rather than any coordinate, is their place."""
+
+
+def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Score the place that a diagnosis gives for one hidden effect.
+
+    Args:
+        name: The effect.
+        true: Its parameters; ``recording`` counts from 1.
+        diagnosis: As ``rig diagnose --json`` says; of several effects the first one's place counts.
+
+    Returns:
+        ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is the catalogue's;
+        ``place``: whether it is that or one like it, or for effects of one recording, whether no more than one other
+        is named beside it. All null where the diagnosis found nothing, which the power curve tells.
+    """
+    where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
+    if diagnosis["verdict"] == "nothing_missing" or where is None:
+        return {"equation": None, "coordinate": None, "place": None, "found": None}
+    entry = ENTRIES[name]
+    expected, found = entry.coordinate.split(":")[0], where["coordinate"]
+    if name in OWN_RECORDING:
+        own = experiments()[round(true["recording"]) - 1].name
+        place = own in where["recordings"] and len(where["recordings"]) <= 2
+    else:
+        place = found == expected or found in LIKE.get(expected, ())
+    return {
+        "equation": diagnosis["fit"]["equation"] == entry.shows_in,
+        "coordinate": found == expected,
+        "place": place,
+        "found": found,
+    }

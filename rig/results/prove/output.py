@@ -1,0 +1,194 @@
+"""What ``rig prove`` leaves behind: words, result file, page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from identification.plots.proof import confusion_matrix, power_curve
+from rig.common.errors import InputError
+from rig.common.figures import Picture, save
+from rig.common.parameter_table import Table
+from rig.common.places import write_json, write_text
+from rig.common.result_files import Provenance
+from rig.common.tables import number
+from rig.results.prove.score import STRONG, score
+from rig.results.report import provenance_tables, render
+
+PROVE_SCHEMA = "loadrig.prove/2"
+RESULT_FILE = "prove.json"
+_RATES = {
+    "top1": f"one effect, strength {STRONG:g} or more: named first",
+    "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
+    "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias group",
+    "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
+    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in the alias group",
+    "top1_all": "one effect, any strength: named first",
+    "alias_group_all": "one effect, any strength: in the alias group",
+    "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both named",
+    "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
+    "both_named_all": "two effects, any strength: both named",
+    "false_alarms": "nothing hidden: alarms",
+    "outside": "outside the catalogue: said so",
+    "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
+    "intervals": "parameters of effects within their interval",
+}
+_METHODS = {
+    "top1": f"one effect, strength {STRONG:g} or more: named first",
+    "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
+    "top1_all": "one effect, any strength: named first",
+    "both_named": f"two effects, strength {STRONG:g} or more: both named",
+    "exact": f"one or two, strength {STRONG:g} or more: all named and nothing else",
+    "false_alarms": "nothing hidden: alarms",
+    "outside_named": "outside the catalogue: given a name",
+}
+_TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "sparse regression"}
+_PLACES = {
+    "equation": "in the equation where the effect shows",
+    "coordinate": "over the catalogue's coordinate",
+    "place": "over that or one like it, or in its recording",
+}
+
+
+def record(rows: Sequence[Mapping[str, Any]], provenance: Provenance) -> dict[str, Any]:
+    """Return the record of ``rig prove --json``."""
+    return {**provenance.record(PROVE_SCHEMA), **score(rows), "rigs": list(rows)}
+
+
+def rates(result: Mapping[str, Any]) -> Table:
+    """Return the proof's rates, one row each; those of which there are no rigs are left out."""
+    rows = []
+    for key, words in _RATES.items():
+        found = result[key]
+        if found["of"]:
+            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
+            rows.append((words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band))
+    return Table(("what", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+
+
+def methods(result: Mapping[str, Any]) -> Table:
+    """Return the diagnosis beside the baselines it must beat, on the same rigs."""
+    names = [m for m in _TITLES if m in result["methods"]]
+    rows = []
+    for key, words in _METHODS.items():
+        cells = [result["methods"][m][key] for m in names]
+        if cells[0]["of"]:
+            shares = [f"{100 * c['share']:.1f} % ({100 * c['low']:.0f} to {100 * c['high']:.0f})" for c in cells]
+            rows.append((words, str(cells[0]["of"]), *shares))
+    return Table(("what", "rigs", *(_TITLES[m] for m in names)), tuple(rows), tuple(range(1, 2 + len(names))))
+
+
+def places(result: Mapping[str, Any]) -> Table:
+    """Return how often the mismatch was found where the effect shows."""
+    rows = []
+    for key, words in _PLACES.items():
+        found = result["location"][key]
+        if found["of"]:
+            band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
+            rows.append((words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band))
+    return Table(("mismatch located", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+
+
+def remarks(result: Mapping[str, Any]) -> list[str]:
+    """Return what the rates need said beside them."""
+    lines = [
+        f"{result['outside']['named_confidently']} effects outside the catalogue were given a name with confidence."
+    ]
+    for key, words in (("oracle_fraction", "what the true structure gains"), ("floor_fraction", "the noise floor")):
+        gain = result[key]
+        if gain["median"] is not None:
+            lines.append(
+                f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to {words} was gained "
+                f"(median of {gain['of']} rigs)."
+            )
+    if result["absorbed"]:
+        lines.append(
+            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave less than that over "
+            f"the noise once the nominal constants are fitted again: rigs {', '.join(map(str, result['absorbed']))}."
+        )
+    if result["most_frequent_class"] is not None:
+        lines.append(
+            f"Always naming the most frequent effect would be right on {100 * result['most_frequent_class']:.1f} %."
+        )
+    return lines
+
+
+def write(folder: Path, result: Mapping[str, Any], provenance: Provenance, json_file: Path | None) -> Path:
+    """Write result file, figures and page into ``folder``, and the result once more where asked; return the page.
+
+    Raises:
+        InputError: A place cannot be written.
+    """
+    pictures = _pictures(result)
+    sections = [
+        {"title": "Rates", "table": rates(result), "pictures": [p for p in pictures if p.name == "power"]},
+        {"title": "Against the baselines", "table": methods(result), "pictures": []},
+        {"title": "Where it was found", "table": places(result), "pictures": []},
+        {
+            "title": "What was called what",
+            "table": _confusion(result),
+            "pictures": [p for p in pictures if p.name != "power"],
+        },
+        {"title": "Rigs", "table": _rigs(result), "pictures": []},
+    ]
+    try:
+        save(pictures, folder)
+        for place in filter(None, (folder / RESULT_FILE, json_file)):
+            write_json(place, result)
+        page = render(
+            "prove.html.j2",
+            title="The blind proof",
+            subtitle=f"{len(result['rigs'])} rigs, each sealed before its diagnosis",
+            notes=remarks(result),
+            sections=sections,
+            **provenance_tables(provenance),
+        )
+        path = folder / "report.html"
+        write_text(path, page)
+    except OSError as error:
+        raise InputError(
+            f"{folder}: cannot be written: {error.strerror}; give --out or --json another place"
+        ) from error
+    return path
+
+
+def _pictures(result: Mapping[str, Any]) -> list[Picture]:
+    bands = result["power"]
+    if not bands:
+        return []
+    labels = [f"{b['from']:g} and more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}" for b in bands]
+    curves = {
+        words: [(b[key]["share"], b[key]["low"], b[key]["high"]) for b in bands]
+        for key, words in {"detected": "something missing", "alias_group": "alias group", "top1": "named"}.items()
+    }
+    return [
+        Picture.of("power", "Found and named against strength", power_curve(labels, curves)),
+        Picture.of("confusion", "What each effect was called", confusion_matrix(result["confusion"])),
+    ]
+
+
+def _confusion(result: Mapping[str, Any]) -> Table:
+    rows = tuple(
+        (name, ", ".join(f"{given} {times}" for given, times in row.items()))
+        for name, row in result["confusion"].items()
+    )
+    return Table(("true", "called"), rows, ())
+
+
+def _rigs(result: Mapping[str, Any]) -> Table:
+    rows = tuple(
+        (
+            str(row["rig"]),
+            ", ".join(row["effects"]) or "-",
+            number(row["strength"], 3),
+            "-" if row["left"] is None else number(row["left"], 3),
+            row["verdict"],
+            ", ".join(f"{e['name']} ({e['confidence']:.2f})" for e in row["named"]) or "-",
+            row["sha256"][:12],
+        )
+        for row in result["rigs"]
+    )
+    return Table(("rig", "hidden", "strength", "left", "verdict", "named", "SHA-256"), rows, (0, 2, 3))

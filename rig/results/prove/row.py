@@ -1,0 +1,154 @@
+"""One rig's line of the proof: what it hid beside what the diagnosis said of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from rig.results.prove.absorbed import left_over
+from rig.results.prove.judge import Judgement
+from rig.results.prove.located import located
+
+CONFIDENT = 0.9
+"""A name given with more confidence than this to an effect outside the catalogue counts as a gross error."""
+MOST_NAMED = 3
+"""Names of a baseline that count where two effects are hidden: as many as the diagnosis gives at most."""
+WORTH = 0.05
+"""Held-out gain of the oracle over the noise, below which there is nothing to gain."""
+FAINT = 1e-12
+VERSION = 5
+"""Of a row, and of the recordings behind it: a proof begun with other ones is not gone on with."""
+
+
+def row_of(
+    truth: Mapping[str, Any],
+    strengths: Mapping[str, float],
+    judgement: Judgement,
+    oracle: Mapping[str, Any] | None,
+    digest: str,
+    floor: Mapping[str, float] = MappingProxyType({}),
+) -> dict[str, Any]:
+    """Score one rig's judgement against its truth.
+
+    Args:
+        truth: As unsealed: ``rig``, ``kind``, ``effects`` and ``parameters``.
+        strengths: Channel to rms change over noise.
+        judgement: What was said of it.
+        oracle: Held-out errors with the true structure; None where there is none.
+        digest: Of the seal.
+        floor: Equation to what the nominal model leaves of a twin that hides nothing; empty where that is not known.
+
+    Returns:
+        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where the kind of rig gives them no meaning.
+    """
+    diagnosis = judgement.diagnosis
+    names, kind = list(truth["effects"]), truth["kind"]
+    found = list(diagnosis["effects"])
+    verdict = diagnosis["verdict"]
+    single = kind == "one"
+    left = left_over(judgement.left, floor)
+    return {
+        "rig": truth["rig"],
+        "sha256": digest,
+        "kind": kind,
+        "effects": names,
+        "strength": max(strengths.values(), default=0.0),
+        "strength_by_channel": dict(strengths),
+        "left": max(left.values(), default=None),
+        "left_by_equation": left,
+        "verdict": verdict,
+        "named": [
+            {"name": e["name"], "alias_group": list(e["alias_group"]), "confidence": e["confidence"]} for e in found
+        ],
+        "p_value": diagnosis["p_value"],
+        **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
+        "alarm": verdict != "nothing_missing",
+        "confident": any(e["confidence"] > CONFIDENT for e in found) if kind == "outside" else None,
+        "baselines": {
+            method: {"named": list(said), **_hits(kind, names, [(name,) for name in said])}
+            for method, said in judgement.baselines.items()
+        },
+        "location": located(names[0], truth["effects"][names[0]], diagnosis) if single else None,
+        "parameters": _parameters(truth["effects"], found),
+        "nominal": _nominal(truth["parameters"], diagnosis),
+        **_held_out(diagnosis["fit"]),
+        "oracle": None if oracle is None else dict(oracle),
+        "oracle_fraction": None if oracle is None else _oracle_fraction(oracle, diagnosis["fits"]),
+        "seconds": judgement.seconds,
+        "baseline_seconds": judgement.baseline_seconds,
+    }
+
+
+def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
+    """Score names, each with its alias group behind it, by the same rules for every method."""
+    alarm = {"alarm": bool(said), "top1": None, "alias": None, "exact": None}
+    if kind not in ("one", "two"):
+        return alarm
+    counted = said[:1] if kind == "one" else said[:MOST_NAMED]
+    return {
+        **alarm,
+        "top1": set(names) <= {group[0] for group in counted},
+        "alias": set(names) <= {name for group in counted for name in group},
+        "exact": set(names) == {group[0] for group in said},
+    }
+
+
+def _parameters(true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Return true and estimated parameters of the effects that were named rightly."""
+    rows: dict[str, Any] = {}
+    for effect in found:
+        for name, value in true.get(effect["name"], {}).items():
+            estimate = effect["parameters"].get(name)
+            if estimate is None:
+                continue
+            low, high = estimate["low"], estimate["high"]
+            rows[f"{effect['name']}.{name}"] = {
+                "true": value,
+                "value": estimate["value"],
+                "low": low,
+                "high": high,
+                "inside": None if low is None or high is None else low <= value <= high,
+            }
+    return rows
+
+
+def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the nominal parameters' errors, as shares of their values, before and after the correction."""
+    rows = {}
+    for name, shift in diagnosis["parameter_shift"].items():
+        if name in true and shift["before"] is not None and shift["after"] is not None:
+            rows[name] = {
+                "before": shift["before"] / true[name] - 1.0,
+                "after": shift["after"] / true[name] - 1.0,
+            }
+    return rows
+
+
+def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
+    """Return held-out errors, and the share of the way to the noise floor that was gained.
+
+    No model fitted to the same data gets below the floor but by chance.
+    """
+    before, after, floor = fit["validate_baseline_rms"], fit["validate_final_rms"], fit["noise_floor_rms"]
+    share = None
+    if None not in (before, after, floor) and before - floor > FAINT:
+        share = (before - after) / (before - floor)
+    return {
+        "validate_baseline_rms": before,
+        "validate_final_rms": after,
+        "noise_floor_rms": floor,
+        "floor_fraction": share,
+    }
+
+
+def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
+    """Return the diagnosis's held-out gain over the oracle's, in the equation where the oracle gains most.
+
+    Null where the true structure itself gains nothing there, or where the diagnosis has no such equation.
+    """
+    mine = [f for f in fits if f["equation"] == oracle["equation"] and f["validate_baseline_rms"] is not None]
+    possible = oracle["baseline_rms"] - oracle["oracle_rms"]
+    if not mine or possible <= WORTH * oracle["noise_rms"]:
+        return None
+    return float((mine[0]["validate_baseline_rms"] - mine[0]["validate_final_rms"]) / possible)

@@ -1,0 +1,94 @@
+"""A blind rig's campaign simulated, and how strong what it hides is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.mock.direct import Samples, record
+from drivers.mock.plant.machine import SimulatedMachine
+from rig.results.prove.draw import Rig
+from rig.results.prove.excitation import CYCLE_S, NOTHING_FIXED, Array, Experiment
+
+MOVING_RAD_S = 0.02
+SETTLE_S = 0.5
+"""Under power before each recording."""
+CHANNELS = ("current", "voltage", "supply_voltage", "motor_angle", "angle", "temperature")
+_CYCLE_NS = round(CYCLE_S * 1e9)
+
+
+class Recorded(NamedTuple):
+    """One recording of a campaign; ``start_s`` is when it began since the campaign did."""
+
+    experiment: Experiment
+    start_s: float
+    samples: Samples
+
+
+def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
+    """Simulate all experiments, one after another on one machine that warms, wears and remembers."""
+    machine = SimulatedMachine(rig.machine, np.random.default_rng(rig.seed))
+    done = []
+    clock_s, turning = 0.0, None
+    for experiment, pause_s in zip(plan, rig.pauses_s, strict=True):
+        machine.power(False)
+        machine.hang(experiment.weight_kg)
+        if experiment.fixed is not None or turning is not None:
+            machine.fix_weight(*(experiment.fixed or NOTHING_FIXED))
+        turning = experiment.fixed
+        machine.rest(pause_s)
+        machine.power(True)
+        record(machine, np.zeros(round(SETTLE_S / CYCLE_S)), CYCLE_S)
+        clock_s += pause_s + SETTLE_S
+        samples = record(machine, experiment.command, CYCLE_S)
+        done.append(Recorded(experiment, round(clock_s, 3), samples))
+        clock_s += len(experiment.command) * CYCLE_S
+    return done
+
+
+def twin_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
+    """Simulate a rig's twin that hides nothing, driven by the same commands and the same noise."""
+    return campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
+
+
+def strength(hiding: Sequence[Recorded], twin: Sequence[Recorded]) -> dict[str, float]:
+    """Compare a campaign with its twin that hides nothing.
+
+    Current and voltage are compared only where both move: what a joint at rest is held with depends on how it came to
+    rest, down to a single encoder count.
+
+    Returns:
+        For each channel the rms difference over the channel's noise. The noise is what two recordings of one experiment
+        on the twin differ by, over sqrt(2); no less than that of its quantum.
+    """
+    first, last = twin[0].samples, twin[-1].samples
+    assert np.array_equal(first.command, last.command)
+    pairs = [(a.samples, b.samples) for a, b in zip(hiding, twin, strict=True)]
+    found = {}
+    for name in CHANNELS:
+        noise = _rms([_gap(name, first, last)]) / np.sqrt(2.0)
+        floor = _quantum(getattr(first, name)) / np.sqrt(12.0)
+        found[name] = float(_rms([_gap(name, a, b) for a, b in pairs]) / max(noise, floor))
+    return found
+
+
+def _gap(name: str, a: Samples, b: Samples) -> Array:
+    """Return how two recordings of one experiment differ in a channel, where that says something."""
+    difference = np.asarray(getattr(a, name) - getattr(b, name), dtype=np.float64)
+    if name not in ("current", "voltage"):
+        return difference
+    return difference[np.minimum(np.abs(a.velocity), np.abs(b.velocity)) > MOVING_RAD_S]
+
+
+def _rms(parts: Sequence[Array]) -> float:
+    joined = np.concatenate(parts)
+    return float(np.sqrt(np.mean(np.square(joined)))) if joined.size else 0.0
+
+
+def _quantum(values: Array) -> float:
+    """Return the smallest step between two different values of a channel."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min()) if steps.size else 1e-3

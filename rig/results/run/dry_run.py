@@ -1,0 +1,176 @@
+"""``rig run --dry-run``: what a run would do and ask of the bench, without connecting to it."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from rig.common.provenance import utc_now, versions
+from rig.common.tables import percent, table
+from rig.config.bench import Bench
+from rig.config.configuration import Document
+from rig.planning.friction_model import FrictionModel
+from rig.planning.plan import Plan
+from rig.planning.plan_text import describe
+from rig.planning.predicted_load import WARNING_SHARE, PredictedPeak, moves_to_start, predicted_peaks
+from rig.wiring.bench_text import Watcher, watcher_of
+
+SCHEMA = "loadrig.dry_run/1"
+PROMPT_S = 60.0
+"""Time that is assumed for hanging a weight and answering its prompt, s."""
+NOT_PREDICTED = (
+    "What the drive's loops add where the joint breaks away, sticks and slips is not in it; on the "
+    "simulated benches that is up to a fifth."
+)
+
+
+@dataclass(frozen=True)
+class Duration:
+    """How long a run takes, as far as that can be told.
+
+    Attributes:
+        under_power_s: In motion and at rest, s.
+        moves_s: Moves to the starts, s; the first from 0 deg.
+        prompts: That somebody has to answer.
+    """
+
+    under_power_s: float
+    moves_s: float
+    prompts: int
+
+    @property
+    def total_s(self) -> float:
+        """With the time that is assumed for the prompts, s."""
+        return self.under_power_s + self.moves_s + self.prompts * PROMPT_S
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        asked = f"{self.prompts} prompts, {PROMPT_S:g} s assumed for each" if self.prompts else "no prompt"
+        parts = f"{self.under_power_s:.1f} s in motion and at rest, {self.moves_s:.1f} s of moves to the start, {asked}"
+        minutes, seconds = divmod(round(self.total_s), 60)
+        return f"about {minutes} min {seconds} s: {parts}"
+
+
+@dataclass(frozen=True)
+class DryRun:
+    """A run that was only computed.
+
+    Attributes:
+        bench: On which.
+        plan: What would be done.
+        model: What the peaks are predicted with.
+        peaks: Predicted, in the order of the run.
+        watcher: Who would stop the drive when this program does not.
+        duration: How long it takes.
+    """
+
+    bench: Document[Bench]
+    plan: Plan
+    model: FrictionModel
+    peaks: list[PredictedPeak]
+    watcher: Watcher
+    duration: Duration
+
+    @property
+    def problems(self) -> list[str]:
+        """Peaks above their limits, in words."""
+        return [text + self._doubt for peak in self.peaks for text in _above(peak, 1.0, "above")]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Peaks near their limits, in words."""
+        near = [peak for peak in self.peaks if WARNING_SHARE < peak.share <= 1.0]
+        words = f"more than {WARNING_SHARE:.0%} of"
+        return [text + self._doubt for peak in near for text in _above(peak, WARNING_SHARE, words)]
+
+    @property
+    def _doubt(self) -> str:
+        return "" if self.model.measured else "; it is of the paper's values, and this bench may have others"
+
+
+def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool) -> DryRun:
+    """Compute what a run would do and ask of the bench.
+
+    Args:
+        bench: On which.
+        plan: What is to be done.
+        model: What is known of its friction and inertia.
+        asks: Whether somebody has to answer the prompts.
+    """
+    prompts = len(plan.stages) if asks else 0
+    cycles = sum(len(move) for stage in plan.stages for move in moves_to_start(stage, plan))
+    duration = Duration(plan.duration_s, cycles * plan.cycle_s, prompts)
+    peaks = predicted_peaks(plan, bench.value, model)
+    return DryRun(bench, plan, model, peaks, watcher_of(bench.value), duration)
+
+
+def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
+    where = peak.stage if peak.part == "stage" else f"{peak.stage}, {peak.part}"
+    for name, value, limit, unit in (
+        ("torque", peak.torque_N_m, peak.torque_limit_N_m, "N m"),
+        ("current", peak.current_A, peak.current_limit_A, "A"),
+    ):
+        if value > share * limit:
+            yield (
+                f"{where}: predicted peak {name} {value:.4g} {unit} is {words} its limit {limit:.4g} {unit}; use less "
+                "weight, or a slower or smaller motion"
+            )
+
+
+def describe_dry_run(run: DryRun) -> str:
+    """Return everything for the terminal."""
+    head = ["stage", "part", "peak N m", "limit N m", "share", "peak A", "limit A", "share"]
+    rows = [
+        [
+            peak.stage,
+            peak.part,
+            f"{peak.torque_N_m:.2f}",
+            f"{peak.torque_limit_N_m:g}",
+            percent(100.0 * peak.torque_share),
+            f"{peak.current_A:.2f}",
+            f"{peak.current_limit_A:g}",
+            percent(100.0 * peak.current_share),
+        ]
+        for peak in run.peaks
+    ]
+    lines = [
+        describe(run.plan),
+        "",
+        f"Predicted from {run.model.source}. {NOT_PREDICTED}",
+        table(head, rows, right=range(2, 8)),
+        "",
+        f"watched by: {run.watcher.words}",
+        f"duration: {run.duration.words}",
+        *(f"warning: {text}" for text in run.warnings),
+        *(f"problem: {text}" for text in run.problems),
+    ]
+    return "\n".join(lines)
+
+
+def dry_run_record(run: DryRun) -> dict[str, Any]:
+    """Return the same as the record of ``--json``."""
+    bench = run.bench.value
+    return {
+        "schema": SCHEMA,
+        "created": utc_now().isoformat(timespec="seconds"),
+        "versions": versions(),
+        "bench": bench.name,
+        "bench_file": str(run.bench.path),
+        "real": not bench.simulated,
+        "sequence": run.plan.name,
+        "predicted_from": run.model.source,
+        "identified": run.model.measured,
+        "predicted": [dataclasses.asdict(peak) for peak in run.peaks],
+        "watched_by": run.watcher.kind,
+        "watch_s": run.watcher.after_s,
+        "under_power_s": run.duration.under_power_s,
+        "moves_s": run.duration.moves_s,
+        "prompts": run.duration.prompts,
+        "duration_s": run.duration.total_s,
+        "warnings": run.warnings,
+        "problems": run.problems,
+        "good": not run.problems,
+    }

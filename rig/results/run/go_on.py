@@ -1,0 +1,70 @@
+"""What comes after a run that did not end as planned: what is put right first, and the command that goes on."""
+
+from __future__ import annotations
+
+import shlex
+from pathlib import Path
+
+from drivers.interfaces import ServoState
+from rig.control.safety import Check, remedy
+from rig.runs.run_record import Ending, RunRecord
+from rig.wiring.preflight import RESET_HINT
+
+NOT_READ_BACK = "switch the main supply off, or make sure that the drive is off: that was not read back"
+NEW_RUN = (
+    "where the bench or sequence file is changed for that, start a new run: a run goes on with unchanged files only"
+)
+_FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
+_BY_FILE = frozenset({Check.ANGLE, Check.SPEED, Check.DISAGREEMENT, Check.LATENESS, Check.STAGE_TIME})
+"""Trips whose remedy may be a change of the bench or sequence file."""
+
+
+def first_words(record: RunRecord) -> list[str]:
+    """Return what has to be done before the run goes on, in order; empty where nothing is known."""
+    words = [] if record.de_energised else [NOT_READ_BACK]
+    check = _tripped(record)
+    if check is not None:
+        words.append(remedy(check))
+    elif _in_fault(record):
+        words.append("remove the cause of the drive's fault")
+    return words
+
+
+def go_on_notes(record: RunRecord) -> list[str]:
+    """Return what else is worth knowing before the run goes on."""
+    return [NEW_RUN] if _tripped(record) in _BY_FILE else []
+
+
+def go_on_command(record: RunRecord, folder: Path) -> str | None:
+    """Return the command that goes on with a run, quoted for the shell; None where every stage is done."""
+    if all(stage.state == "done" for stage in record.stages):
+        return None
+    place = f"./{folder}" if str(folder).startswith("-") else str(folder)
+    return f"rig resume {shlex.quote(place)}{' --reset-fault' if _in_fault(record) else ''}"
+
+
+def go_on_words(record: RunRecord, folder: Path) -> str:
+    """Return the lines that end the message of a run that is not done; empty for one that is.
+
+    Args:
+        record: ``run.json`` at the end of the run.
+        folder: The run folder, as the operator named it.
+    """
+    if record.state == Ending.DONE.value:
+        return ""
+    lines = [f"first: {words}" for words in first_words(record)]
+    command = go_on_command(record, folder)
+    lines += [f"note: {words}" for words in go_on_notes(record)]
+    lines.append(f"go on with: {command}" if command else "every stage is done; nothing is left to go on with")
+    return "\n".join(lines)
+
+
+def _in_fault(record: RunRecord) -> bool:
+    """Whether the drive was left in a fault, which no run clears unless it is asked to."""
+    return record.drive_state in _FAULTS or RESET_HINT in record.message
+
+
+def _tripped(record: RunRecord) -> Check | None:
+    """Return which check the run tripped on, if it did."""
+    name = record.trip.get("check") if record.trip else None
+    return next((check for check in Check if check.value == name), None)

@@ -1,0 +1,189 @@
+"""What is drawn of every sample: what was recorded, and what follows from it as the safety check computes it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.canopen.cia402 import decode_state
+from drivers.errors import StateError
+from drivers.interfaces import ServoState
+from identification.model.valve import impacted_area
+from identification.recording import Array, Bench
+from rig.control.safety import RUNNING_MASK
+from rig.results.run.page.envelope import Flags
+
+NAMES = (
+    "command",
+    "angle",
+    "motor",
+    "error",
+    "following_error",
+    "disagreement",
+    "velocity",
+    "current",
+    "torque",
+    "voltage",
+    "supply_voltage",
+    "temperature",
+    "pressure",
+    "force",
+    "state",
+    "age",
+    "answer",
+    "late",
+    "drive_clock",
+    "encoder_clock",
+)
+"""Columns of the values, in SI units.
+
+``motor`` is the joint angle by the motor's encoder, ``error`` command less joint angle, ``disagreement`` motor less
+joint encoder, ``torque`` Km i I, ``force`` the contact force that follows from the pressure. ``age`` is the time since
+the last fresh sample, ``answer`` that from a cycle's start until its answer had been collected, ``late`` how late a
+cycle started where that was more than a period; the clocks are a device's time less the host's, since the start of the
+stage.
+"""
+STATES = ("off", "fault", "quick stop", "enabled")
+"""Of the drive, by the number that ``state`` has."""
+ENABLED = float(STATES.index("enabled"))
+PAUSES = frozenset({"stage start", "weight check"})
+"""Events after which the cycle begins afresh, so that a step of time before them is no lateness."""
+_GAP_CYCLES = 10.0
+"""Cycles that are missing in a row from which on no line is drawn across."""
+_CODES: Mapping[ServoState, str] = {
+    ServoState.OPERATION_ENABLED: "enabled",
+    ServoState.QUICK_STOP_ACTIVE: "quick stop",
+    ServoState.FAULT: "fault",
+    ServoState.FAULT_REACTION: "fault",
+}
+
+
+def _code(statusword: int) -> float:
+    try:
+        return float(STATES.index(_CODES.get(decode_state(statusword), "off")))
+    except StateError:
+        return math.nan
+
+
+_STATE = np.array([_code(word) for word in range(RUNNING_MASK + 1)])
+
+
+class Derived(NamedTuple):
+    """Samples as they are drawn.
+
+    Attributes:
+        time: s, shape (n,).
+        values: Columns in the order of :data:`NAMES`, shape (n, 20).
+        broken: Whether cycles are missing before a sample, or the drive was off.
+        segment: Number of the excitation, 0 for none.
+    """
+
+    time: Array
+    values: Array
+    broken: Flags
+    segment: Array
+
+
+@dataclass
+class _Carried:
+    """What the samples before a block leave to it."""
+
+    time: float = -math.inf
+    fresh: float = math.nan
+    drive: float = math.nan
+    encoder: float = math.nan
+
+
+class Deriver:
+    """Derives the channels of blocks of samples that follow one another.
+
+    Args:
+        bench: Constants of the bench.
+        cycle_s: Control cycle, s.
+
+    Attributes:
+        starts: Time, s, and command, rad, of the first sample of each stage under power.
+    """
+
+    def __init__(self, bench: Bench, cycle_s: float) -> None:
+        self._bench = bench
+        self._cycle_s = cycle_s
+        self._carried = _Carried()
+        self.starts: list[tuple[float, float]] = []
+
+    def __call__(self, samples: Mapping[str, Array], events: Iterable[Mapping[str, Any]]) -> Derived:
+        """Derive one block.
+
+        Args:
+            samples: Every field of :class:`rig.common.sample.Sample` to its values, shape (n,).
+            events: All that were recorded up to the end of the block.
+        """
+        time = samples["time"]
+        pauses = self._pauses(time, events, PAUSES)
+        stages = self._pauses(time, events, frozenset({"stage start"}))
+        step = np.diff(time, prepend=self._carried.time)
+        self.starts += [(float(time[k]), float(samples["command"][k])) for k in np.flatnonzero(stages)]
+        found = {
+            **self._motion(samples),
+            **self._gas(samples),
+            "state": _STATE[samples["statusword"].astype(np.int64) & RUNNING_MASK],
+            **self._times(samples, step, pauses, stages),
+        }
+        self._carried.time = float(time[-1])
+        values = np.column_stack([found.get(name, np.full(len(time), np.nan)) for name in NAMES])
+        return Derived(time, values, stages | (step > _GAP_CYCLES * self._cycle_s), samples["segment"])
+
+    def _pauses(self, time: Array, events: Iterable[Mapping[str, Any]], kinds: frozenset[str]) -> Flags:
+        """Return before which samples an event of these kinds lies."""
+        flags = np.zeros(len(time), dtype=np.bool_)
+        at = np.array([e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time])
+        index = np.searchsorted(time, at)
+        flags[index[index < len(time)]] = True
+        return flags
+
+    def _motion(self, samples: Mapping[str, Array]) -> dict[str, Array]:
+        motor = samples["motor_angle"] / self._bench.gear_ratio
+        plain = ("command", "angle", "following_error", "velocity", "current", "voltage")
+        return {
+            **{name: samples[name] for name in (*plain, "supply_voltage", "temperature")},
+            "motor": motor,
+            "error": samples["command"] - samples["angle"],
+            "disagreement": motor - samples["angle"],
+            "torque": samples["current"] * self._bench.ampere_torque,
+        }
+
+    def _gas(self, samples: Mapping[str, Array]) -> dict[str, Array]:
+        pressure, generator = samples["pressure"], self._bench.gas_generator
+        if generator is None:
+            return {"pressure": pressure}
+        area = impacted_area(samples["angle"], generator.valve)
+        return {"pressure": pressure, "force": (pressure - generator.p_c0) * area}
+
+    def _times(self, samples: Mapping[str, Array], step: Array, pauses: Flags, stages: Flags) -> dict[str, Array]:
+        time, fresh, carried = samples["time"], samples["fresh"] != 0.0, self._carried
+        late = np.where((step > 1.99 * self._cycle_s) & ~pauses & np.isfinite(step), step - self._cycle_s, 0.0)
+        before = time[0] if math.isnan(carried.fresh) else carried.fresh
+        latest = np.maximum.accumulate(np.where(fresh | pauses, time, before))
+        carried.fresh = float(latest[-1])
+        drive, carried.drive = _since(samples["device_time"] - time, stages, carried.drive)
+        encoder, carried.encoder = _since(samples["encoder_time"] - time, stages, carried.encoder)
+        return {
+            "age": time - latest,
+            "answer": samples["host_time"] - time,
+            "late": late,
+            "drive_clock": drive,
+            "encoder_clock": encoder,
+        }
+
+
+def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
+    """Return the values less that of the latest start, and that value; ``before`` is the one before the block."""
+    if math.isnan(before):
+        before = float(values[0])
+    index = np.maximum.accumulate(np.where(starts, np.arange(len(values)), -1))
+    zero = np.where(index < 0, before, values[np.maximum(index, 0)])
+    return values - zero, float(zero[-1])

@@ -1,0 +1,123 @@
+"""Which limits held when, worked out again from the files that are attached to a recording."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rig.common.errors import InputError
+from rig.common.yaml_tree import DocumentError, parse
+from rig.config.bench import Bench, in_force
+from rig.config.configuration import Document, Schema, validated
+from rig.config.sequence import Sequence as StageSequence
+from rig.config.sequence import approach
+from rig.planning.first_pass import PlannedPass
+from rig.planning.limits import Limits
+from rig.planning.plan import APPROACH_SPEED_SHARE, Plan, make_plan
+from rig.runs.run_record import BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT
+
+_ENDS_PASS = frozenset({"weight check", "stage start"})
+"""Events by which a first pass is over; where a run ends in one, its limits hold to the end."""
+_SAME = 1e-9
+"""Relative difference of two amplitudes that are one."""
+
+
+@dataclass(frozen=True)
+class Attachments:
+    """What the files attached to a recording say.
+
+    Attributes:
+        bench: The bench, with the limits in force; None where its file is missing or cannot be read.
+        plan: What was planned on it, with the first passes that were to come before each stage; None as well.
+        problem: Why one of them is None, in words.
+    """
+
+    bench: Bench | None
+    plan: Plan | None
+    problem: str = ""
+
+
+def read_attachments(attachments: Mapping[str, bytes]) -> Attachments:
+    """Read bench and sequence as they were attached."""
+    try:
+        bench = in_force(_document(attachments, BENCH_ATTACHMENT, Bench))
+    except InputError as error:
+        return Attachments(None, None, error.problems[0])
+    try:
+        sequence = _document(attachments, SEQUENCE_ATTACHMENT, StageSequence)
+        return Attachments(bench.value, make_plan(sequence, bench, first_pass=True))
+    except InputError as error:
+        return Attachments(bench.value, None, error.problems[0])
+
+
+def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema]) -> Document[Any]:
+    """Validate one attachment.
+
+    Raises:
+        InputError: It is missing, or not valid.
+    """
+    if name not in attachments:
+        raise InputError(f"{name} is not attached to the recording")
+    try:
+        root, _ = parse(attachments[name].decode("utf-8"))
+    except (DocumentError, UnicodeDecodeError) as error:
+        raise InputError(f"{name}, as attached to the recording, cannot be read: {error}") from error
+    return validated(Path(name), root, schema)
+
+
+Step = tuple[float, Limits]
+"""From when on, s, which limits hold."""
+
+
+def limit_steps(plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]) -> list[Step]:
+    """Return the limits of a run over the time of one recording, those of its first passes among them.
+
+    Args:
+        plan: What was planned.
+        events: Of the recording.
+        starts: Time, s, and command, rad, of the first sample of each stage under power.
+    """
+    steps: list[Step] = [(-math.inf, plan.limits)]
+    inside = False
+    before: PlannedPass | None = None
+    for event in events:
+        if event["event"] == "first pass":
+            planned = _pass_of(plan, event)
+            if planned is None:
+                continue
+            steps += _pass_steps(planned, before, plan, event, starts)
+            before, inside = planned, True
+        elif inside and event["event"] in _ENDS_PASS:
+            steps.append((event["time"], plan.limits))
+            inside = False
+        if event["event"] == "stage start":
+            before = None
+    return steps
+
+
+def _pass_of(plan: Plan, event: Mapping[str, Any]) -> PlannedPass | None:
+    passes = next((stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ())
+    return next((p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)), None)
+
+
+def _pass_steps(
+    planned: PlannedPass,
+    before: PlannedPass | None,
+    plan: Plan,
+    event: Mapping[str, Any],
+    starts: Sequence[tuple[float, float]],
+) -> Iterator[Step]:
+    """Yield the limits of the way to a first pass, and those of the pass, which are tighter in angle."""
+    yield event["time"], planned.move_limits
+    begun = [command for time, command in starts if time <= event["time"]]
+    if before is None and not begun:
+        return
+    # As the sequencer moves: from where the joint was found, or from the end of the pass before.
+    at = float(before.targets[-1]) if before is not None else begun[-1]
+    speed = min(plan.approach_speed, APPROACH_SPEED_SHARE * planned.move_limits.speed)
+    cycles = len(approach(at, float(planned.targets[0]), speed, plan.cycle_s))
+    settle_s = next(stage.settle_s for stage in plan.stages if stage.name == event["stage"])
+    yield event["time"] + cycles * plan.cycle_s + settle_s, planned.limits

@@ -1,0 +1,1 @@
+"""Prediction of recordings with a fitted model."""

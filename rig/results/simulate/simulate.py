@@ -1,0 +1,140 @@
+"""From a source and result files to simulated responses, scored against the recordings."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from identification.corrected.model import CorrectedModel
+from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
+from identification.recording import Dataset, RecordingError
+from identification.simulate.closed_loop import Response, replay
+from identification.simulate.score import Sums, compare, pooled, with_friction
+from rig.common.errors import InputError
+from rig.common.input_files import is_folder
+from rig.common.provenance import sha256_file
+from rig.common.result_files import Provenance
+from rig.results.diagnose.model_file import model_of, read_result, require_motion
+from rig.results.simulate.predict import Prediction, predict
+from rig.runs.run_record import RUN_FILE
+from rig.sources import load_source
+
+SHARES = (1.0, 0.5, 0.0)
+"""Friction simulated, over that of the result: its error means something beside those of half of it and of none."""
+
+
+@dataclass(frozen=True)
+class FittedModel:
+    """A model out of a result file.
+
+    Attributes:
+        file: Where it was read.
+        corrected: Nominal parameters and effects.
+    """
+
+    file: Path
+    corrected: CorrectedModel
+
+
+@dataclass(frozen=True)
+class Case:
+    """One model with one share of its friction, simulated on every recording."""
+
+    model: FittedModel
+    share: float
+    sums: Mapping[str, Sums]
+
+    def over(self, names: Sequence[str]) -> Sums:
+        """Return the pooled sums of some recordings."""
+        return pooled(self.sums[name] for name in names)
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """What ``rig simulate`` found.
+
+    Attributes:
+        dataset: The recordings.
+        models: In the order asked for.
+        predictions: Equation errors of every model, with its effects and without.
+        prepared: Their measured side at the bandwidth, in the same order.
+        cases: Every model with every share of friction, in closed loop; empty where a recording's controller is not
+            known. Effects are not simulated there.
+        responses: Of the first model with all its friction, in the order of the recordings.
+        bandwidth_Hz: Of the torque errors.
+        provenance: Inputs, time.
+    """
+
+    dataset: Dataset
+    models: tuple[FittedModel, ...]
+    predictions: tuple[Prediction, ...]
+    prepared: tuple[Prepared, ...]
+    cases: tuple[Case, ...]
+    responses: tuple[Response, ...]
+    bandwidth_Hz: float
+    provenance: Provenance
+
+    @property
+    def unit(self) -> str:
+        """Unit of the torque errors."""
+        return torque_unit(self.dataset.recordings[0])
+
+    def names(self, role: str) -> list[str]:
+        """Return the recordings of one role."""
+        return [r.name for r in self.dataset.recordings if r.role == role]
+
+
+def simulate_source(
+    source: Path, results: Sequence[Path], bandwidth_Hz: float | None, progress: Callable[[str, float], None]
+) -> Simulation:
+    """Predict every recording of a source with the model of each result file, in closed loop where that is known.
+
+    Args:
+        source: Campaign file or run folder.
+        results: Result files of ``rig identify`` or ``rig diagnose``.
+        bandwidth_Hz: Of the errors; None takes that of the first result, or chooses it as the identification does.
+        progress: Called with what is being done and the share that is done.
+
+    Raises:
+        InputError: A file cannot be used, or a recording cannot be simulated.
+    """
+    started = time.perf_counter()
+    progress("reading", 0.0)
+    dataset = load_source(source)
+    names = [r.name for r in dataset.recordings]
+    records = [read_result(path) for path in results]
+    for path, record in zip(results, records, strict=True):
+        require_motion(record, dataset.recordings[0].bench.motion, str(path))
+    models = [FittedModel(p, model_of(record, names, str(p))) for p, record in zip(results, records, strict=True)]
+    bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
+    cases: list[Case] = []
+    shown: list[Response] = []
+    try:
+        if bandwidth_Hz is None:
+            bandwidth_Hz = min(default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings)
+        prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
+        predictions = predict(dataset, [(m.file, m.corrected) for m in models], bandwidth_Hz)
+        known = all(r.controller is not None for r in dataset.recordings)
+        total = len(models) * len(SHARES) * len(prepared)
+        for model in models if known else ():
+            for share in SHARES:
+                sums: dict[str, Sums] = {}
+                for p in prepared:
+                    progress(f"simulating {p.recording.name}", (len(cases) * len(prepared) + len(sums)) / total)
+                    values = with_friction(model.corrected.parameters, share)
+                    response = replay(p.recording, values, model.corrected.alpha)
+                    sums[p.recording.name] = compare(p, response)
+                    if not cases:
+                        shown.append(response)
+                cases.append(Case(model, share, sums))
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}") from error
+    described_by = source / RUN_FILE if is_folder(source) else source
+    provenance = Provenance.of(0, dataset.recordings, time.perf_counter() - started, described_by)
+    inputs = {**provenance.inputs, **{str(path): sha256_file(path) for path in results}}
+    provenance = Provenance(0, inputs, provenance.seconds, provenance.created, provenance.versions)
+    return Simulation(
+        dataset, tuple(models), tuple(predictions), prepared, tuple(cases), tuple(shown), bandwidth_Hz, provenance
+    )

@@ -1,0 +1,142 @@
+"""How sure an identification is: what trades off, bounds hit, starts and profiles, as text, record and pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from identification.plots import profile as plots
+from identification.result import Identification, MeasuredNoise, Profile, Resampled
+from rig.common.figures import Picture
+from rig.common.parameter_table import Table
+from rig.common.result_files import finite
+from rig.common.tables import interval, number
+
+PROFILE_NOTE = (
+    "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what the likelihood was "
+    "multiplied by, as its own curvature is not borne out by the scatter. Skew: upper over lower arm of the range."
+)
+
+
+BOOTSTRAP_NOTE = (
+    "Bootstrap: the central 90 % of estimates from stretches of motion drawn with replacement, which ask nothing of "
+    "the noise but that stretches err independently; from few stretches they are somewhat narrow."
+)
+
+
+def uncertainty_notes(result: Identification) -> list[str]:
+    """Return what trades off, which bounds were hit and how many starts reached the best end, a line each."""
+    lines = [pair.statement for pair in result.tradeoffs]
+    if result.least_pinned:
+        lines.append(result.least_pinned)
+    hit = [p.name for p in result.parameters.values() if p.at_bound]
+    lines.append(f"bounds hit: {', '.join(hit)}" if hit else "bounds hit: none")
+    if result.noise:
+        lines.append(_noise_statement(result.noise))
+    lines += [
+        f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
+        + (f"solved its equations (defect up to {number(s.reached)})" if s.absolute else "ended at the best")
+        for s in result.starts
+    ]
+    return [f"{result.method}: {line}" for line in lines]
+
+
+def _noise_statement(noise: MeasuredNoise) -> str:
+    """Return in words what noise the recordings were found to have."""
+    torque = f"torque {number(noise.torque, 3)} {noise.unit} rms, white"
+    if noise.correlated:
+        over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
+        torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
+    step, beyond = (f"{number(math.degrees(1.0) * each, 3)} deg" for each in (noise.encoder_step_rad, noise.angle_rad))
+    return f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and {beyond} rms beyond it"
+
+
+def profile_table(result: Identification) -> Table:
+    """Return one row per profile: its 90 % range beside the interval."""
+    rows = [_profile_row(curve, result) for curve in result.profiles]
+    return Table(("parameter", "90 % interval", "profile", "skew", "scaled", "unit"), tuple(rows), (1, 2, 3, 4))
+
+
+def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
+    p = result.parameters[curve.name]
+    skew = None
+    if curve.low is not None and curve.high is not None:
+        here = result.fitted[curve.name]
+        skew = (curve.high - here) / (here - curve.low)
+    reach = interval(curve.low, curve.high) if skew is not None else _open(curve)
+    return curve.name, interval(p.low, p.high), reach, number(skew, 3), number(curve.scale, 3), curve.unit
+
+
+def _open(curve: Profile) -> str:
+    """Return a range of which one end or both lie beyond what was tried."""
+    low = f"< {curve.values[0]:.4g}" if curve.low is None else f"{curve.low:.4g}"
+    high = f"> {curve.values[-1]:.4g}" if curve.high is None else f"{curve.high:.4g}"
+    return f"[{low}, {high}]"
+
+
+def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
+    """Return the tables of what was asked for, each with its note."""
+    tables = []
+    if result.profiles:
+        tables.append((profile_table(result), PROFILE_NOTE))
+    if result.resampled:
+        tables.append((bootstrap_table(result), BOOTSTRAP_NOTE))
+    return tables
+
+
+def bootstrap_table(result: Identification) -> Table:
+    """Return one row per parameter: the spread of its draws beside the interval."""
+    rows = [_bootstrap_row(r, result) for r in result.resampled]
+    return Table(("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3))
+
+
+def _bootstrap_row(r: Resampled, result: Identification) -> tuple[str, ...]:
+    p = result.parameters[r.name]
+    return r.name, interval(p.low, p.high), interval(r.low, r.high), f"{r.solved} of {r.draws}", r.unit
+
+
+def uncertainty_record(result: Identification) -> dict[str, Any]:
+    """Return the keys that a result file has of this."""
+    return {
+        "tradeoffs": [
+            {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
+            for t in result.tradeoffs
+        ],
+        "least_pinned": result.least_pinned,
+        "noise": None if result.noise is None else asdict(result.noise),
+        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
+        "starts": [
+            {"stage": s.stage, "cost": s.cost, "ends": [finite(e) for e in s.ends], "reached_best": s.best}
+            for s in result.starts
+        ],
+        "profiles": {
+            c.name: {
+                "unit": c.unit,
+                "values": [finite(v) for v in c.values],
+                "deviance": [finite(v) for v in c.deviance],
+                "low": finite(c.low),
+                "high": finite(c.high),
+                "scale": finite(c.scale),
+            }
+            for c in result.profiles
+        },
+        "bootstrap": {
+            r.name: {"unit": r.unit, "low": finite(r.low), "high": finite(r.high), "draws": r.draws, "solved": r.solved}
+            for r in result.resampled
+        },
+    }
+
+
+def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
+    """Return profiles and waterfalls of the results that have them; one start alone makes no waterfall."""
+    pictures = []
+    for result in results:
+        several = [s for s in result.starts if len(s.ends) > 1]
+        if result.profiles:
+            made = plots.profiles(result.profiles, list(result.parameters.values()))
+            pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
+        if several:
+            pictures.append(Picture.of(f"starts_{result.method}", "Where the starts ended", plots.waterfall(several)))
+    return pictures

@@ -1,0 +1,1 @@
+"""The run folder: its record, its recording, how it is read back, recovered, resumed and exported."""

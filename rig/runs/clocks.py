@@ -1,0 +1,61 @@
+"""Clocks of a run against each other: drift of drive and encoder, gaps, late answers. Pure functions of arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from identification.recording import Array
+
+LEAST_DRIFT_PPM = 1.0
+"""Drift that is told; a crystal is good for 20 to 100."""
+LATE_PERIODS = 1.0
+"""Periods after which an answer is late."""
+
+
+def drift_ppm(reference: Array, other: Array) -> float | None:
+    """Return how much faster the other clock runs, ppm, or None where either does not run forward.
+
+    From the medians of the first and the last fifth, so that single late stamps do not count.
+
+    Args:
+        reference: s, shape (n,).
+        other: s, stamped at the same samples, shape (n,).
+    """
+    fifth = len(reference) // 5
+    if fifth < 1 or not (np.all(np.diff(reference) > 0.0) and np.all(np.diff(other) > 0.0)):
+        return None
+    first, last = slice(None, fifth), slice(-fifth, None)
+    gone = float(np.median(other[last] - reference[last]) - np.median(other[first] - reference[first]))
+    return 1e6 * gone / float(np.mean(reference[last]) - np.mean(reference[first]))
+
+
+def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
+    """Say what is found of gaps, late answers and drifting clocks; nothing where all is well.
+
+    Where drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; where the encoder runs
+    free, :mod:`rig.runs.alignment` takes it out.
+
+    Args:
+        time: Start of each cycle, s, shape (n,).
+        host: When its answer had been collected, s, shape (n,).
+        drive: The drive's own stamps, s, shape (n,).
+        encoder: The joint encoder's own stamps, s, shape (n,).
+    """
+    notes = []
+    steps = np.diff(time)
+    period = float(np.median(steps)) if len(steps) else 0.0
+    gaps = steps > 1.5 * period
+    if np.any(gaps):
+        lost = round(float(np.sum(steps[gaps] / period - 1.0)))
+        notes.append(f"{int(gaps.sum())} gaps, {lost} samples lost, the longest {1e3 * float(steps.max()):.4g} ms")
+    late = host - time > LATE_PERIODS * period
+    if np.any(late):
+        notes.append(f"{100.0 * float(np.mean(late)):.2g} % of the answers came later than a period")
+    for ours, theirs, words in (
+        (time, drive, "drive's clock {} host's"),
+        (drive, encoder, "encoder's clock {} drive's"),
+    ):
+        drift = drift_ppm(ours, theirs)
+        if drift is not None and abs(drift) >= LEAST_DRIFT_PPM:
+            notes.append("the " + words.format(f"runs {drift:+.1f} ppm against the"))
+    return notes

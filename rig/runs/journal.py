@@ -1,0 +1,43 @@
+"""What a sequencer tells of a run while it goes on."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from rig.runs.run_record import Weighing
+
+
+class Journal(Protocol):
+    """Keeps the state of the run on disk."""
+
+    def stage_started(self, index: int) -> None:
+        """Stage ``index`` begins."""
+        ...
+
+    def stage_finished(self, index: int) -> None:
+        """Stage ``index`` is complete and de-energised."""
+        ...
+
+    def weight_confirmed(self, index: int, weight_kg: float) -> None:
+        """The operator confirmed a mass for stage ``index``."""
+        ...
+
+    def weighed(self, weighing: Weighing) -> None:
+        """The weight of a stage was checked."""
+        ...
+
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """The run is over, and the drive was left like this.
+
+        Raises:
+            StorageError: It cannot be written down.
+        """
+        ...
+
+    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
+        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of the recording."""
+        ...
+
+    def segment_finished(self, segment: int, time: float) -> None:
+        """It is complete."""
+        ...

@@ -1,0 +1,1 @@
+"""The recording's file format: MCAP channels written while a run goes on, and read back."""

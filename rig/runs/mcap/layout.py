@@ -1,0 +1,132 @@
+"""Layout of the messages in a recording: one protobuf message a sample, one packed message for a cycle's raw frames.
+
+The sample schema is a FileDescriptorSet written out here, so that PlotJuggler and Foxglove can open a recording while
+neither side needs a protobuf library: every field is a double at a fixed place, zeros included, so that a run of
+messages is an array.
+"""
+
+from __future__ import annotations
+
+import struct
+from itertools import chain
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.interfaces import RawFrame
+from rig.common.sample import Sample
+
+SAMPLE_TOPIC = "/sample"
+EVENT_TOPIC = "/event"
+FRAMES_TOPIC = "/frames"
+TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
+"""Of the channels 1 to 3 of every recording: one whose channel records are damaged can still be read."""
+SAMPLE_SCHEMA = "loadrig.Sample"
+FRAME_ENCODING = "loadrig-frames"
+EVENT_JSON_SCHEMA = (
+    b'{"type":"object","properties":{"time":{"type":"number"},"event":{"type":"string"}},"required":["time","event"]}'
+)
+
+_DOUBLE_WIRE_TYPE = 1
+_BYTES_WIRE_TYPE = 2
+_FRAME = "qI9p?"
+"""Time ns, identifier, up to 8 data bytes after their count, sent by the host."""
+FRAME_BYTES = struct.calcsize("<" + _FRAME)
+
+
+def _varint(value: int) -> bytes:
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)
+
+
+def _integer(number: int, value: int) -> bytes:
+    return _varint(number << 3) + _varint(value)
+
+
+def _block(number: int, content: bytes) -> bytes:
+    return _varint(number << 3 | _BYTES_WIRE_TYPE) + _varint(len(content)) + content
+
+
+def _double_field(name: str, number: int) -> bytes:
+    """FieldDescriptorProto: name = 1, number = 3, label = 4 (optional), type = 5 (double)."""
+    content = _block(1, name.encode()) + _integer(3, number) + _integer(4, 1) + _integer(5, 1)
+    return _block(2, content)
+
+
+def sample_descriptor() -> bytes:
+    """Return the FileDescriptorSet of the sample message (google/protobuf/descriptor.proto)."""
+    package, message = SAMPLE_SCHEMA.split(".")
+    fields = b"".join(_double_field(name, n) for n, name in enumerate(Sample._fields, start=1))
+    file = _block(1, b"loadrig/sample.proto") + _block(2, package.encode())
+    file += _block(4, _block(1, message.encode()) + fields) + _block(12, b"proto3")
+    return _block(1, file)
+
+
+_TAGS = [_varint(number << 3 | _DOUBLE_WIRE_TYPE) for number in range(1, len(Sample._fields) + 1)]
+_SAMPLE = struct.Struct("<" + "".join(f"{len(tag)}sd" for tag in _TAGS))
+_TEMPLATE: list[bytes | float] = [part for tag in _TAGS for part in (tag, 0.0)]
+SAMPLE_BYTES = _SAMPLE.size
+
+_FIRST_FIELDS = 16
+"""Fields of a sample in the oldest recordings; later ones were added behind them."""
+
+
+def _sample_dtype(count: int) -> np.dtype[np.void]:
+    """Return the layout of a sample of the first ``count`` fields."""
+    named = zip(_TAGS[:count], Sample._fields[:count], strict=True)
+    return np.dtype([item for tag, name in named for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))])
+
+
+_DTYPES = {dtype.itemsize: dtype for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))}
+SAMPLE_SIZES = frozenset(_DTYPES)
+"""Bytes of a sample as this program or an older one wrote it."""
+
+
+def encode_sample(sample: Sample) -> bytes:
+    """Pack one sample as protobuf."""
+    parts = _TEMPLATE[:]
+    parts[1::2] = sample
+    return _SAMPLE.pack(*parts)
+
+
+def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
+    """Unpack concatenated samples into one array a field, shape (n,); NaN for fields that they do not have.
+
+    Args:
+        messages: The samples.
+        size: Bytes of one, of :data:`SAMPLE_SIZES`.
+
+    Raises:
+        ValueError: The length is not a whole number of samples.
+    """
+    rows = np.frombuffer(messages, _DTYPES[size])
+    held = _DTYPES[size].names or ()
+    return {
+        name: np.ascontiguousarray(rows[name], dtype=np.float64) if name in held else np.full(len(rows), np.nan)
+        for name in Sample._fields
+    }
+
+
+_frame_structs: dict[int, struct.Struct] = {}
+
+
+def encode_frames(frames: list[RawFrame]) -> bytes:
+    """Pack the frames of a cycle; data beyond 8 bytes (classical CAN) do not fit."""
+    count = len(frames)
+    packer = _frame_structs.get(count)
+    if packer is None:
+        packer = _frame_structs[count] = struct.Struct("<" + _FRAME * count)
+    return packer.pack(*chain.from_iterable(frames))
+
+
+def decode_frames(message: bytes) -> list[RawFrame]:
+    """Unpack the frames of a cycle.
+
+    Raises:
+        struct.error: The length is not a whole number of frames.
+    """
+    return [RawFrame(*fields) for fields in struct.iter_unpack("<" + _FRAME, message)]

@@ -1,0 +1,212 @@
+"""Reads a recording back, whole or damaged: all that is sound, and a word on what is lost."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from rig.common.input_files import read_bytes
+from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_BYTES, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
+from rig.runs.mcap.records import (
+    HEADER,
+    DamageError,
+    Found,
+    attachment,
+    channel,
+    chunk,
+    metadata,
+    next_sound,
+    record_at,
+    statistics,
+)
+from rig.runs.mcap.writer import MAGIC, MESSAGE
+
+_DATA_END_BYTES = 4
+_TOLD = 3
+"""How many damaged places are described; the rest are counted."""
+
+
+class NotARecordingError(ValueError):
+    """The file is not a recording, or holds no samples; the message names it."""
+
+
+class Message(NamedTuple):
+    """One message as logged."""
+
+    time_ns: int
+    data: bytes
+
+
+@dataclass(frozen=True)
+class Log:
+    """What a recording holds.
+
+    Attributes:
+        samples: Field of :class:`rig.common.sample.Sample` to array, shape (n,).
+        events: In order; each has ``time`` and ``event``.
+        messages: Topic to the messages as recorded; those of ``/frames`` unpack with
+            :func:`rig.runs.mcap.layout.decode_frames`.
+        attachments: Name to content.
+        metadata: Name to keys and values.
+        damage: None for a complete file, else where it is damaged, why, and what is lost, in words.
+    """
+
+    samples: Mapping[str, NDArray[np.float64]]
+    events: tuple[Mapping[str, Any], ...]
+    messages: Mapping[str, Sequence[Message]]
+    attachments: Mapping[str, bytes]
+    metadata: Mapping[str, Mapping[str, str]]
+    damage: str | None
+
+
+def read_run(path: Path) -> Log:
+    """Read a recording. Behind a damaged place reading goes on at the next record whose checksum is right.
+
+    Raises:
+        NotARecordingError: It is not one of this program's recordings at all.
+        OSError: It cannot be opened.
+    """
+    data = read_bytes(path)
+    if not data.startswith(MAGIC):
+        raise NotARecordingError(f"{path}: not an MCAP recording; its first bytes are {data[:8].hex(' ') or 'missing'}")
+    reading = _Reading(data)
+    reading.read()
+    messages = reading.messages
+    return Log(
+        samples=reading.samples(),
+        events=tuple(json.loads(m.data) for m in messages[EVENT_TOPIC]),
+        messages=messages,
+        attachments=reading.attachments,
+        metadata=reading.metadata,
+        damage=reading.damage(),
+    )
+
+
+class _Reading:
+    """What has been read so far."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._latest_ns = 0
+        self._sample_bytes = 0
+        self._damage: list[tuple[str, int]] = []
+        self.messages: dict[str, list[Message]] = {topic: [] for topic in TOPICS}
+        self.attachments: dict[str, bytes] = {}
+        self.metadata: dict[str, Mapping[str, str]] = {}
+
+    def read(self) -> None:
+        """Read to the end, noting every damaged place."""
+        data, offset = self._data, len(MAGIC)
+        while offset < len(data):
+            try:
+                found = record_at(data, offset)
+                if found.opcode == Opcode.DATA_END and len(found.content) == _DATA_END_BYTES:
+                    self._compare(found.end)
+                    return
+                self._take(found)
+                offset = found.end
+            except DamageError as error:
+                sound = next_sound(data, offset + 1)
+                self._note(offset, sound, str(error))
+                if sound is None:
+                    return
+                offset = sound
+        self._note(offset, None, "the end of the recording was never written")
+
+    def samples(self) -> dict[str, NDArray[np.float64]]:
+        """Return the samples, one array a field."""
+        return decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]), self._sample_bytes or SAMPLE_BYTES)
+
+    def damage(self) -> str | None:
+        """Return what is damaged in words, with the number of samples that are left."""
+        if not self._damage:
+            return None
+        times = self.samples()["time"]
+        told = [words + _lost(times, before) for words, before in self._damage[:_TOLD]]
+        if len(self._damage) > _TOLD:
+            told.append(f"and {len(self._damage) - _TOLD} more places")
+        return f"{'; '.join(told)}; {len(times)} samples recovered"
+
+    def _note(self, offset: int, sound: int | None, why: str) -> None:
+        size = len(self._data)
+        where = f"whole up to byte {offset} of {size}" if not self._damage else f"damaged again at byte {offset}"
+        rest = "" if sound is None else f", sound again from byte {sound}"
+        self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
+
+    def _take(self, found: Found) -> None:
+        """Sort one record into its place.
+
+        Raises:
+            DamageError: It is not as it was written.
+        """
+        match found.opcode:
+            case Opcode.CHUNK:
+                self._take_messages(chunk(found.content))
+            case Opcode.CHANNEL:
+                described = channel(found.content)
+                if not 1 <= described.id <= len(TOPICS) or TOPICS[described.id - 1] != described.topic:
+                    raise DamageError(f"channel {described.id} is {described.topic!r}, which is none of a run's")
+            case Opcode.ATTACHMENT:
+                file = attachment(found.content)
+                self.attachments[file.name] = file.data
+            case Opcode.METADATA:
+                item = metadata(found.content)
+                self.metadata[item.name] = item.metadata
+
+    def _take_messages(self, records: bytes) -> None:
+        """Sort a chunk's messages by topic; all of them or none.
+
+        Raises:
+            DamageError: The chunk is another program's, or from another time.
+        """
+        taken: list[tuple[str, Message]] = []
+        latest_ns, sample_bytes = self._latest_ns, self._sample_bytes
+        offset = 0
+        while offset < len(records):
+            opcode, length = HEADER.unpack_from(records, offset)
+            end = offset + HEADER.size + length
+            if opcode == Opcode.MESSAGE:
+                _, _, number, _, time_ns, _ = MESSAGE.unpack_from(records, offset)
+                content = records[offset + MESSAGE.size : end]
+                if not 1 <= number <= len(TOPICS):
+                    raise DamageError(f"a message on channel {number}: another program's recording")
+                topic = TOPICS[number - 1]
+                if topic == SAMPLE_TOPIC:
+                    expected = {sample_bytes} if sample_bytes else SAMPLE_SIZES
+                    if len(content) not in expected:
+                        sizes = " or ".join(map(str, sorted(expected)))
+                        text = f"a sample of {len(content)} bytes, expected {sizes}: another program's recording"
+                        raise DamageError(text)
+                    sample_bytes = len(content)
+                if time_ns < latest_ns:
+                    raise DamageError("a chunk that is older than the one before it")
+                latest_ns = time_ns
+                taken.append((topic, Message(time_ns, content)))
+            offset = end
+        self._latest_ns, self._sample_bytes = latest_ns, sample_bytes
+        for topic, message in taken:
+            self.messages[topic].append(message)
+
+    def _compare(self, offset: int) -> None:
+        """Hold what was read against the counts at the end of the file."""
+        try:
+            counts = statistics(self._data, offset)
+        except DamageError as error:
+            self._note(offset, None, str(error))
+            return
+        missing = counts.message_count - sum(map(len, self.messages.values()))
+        if missing and not self._damage:
+            samples = len(self.messages[SAMPLE_TOPIC])
+            self._damage.append((f"{missing} of {counts.message_count} messages are missing", samples))
+
+
+def _lost(times: NDArray[np.float64], before: int) -> str:
+    """Return between which samples something is missing, where there is one on both sides."""
+    return f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)" if 0 < before < len(times) else ""

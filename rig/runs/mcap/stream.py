@@ -1,0 +1,157 @@
+"""Reads a whole recording piece by piece, in memory that does not grow with its length.
+
+For recordings that were closed in order. A damaged one is read by :func:`rig.runs.mcap.reader.read_run`,
+which holds all of it and finds what is sound behind the damaged place.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO, NamedTuple
+
+import numpy as np
+from mcap.opcode import Opcode
+from numpy.typing import NDArray
+
+from drivers.plain_file import require_plain
+from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
+from rig.runs.mcap.records import HEADER, DamageError, attachment, chunk, statistics
+from rig.runs.mcap.writer import MAGIC, MESSAGE
+
+BLOCK_BYTES = 1 << 20
+_SAMPLES = TOPICS.index(SAMPLE_TOPIC) + 1
+_EVENTS = TOPICS.index(EVENT_TOPIC) + 1
+_ATTACHMENTS = 0
+"""Stands for attachments where messages have the number of their channel."""
+
+
+class Block(NamedTuple):
+    """Samples in a row: field to array, shape (n,)."""
+
+    samples: Mapping[str, NDArray[np.float64]]
+
+
+class Happening(NamedTuple):
+    """One event as recorded, with ``time`` and ``event``."""
+
+    event: Mapping[str, Any]
+
+
+class Attached(NamedTuple):
+    """One attachment."""
+
+    name: str
+    content: bytes
+
+
+def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArray[np.float64]]]:
+    """Yield the samples in order, a block of about :data:`BLOCK_BYTES` at a time.
+
+    Args:
+        path: The recording.
+        fields: Of :class:`rig.common.sample.Sample`.
+
+    Yields:
+        Field to array, shape (n,).
+
+    Raises:
+        DamageError: It is not a whole recording; what was yielded before is sound.
+        OSError: It cannot be read.
+    """
+    for item in _items(path, fields, frozenset({_SAMPLES})):
+        if isinstance(item, Block):
+            yield dict(item.samples)
+
+
+def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening | Attached]:
+    """Yield what a recording holds but its frames. Events come before the block that the samples around them are in.
+
+    Args:
+        path: The recording.
+        fields: Of :class:`rig.common.sample.Sample`, for the blocks.
+
+    Raises:
+        DamageError: It is not a whole recording; what was yielded before is sound.
+        OSError: It cannot be read.
+    """
+    return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
+
+
+def _items(path: Path, fields: Sequence[str], wanted: frozenset[int]) -> Iterator[Block | Happening | Attached]:
+    pending: list[bytes] = []
+    size = waiting = 0
+    require_plain(path)
+    with open(path, "rb") as stream:
+        for kind, contents in _contents(stream, wanted):
+            if kind == _EVENTS:
+                yield from (Happening(json.loads(content)) for content in contents)
+            elif kind == _ATTACHMENTS:
+                yield from (Attached(file.name, file.data) for file in map(attachment, contents))
+            else:
+                size = size or len(contents[0])
+                wrong = next((len(content) for content in contents if len(content) != size), None)
+                if wrong is not None or size not in SAMPLE_SIZES:
+                    raise DamageError(f"a sample of {wrong or size} bytes: another program's recording")
+                pending += contents
+                waiting += size * len(contents)
+                if waiting >= BLOCK_BYTES:
+                    yield _block(pending, size, fields)
+                    pending, waiting = [], 0
+    if pending:
+        yield _block(pending, size, fields)
+
+
+def _block(contents: Sequence[bytes], size: int, fields: Sequence[str]) -> Block:
+    every = decode_samples(b"".join(contents), size)
+    return Block({name: every[name] for name in fields})
+
+
+def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, list[bytes]]]:
+    """Yield channel and contents of the messages wanted, chunk by chunk, events first.
+
+    At the end the number of messages is held against the file's own count.
+
+    Raises:
+        DamageError: The file is not whole.
+    """
+    if stream.read(len(MAGIC)) != MAGIC:
+        raise DamageError("not an MCAP recording")
+    count = 0
+    while True:
+        head = stream.read(HEADER.size)
+        if len(head) < HEADER.size:
+            raise DamageError("the end of the recording was never written")
+        opcode, length = HEADER.unpack(head)
+        content = stream.read(length)
+        if len(content) < length:
+            raise DamageError("cut off inside a record")
+        if opcode == Opcode.DATA_END:
+            break
+        if opcode == Opcode.CHUNK:
+            sorted_out, among = _messages(chunk(content), wanted)
+            count += among
+            yield from ((kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out)
+        elif opcode == Opcode.ATTACHMENT and _ATTACHMENTS in wanted:
+            yield _ATTACHMENTS, [content]
+    end = stream.tell()
+    if statistics(stream.read(), 0, end).message_count != count:
+        raise DamageError("messages are missing")
+
+
+def _messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
+    """Return the contents of a chunk's messages by channel, those that are wanted, and how many messages there are."""
+    found: dict[int, list[bytes]] = {}
+    offset, size, count = 0, len(records), 0
+    unpack, head, body = HEADER.unpack_from, HEADER.size, MESSAGE.size
+    while offset < size:
+        opcode, length = unpack(records, offset)
+        end = offset + head + length
+        if opcode == Opcode.MESSAGE:
+            count += 1
+            number = records[offset + 9] | records[offset + 10] << 8
+            if number in wanted:
+                found.setdefault(number, []).append(records[offset + body : end])
+        offset = end
+    return found, count

@@ -1,0 +1,188 @@
+"""Writes the recording of a run: samples, events and raw frames into MCAP, safe against the writer being killed."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+from drivers.interfaces import RawFrame
+from rig.common.errors import StorageError
+from rig.common.sample import Sample
+from rig.runs.mcap.layout import (
+    EVENT_JSON_SCHEMA,
+    EVENT_TOPIC,
+    FRAME_ENCODING,
+    FRAMES_TOPIC,
+    SAMPLE_SCHEMA,
+    SAMPLE_TOPIC,
+    encode_frames,
+    encode_sample,
+    sample_descriptor,
+)
+from rig.runs.mcap.writer import McapWriter
+
+FLUSH_NS = 100_000_000
+
+
+class Recorder:
+    """An open recording. Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
+
+    They never go back: what comes from a clock that was set back keeps the latest time before it.
+
+    Args:
+        stream: A buffered binary stream; closed by :meth:`close`.
+    """
+
+    def __init__(self, stream: BinaryIO) -> None:
+        self._stream = stream
+        self._writer = writer = McapWriter(stream)
+        self._flushed_ns = 0
+        self._latest_ns = 0
+        self._broken = False
+        sample = writer.schema(SAMPLE_SCHEMA, "protobuf", sample_descriptor())
+        event = writer.schema("loadrig.Event", "jsonschema", EVENT_JSON_SCHEMA)
+        self._sample = writer.channel(SAMPLE_TOPIC, "protobuf", sample)
+        self._event = writer.channel(EVENT_TOPIC, "json", event)
+        self._frames = writer.channel(FRAMES_TOPIC, FRAME_ENCODING, 0)
+
+    def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
+        """Record one cycle. What is older than 0.1 s of run time is with the operating system on return.
+
+        Raises:
+            StorageError: It cannot be written (disk full).
+        """
+        # Spelled out, not `with self._writing()`: this runs every cycle.
+        if self._broken:
+            raise _broken_before()
+        if time_ns < self._latest_ns:
+            time_ns = self._latest_ns
+        self._latest_ns = time_ns
+        try:
+            self._writer.message(self._sample, time_ns, encode_sample(sample))
+            if frames:
+                self._writer.message(self._frames, time_ns, encode_frames(frames))
+            if time_ns - self._flushed_ns >= FLUSH_NS:
+                self._flushed_ns = time_ns
+                self._writer.flush()
+        except OSError as error:
+            self._broken = True
+            raise _failed(error) from error
+
+    def event(self, time_ns: int, event: str, **details: object) -> None:
+        """Record something that happened, with JSON details, and hand it to the operating system at once.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        time_ns = self._latest_ns = max(time_ns, self._latest_ns)
+        record = {"time": time_ns / 1e9, "event": event, **details}
+        with self._writing():
+            self._writer.message(self._event, time_ns, json.dumps(record).encode())
+            self._writer.flush()
+
+    def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
+        """Record frames seen outside the control cycle, and hand them to the operating system at once.
+
+        Raises:
+            StorageError: They cannot be written.
+        """
+        if frames:
+            time_ns = self._latest_ns = max(time_ns, self._latest_ns)
+            with self._writing():
+                self._writer.message(self._frames, time_ns, encode_frames(frames))
+                self._writer.flush()
+
+    def copy(self, topic: str, time_ns: int, message: bytes) -> None:
+        """Record a message just as another recording holds it.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        channel = {SAMPLE_TOPIC: self._sample, EVENT_TOPIC: self._event, FRAMES_TOPIC: self._frames}[topic]
+        with self._writing():
+            self._writer.message(channel, time_ns, message)
+
+    def attach(self, name: str, media_type: str, content: bytes) -> None:
+        """Attach a file.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        with self._writing():
+            self._writer.attachment(name, media_type, content)
+            self._writer.flush()
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> None:
+        """Add key-value metadata.
+
+        Raises:
+            StorageError: It cannot be written.
+        """
+        with self._writing():
+            self._writer.metadata(name, values)
+            self._writer.flush()
+
+    @contextmanager
+    def _writing(self) -> Iterator[None]:
+        """Write no more after the first failure: what follows a torn record could not be read anyway."""
+        if self._broken:
+            raise _broken_before()
+        try:
+            yield
+        except OSError as error:
+            self._broken = True
+            raise _failed(error) from error
+
+    def close(self) -> None:
+        """Write the index and close; safe to call twice.
+
+        Raises:
+            StorageError: The end could not be written; ``rig recover`` mends such a file.
+        """
+        if self._stream.closed:
+            return
+        try:
+            try:
+                if not self._broken:
+                    self._writer.finish()
+                    os.fsync(self._stream.fileno())
+            finally:
+                _close_whatever_happens(self._stream, self._broken)
+        except OSError as error:
+            self._broken = True
+            raise _failed(error) from error
+
+
+def _broken_before() -> StorageError:
+    return StorageError("the recording failed before")
+
+
+def _failed(error: OSError) -> StorageError:
+    reason = error.strerror or str(error)
+    return StorageError(f"the recording cannot be written ({reason}); free disk space, then run again")
+
+
+def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:
+    """Close the stream; one that failed before would only fail again on its leftover buffer."""
+    try:
+        stream.close()
+    except OSError:
+        if not broken:
+            raise
+
+
+def open_recorder(path: Path) -> Recorder:
+    """Create a recording file.
+
+    Raises:
+        StorageError: It exists already or cannot be created.
+    """
+    try:
+        return Recorder(open(path, "xb"))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise StorageError(f"{path}: the recording cannot be created ({reason})") from error

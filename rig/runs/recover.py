@@ -1,0 +1,199 @@
+"""Mends a run whose writer died: a clean recording from what is readable, and ``run.json`` completed from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import json
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.common.errors import InputError
+from rig.common.locks import hold_folder
+from rig.common.places import write_json
+from rig.runs.mcap.layout import EVENT_TOPIC, FRAMES_TOPIC, SAMPLE_TOPIC
+from rig.runs.mcap.reader import Log
+from rig.runs.recorder import Recorder, open_recorder
+from rig.runs.run import discard, part_file
+from rig.runs.run_file import read_record
+from rig.runs.run_record import DIED, RECORDING_FILE, RUN_FILE, Ending, RunRecord
+from rig.runs.run_samples import read_log
+
+_ENDINGS = {ending.value for ending in Ending}
+_MEDIA = {".json": "application/json", ".yaml": "application/yaml"}
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What was done.
+
+    Attributes:
+        damage: What was wrong with each file that was damaged, beginning with its name.
+        samples: How many samples there are now.
+        record: ``run.json`` as it stands now.
+        changed: Whether anything was written.
+        taken_over: Who had left the folder locked, in words; None for nobody.
+    """
+
+    damage: tuple[str, ...]
+    samples: int
+    record: RunRecord
+    changed: bool
+    taken_over: str | None = None
+
+
+def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
+    """Lock a run folder meanwhile, and :func:`mend` it.
+
+    Args:
+        folder: The run.
+        purpose: The command that does it, as whoever finds the folder in use is told.
+
+    Raises:
+        InputError: There is no readable recording, or an earlier recovery is in the way.
+        InUseError: The run is still going, or another program works on it.
+        StorageError: The folder cannot be locked.
+        OSError: The folder cannot be written.
+    """
+    with hold_folder(folder, purpose) as lock:
+        return dataclasses.replace(mend(folder), taken_over=lock.taken_over)
+
+
+def mend(folder: Path) -> Recovery:
+    """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``. A whole run is left alone.
+
+    The caller holds the folder.
+
+    Raises:
+        InputError: There is no readable recording, or an earlier recovery is in the way.
+        OSError: The folder cannot be written.
+    """
+    first = read_log(folder / RECORDING_FILE)
+    record, damage = _record(folder)
+    while len(record.parts) > 1 and _never_begun(folder / record.parts[-1].file):
+        record.parts.pop()
+    logs = [first, *(read_log(folder / part.file) for part in record.parts[1:])]
+    for part, log in zip(record.parts, logs, strict=True):
+        if log.damage is not None:
+            damage.append(f"{part.file}: {log.damage}")
+            _mend(folder / part.file, log)
+    changed = bool(damage) or record.state == "running"
+    if changed:
+        _complete(record, logs)
+        write_json(folder / RUN_FILE, dataclasses.asdict(record))
+    return Recovery(tuple(damage), sum(len(log.samples["time"]) for log in logs), record, changed)
+
+
+def damaged_name(file: str) -> str:
+    """Return under what name the damaged form of a file is kept."""
+    return f"{Path(file).stem}.damaged{Path(file).suffix}"
+
+
+def _never_begun(path: Path) -> bool:
+    """Whether a recording died before its first byte; an empty file is removed."""
+    if path.exists() and path.stat().st_size:
+        return False
+    path.unlink(missing_ok=True)
+    return True
+
+
+def _mend(path: Path, log: Log) -> None:
+    """Put a clean recording in the place of a damaged one."""
+    damaged = path.with_name(damaged_name(path.name))
+    if damaged.exists():
+        raise InputError(f"{damaged}: is there from an earlier recovery; move it away first")
+    clean = path.with_name(f".{path.stem}.new.mcap")
+    clean.unlink(missing_ok=True)
+    _copy(log, open_recorder(clean))
+    os.replace(path, damaged)
+    os.replace(clean, path)
+
+
+def _record(folder: Path) -> tuple[RunRecord, list[str]]:
+    """Return the last ``run.json``, and what is wrong with it.
+
+    Where it is lost or cannot be used, the one that is attached to the latest recording takes its place.
+    """
+    path = folder / RUN_FILE
+    try:
+        return read_record(folder), []
+    except InputError as error:
+        attached = _attached(folder)
+        if attached is None:
+            raise
+        problems = [f"{RUN_FILE}: {error.problems[0]}"] if path.exists() else []
+    if problems:
+        os.replace(path, path.with_name(damaged_name(RUN_FILE)))
+    write_json(path, json.loads(attached))
+    return read_record(folder), problems
+
+
+def _attached(folder: Path) -> bytes | None:
+    """Return the ``run.json`` attached to the latest recording that holds one."""
+    number = 1
+    while (folder / part_file(number + 1)).exists():
+        number += 1
+    for part in range(number, 0, -1):
+        with suppress(InputError):
+            attached = read_log(folder / part_file(part)).attachments.get(RUN_FILE)
+            if attached is not None:
+                return attached
+    return None
+
+
+def _copy(log: Log, recorder: Recorder) -> None:
+    """Write everything readable into a new recording, in order of time."""
+    try:
+        for name, values in log.metadata.items():
+            recorder.metadata(name, values)
+        for name, content in log.attachments.items():
+            recorder.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), content)
+        topics = (SAMPLE_TOPIC, FRAMES_TOPIC, EVENT_TOPIC)
+        streams = [[(m.time_ns, rank, m.data) for m in log.messages[topic]] for rank, topic in enumerate(topics)]
+        for time_ns, rank, data in heapq.merge(*streams, key=lambda item: item[:2]):
+            recorder.copy(topics[rank], time_ns, data)
+    finally:
+        recorder.close()
+
+
+def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
+    """Work out from events and samples which excitations were finished, and how the run ended."""
+    record.segments = []
+    for number, log in enumerate(logs, start=1):
+        _add_segments(record, number, log)
+    for index, stage in enumerate(record.stages):
+        mine = [segment for segment in record.segments if segment.stage_index == index and segment.kept]
+        if len(mine) == stage.repeats and all(segment.end is not None for segment in mine):
+            stage.state = "done"
+        elif stage.state == "done":
+            stage.state = "running"
+    for part, log in zip(record.parts, logs, strict=True):
+        part.cycles = len(log.samples["time"])
+    last = next((e for e in reversed(logs[-1].events) if e["event"] in _ENDINGS), None)
+    record.cycles = sum(part.cycles for part in record.parts)
+    record.state = last["event"] if last else Ending.FAILED.value
+    record.message = last["message"] if last else f"the writer died; {record.cycles} samples recovered"
+    record.parts[-1].state = record.state if last else DIED
+    short = [stage.name for stage in record.stages if stage.state != "done"]
+    if record.state == Ending.DONE.value and short:
+        record.state = Ending.FAILED.value
+        record.message = f"samples of {', '.join(short)} are lost from the recording; `rig resume` does that again"
+    record.stage_ended(record.state)
+
+
+def _add_segments(record: RunRecord, part: int, log: Log) -> None:
+    """Add the excitations that one recording saw begin; one short of samples has no end."""
+    for event in log.events:
+        if event["event"] == "prompt":
+            discard(record, event["index"])
+        elif event["event"] == "segment":
+            stage = record.stages[event["index"]]
+            times = log.samples["time"][log.samples["segment"] == event["number"]]
+            start = float(times[0]) if len(times) else float(event["time"])
+            segment = stage.segment(event["number"], event["index"], event["repeat"], start, part)
+            if len(times) == stage.samples:
+                segment.end = float(times[-1]) + record.cycle_s
+            record.segments.append(segment)

@@ -1,0 +1,87 @@
+"""A run that stopped, made ready to go on at its first unfinished stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from rig.common.errors import InputError
+from rig.common.provenance import sha256_file
+from rig.config.bench import Bench, load_bench
+from rig.config.configuration import Document
+from rig.config.sequence import Sequence, load_sequence
+from rig.runs.recorded_inputs import recorded_input
+from rig.runs.recover import mend
+from rig.runs.run import discard, first_unfinished
+from rig.runs.run_file import read_record
+from rig.runs.run_record import BENCH_ATTACHMENT, DIED, SEQUENCE_ATTACHMENT, RunRecord
+
+_ATTACHED = {BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT}
+
+
+@dataclass(frozen=True)
+class Resumption:
+    """What a run goes on with.
+
+    Attributes:
+        record: ``run.json``, completed.
+        bench: The same bench file as before.
+        sequence: The same sequence file as before.
+        stage: Index of the stage to go on with.
+        mended: What was wrong with recordings whose writer died, in words.
+        died: Whether the writer of the last one did, so that the drive stopped by its own watch.
+    """
+
+    record: RunRecord
+    bench: Document[Bench]
+    sequence: Document[Sequence]
+    stage: int
+    mended: tuple[str, ...]
+    died: bool
+
+
+def prepare(folder: Path) -> Resumption:
+    """Mend a run if its writer died, and find where it goes on. What its unfinished stage left behind is discarded.
+
+    The caller holds the folder, until the run has ended again.
+
+    Raises:
+        InputError: There is nothing left to do, or the bench or sequence file is gone or was changed since.
+        OSError: The folder cannot be written.
+    """
+    recovery = mend(folder)
+    record = read_record(folder)
+    stage = first_unfinished(record)
+    if stage is None:
+        raise InputError(f"{folder}: all {len(record.stages)} stages are done; there is nothing to go on with")
+    bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
+    sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
+    for name in sorted(set(record.inputs) - _ATTACHED):
+        _unchanged(folder, record, name)
+    discard(record, stage)
+    return Resumption(record, bench, sequence, stage, recovery.damage, record.parts[-1].state == DIED)
+
+
+def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
+    """Return the path of an input file, which must be the one the run began with."""
+    entry = record.inputs[name]
+    path = recorded_input(folder, entry)
+    attached = f" (it is attached to the recording as {name})" if name in _ATTACHED else ""
+    if name == BENCH_ATTACHMENT and record.simulated:
+        attached = attached.replace(")", ", without the simulated machine's true constants)")
+    remedy = f"put the file of that time back{attached}, or start a new run"
+    try:
+        digest = sha256_file(path)
+    except OSError as error:
+        text = f"{path}: {folder} was run with it, and it cannot be read: {error.strerror}; {remedy}"
+        raise InputError(text) from error
+    if digest != entry["sha256"]:
+        then, now = entry["sha256"][:12], digest[:12]
+        raise InputError(f"{path}: changed since {folder} was run with it (SHA-256 {then}, now {now}); {remedy}")
+    return path
+
+
+def stopped_words(record: RunRecord) -> str:
+    """Return how the run stood, in a sentence."""
+    done = sum(stage.state == "done" for stage in record.stages)
+    return f"{record.name}: {done} of {len(record.stages)} stages done; {record.state}: {record.message}"

@@ -1,0 +1,280 @@
+"""The run folder: ``run.json`` kept true at every moment, and the recordings read back for identification."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+
+from identification.recording import Array, Dataset, Recording, RecordingError
+from identification.recording import Bench as BenchConstants
+from rig.common.errors import InputError, StorageError
+from rig.common.locks import OWNER_FILE, Lock, hold_folder
+from rig.common.places import write_json
+from rig.common.provenance import sha256_file
+from rig.config.bench import Bench
+from rig.runs import clocks, run_samples
+from rig.runs.alignment import aligned
+from rig.runs.run_file import read_record, recorded_bench
+from rig.runs.run_record import RECORDING_FILE, RUN_FILE, RunRecord, SegmentRecord, Weighing
+
+AVERAGED = frozenset({"current", "voltage"})
+"""Channels whose samples are means over the cycle that ends at their time."""
+PARTIAL = " (partial)"
+"""Added to the name of an excitation that was not finished."""
+LEAST_SAMPLES = 2
+"""Fresh samples that make an excitation that was not finished a recording."""
+
+
+class RunFolder:
+    """A run folder being written; a :class:`rig.runs.journal.Journal`.
+
+    Args:
+        path: The folder.
+        record: What is to be in ``run.json``.
+    """
+
+    def __init__(self, path: Path, record: RunRecord) -> None:
+        self.path = path
+        self.record = record
+
+    @property
+    def recording(self) -> Path:
+        """The file of the recording being written."""
+        return self.path / self.record.parts[-1].file
+
+    def save(self) -> None:
+        """Replace ``run.json`` as a whole, so that no reader ever sees half of it.
+
+        Raises:
+            StorageError: It cannot be written; the last version is kept.
+        """
+        try:
+            write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
+        except OSError as error:
+            reason = error.strerror or str(error)
+            text = f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
+            raise StorageError(text) from error
+
+    def ended(self, state: str, message: str, de_energised: bool) -> None:
+        """Write the ending down the moment it is known."""
+        record = self.record
+        record.state, record.message, record.de_energised = state, message, de_energised
+        record.stage_ended(state)
+        self.save()
+
+    def stage_started(self, index: int) -> None:
+        """Note that a stage begins; what it left behind before is not used any more."""
+        discard(self.record, index)
+        self.record.stages[index].state = "running"
+        self.save()
+
+    def weight_confirmed(self, index: int, weight_kg: float) -> None:
+        """Note the mass that the operator confirmed."""
+        self.record.stages[index].confirmed_kg = weight_kg
+
+    def weighed(self, weighing: Weighing) -> None:
+        """Note a weight check."""
+        self.record.weights.append({**dataclasses.asdict(weighing), "verdict": weighing.verdict.value})
+
+    def stage_finished(self, index: int) -> None:
+        """Note that a stage is complete and the drive de-energised."""
+        self.record.stages[index].state = "done"
+        self.save()
+
+    def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
+        """Note that an excitation begins at ``time`` s of the recording."""
+        record = self.record
+        record.segments.append(record.stages[stage].segment(segment, stage, repeat, time, len(record.parts)))
+        self.save()
+
+    def segment_finished(self, segment: int, time: float) -> None:
+        """Note that it is complete."""
+        next(item for item in self.record.segments if item.index == segment).end = time
+        self.save()
+
+
+def discard(record: RunRecord, stage: int) -> None:
+    """Mark what a stage left behind so far as not to be used."""
+    for segment in record.segments:
+        if segment.stage_index == stage:
+            segment.kept = False
+
+
+def first_unfinished(record: RunRecord) -> int | None:
+    """Return the index of the first stage that is not done, or None."""
+    return next((index for index, stage in enumerate(record.stages) if stage.state != "done"), None)
+
+
+def part_file(number: int) -> str:
+    """Return the file name of a run's recording, from 1."""
+    return RECORDING_FILE if number == 1 else f"recording-{number}.mcap"
+
+
+def bench_constants(bench: Bench) -> BenchConstants:
+    """Return what an identification needs to know of a bench."""
+    m, generator = bench.machine, bench.gas_generator
+    return BenchConstants(
+        motion="rotary",
+        torque_constant=m.torque_constant_N_m_A,
+        back_emf_constant=m.back_emf_constant_V_s_rad,
+        resistance=m.resistance_ohm,
+        inductance=m.inductance_H,
+        gear_ratio=m.gear_ratio,
+        moment_arm=m.moment_arm_m,
+        lever_ratio=m.lever_ratio,
+        gravity=m.gravity_m_s2,
+        gas_generator=None if generator is None else generator.generator(m.moment_arm_m),
+    )
+
+
+def create_folder(path: Path, purpose: str) -> Lock:
+    """Make the folder of a new run, and lock it; whoever gets the lock releases it.
+
+    Args:
+        path: The folder.
+        purpose: The command that makes it, as whoever finds it in use is told.
+
+    Raises:
+        InputError: It exists and is not empty, or cannot be made.
+        InUseError: Another program uses it.
+        StorageError: It cannot be locked.
+    """
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
+    lock = hold_folder(path, purpose)
+    try:
+        # Looked at under the lock, so that of two programs only one can find it empty.
+        require_unused(path)
+    except BaseException:
+        lock.release()
+        raise
+    return lock
+
+
+def require_unused(path: Path) -> None:
+    """Check that a folder is not there, or that there is nothing in it but for the lock; makes nothing.
+
+    Raises:
+        InputError: It is not empty, or cannot be looked into.
+    """
+    try:
+        items = path.iterdir() if path.exists() else ()
+        occupied = next((item.name for item in items if item.name != OWNER_FILE), None)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
+    if occupied is not None:
+        raise InputError(
+            f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is overwritten"
+        )
+
+
+def load_run(folder: Path, *, partial: bool = False) -> Dataset:
+    """Read a run folder for identification: one recording per finished excitation.
+
+    Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was done more than
+    once, the last counts.
+
+    Args:
+        folder: The run folder.
+        partial: Whether to take excitations that were not finished as well, up to their last fresh sample. Those too
+            short for a recording are left out.
+
+    Raises:
+        InputError: The folder is not a run, its recording is unreadable, or no stage was finished (with ``partial``: no
+            excitation was recorded).
+    """
+    record = read_record(folder)
+    wanted = [s for s in record.segments if s.kept and (s.end is not None or partial)]
+    if not wanted:
+        raise _nothing(folder, record, partial)
+    bench = recorded_bench(record)
+    recordings: list[Recording] = []
+    for number in sorted({segment.part for segment in wanted}):
+        part = record.parts[number - 1]
+        path = folder / part.file
+        mine = [segment for segment in wanted if segment.part == number]
+        samples, damage = run_samples.by_segment(path, mine, whole=part.state == "done")
+        if damage is not None and part.state == "done":
+            raise InputError(f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`")
+        mine = [s for s in mine if s.end is not None or np.count_nonzero(samples[s.index]["fresh"]) >= LEAST_SAMPLES]
+        digest = sha256_file(path)
+        try:
+            recordings += [_recording(s, samples.pop(s.index), damage, bench, path, digest) for s in mine]
+        except RecordingError as error:
+            raise InputError(f"{path}: {error}") from error
+    if not recordings:
+        raise _nothing(folder, record, partial)
+    return Dataset(tuple(recordings))
+
+
+def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
+    """Return the error of a run that holds no recording to be used."""
+    # A recording that cannot be read at all is the better explanation.
+    run_samples.read_log(folder / RECORDING_FILE)
+    state = f"(state {record.state}: {record.message or 'writer died'})"
+    if partial:
+        return InputError(f"{folder}: no excitation was recorded {state}; there is nothing to take from this run")
+    unfinished = any(segment.kept for segment in record.segments)
+    remedy = "--partial takes what was recorded" if unfinished else "no excitation was begun either"
+    return InputError(f"{folder}: no stage was finished {state}; {remedy}")
+
+
+def _recording(
+    segment: SegmentRecord,
+    samples: dict[str, Array],
+    damage: str | None,
+    bench: BenchConstants,
+    path: Path,
+    digest: str,
+) -> Recording:
+    """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be held twice."""
+    fresh = samples.pop("fresh") != 0.0
+    partial = segment.end is None
+    if partial:
+        stop = int(np.flatnonzero(fresh)[-1]) + 1
+        fresh, samples = fresh[:stop], {name: values[:stop] for name, values in samples.items()}
+    elif len(fresh) != segment.samples:
+        raise InputError(
+            f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though it was finished"
+            f" ({damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
+        )
+    if not fresh.all():
+        for name in samples:
+            samples[name] = samples[name][fresh]
+    time, device_time = samples.pop("time"), samples.pop("device_time")
+    encoder_time = samples.pop("encoder_time")
+    notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
+    # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
+    if device_time.size > 1 and np.all(np.diff(device_time) > 0):
+        device_time += time[0] - device_time[0]
+        time = device_time
+    else:
+        notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
+    if partial:
+        seconds = f"{time[-1] - time[0]:.4g} s"
+        notes.insert(0, f"partial: the run stopped after {len(fresh)} of {segment.samples} samples, {seconds}")
+    if not fresh.all():
+        notes.append(f"{int(np.sum(~fresh))} samples left out: the answer of a device was missing")
+    left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
+    if left_out:
+        notes.append(f"{', '.join(left_out)} not read: a run of this length would not fit into memory with them")
+    channels, words = aligned({**samples, "time": time}, encoder_time, AVERAGED, bench.gear_ratio)
+    if words:
+        notes.append(words)
+    return Recording(
+        name=f"{segment.name}{PARTIAL}" if partial else segment.name,
+        channels=channels,
+        bench=bench,
+        stage="unloaded" if segment.stage == "unloaded" else "loaded",
+        weight_mass=segment.weight_kg,
+        role=segment.role,
+        averaged=AVERAGED,
+        source=str(path),
+        sha256=digest,
+        notes=tuple(notes),
+        partial=partial,
+    )

@@ -1,0 +1,157 @@
+"""Reads ``run.json`` back: of this version or an older one, checked to the last value, as people do edit it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from identification.model.gas_generator import GasGenerator
+from identification.model.valve import ValveGeometry
+from identification.recording import Bench as BenchConstants
+from rig.common.errors import InputError
+from rig.common.input_files import parse_json, read_utf8
+from rig.common.timing import Timing
+from rig.config.configuration import Loc, explain_json, place_json
+from rig.runs.run_record import (
+    BENCH_ATTACHMENT,
+    RECORDING_FILE,
+    RUN_FILE,
+    SCHEMA,
+    SEQUENCE_ATTACHMENT,
+    STAGE_ENDS,
+    STRICT,
+    RunRecord,
+)
+
+
+@dataclass(frozen=True)
+class _Constants(BenchConstants):
+    """The constants of a bench, as ``run.json`` must hold them."""
+
+    __pydantic_config__ = STRICT
+
+
+_ADDED = {"gas_generator": None}
+"""Constants that runs of an older program do not state: they had no hot firings."""
+_PART_KEYS = ("created", "seed", "operator", "versions", "state", "cycles", "seconds")
+_BENCH = {field.name for field in dataclasses.fields(BenchConstants)}
+_MUST_HOLD = {
+    "inputs": {"file", "sha256"},
+    "calibrations": {"device", "id", "due", "overdue"},
+    "weights": {"stage", "confirmed_kg", "measured_kg", "verdict", "message"},
+    "devices": {"name", "serial_number", "revision", "software_version"},
+    "timing": set(Timing().record()),
+}
+"""Keys that the records must have which are kept as they come."""
+
+
+def read_record(folder: Path) -> RunRecord:
+    """Read ``run.json``.
+
+    Raises:
+        InputError: It is missing, damaged, of another version, or holds what cannot be; lists every error with its
+            place.
+    """
+    path = folder / RUN_FILE
+    text = read_utf8(path, "is this a run folder?")
+    try:
+        raw = parse_json(path, text)
+    except InputError as error:
+        raise InputError(f"{error}; `rig recover` rebuilds it from the recording") from error
+    if not isinstance(raw, dict) or raw.get("schema") != SCHEMA:
+        found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
+        raise InputError(f"{path}: schema: this program reads {SCHEMA} (got {found!r})")
+    try:
+        record = TypeAdapter(RunRecord).validate_json(json.dumps(_of_today(raw)), strict=True)
+    except ValidationError as error:
+        raise InputError(explain_json(path, text, RunRecord, error)) from None
+    problems = list(_contradictions(record))
+    if problems:
+        raise InputError(place_json(path, text, problems))
+    return record
+
+
+def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
+    """Complete the record of a program that knew of no hot firings, of no second recording, or of no stage's end."""
+    if isinstance(raw.get("bench"), dict):
+        raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
+    if isinstance(raw.get("state"), str) and raw["state"] in STAGE_ENDS and isinstance(raw.get("stages"), list):
+        raw = {**raw, "stages": [_ended(stage, STAGE_ENDS[raw["state"]]) for stage in raw["stages"]]}
+    if "parts" in raw or not isinstance(raw.get("stages"), list):
+        return raw
+    part = {"operator": None, **{key: raw[key] for key in _PART_KEYS if key in raw}, "file": RECORDING_FILE}
+    names = [stage.get("name") for stage in raw["stages"] if isinstance(stage, dict)]
+    segments = raw.get("segments", [])
+    for segment in segments if isinstance(segments, list) else []:
+        if isinstance(segment, dict) and "stage_index" not in segment:
+            name = str(segment.get("name")).partition("[")[0]
+            segment["stage_index"] = names.index(name) if name in names else len(names)
+    return {**raw, "parts": [part]}
+
+
+def _ended(stage: Any, state: str) -> Any:
+    """Return a stage with its end, where it was left as running in a run that has ended."""
+    return {**stage, "state": state} if isinstance(stage, dict) and stage.get("state") == "running" else stage
+
+
+def recorded_bench(record: RunRecord) -> BenchConstants:
+    """Return the constants of the bench that a run was made on; ``record`` was read with :func:`read_record`."""
+    burns = record.bench["gas_generator"]
+    rebuilt = None if burns is None else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])})
+    return BenchConstants(**{**record.bench, "gas_generator": rebuilt})
+
+
+def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
+    """Yield what no type tells: constants left out, and what refers to nothing."""
+    missing = _BENCH - set(record.bench)
+    for name in sorted(missing):
+        yield ("bench", name), "missing; every constant must be stated, as there is no safe default"
+    if not missing:
+        try:
+            TypeAdapter(_Constants).validate_json(json.dumps(record.bench), strict=True)
+        except ValidationError as error:
+            for details in error.errors(include_url=False):
+                yield ("bench", *details["loc"]), details["msg"]
+    for name in {BENCH_ATTACHMENT: None, SEQUENCE_ATTACHMENT: None, **record.inputs}:
+        yield from _lacking(record.inputs.get(name, {}), "inputs", ("inputs", name))
+    for name in ("calibrations", "weights"):
+        for index, item in enumerate(getattr(record, name)):
+            yield from _lacking(item, name, (name, index))
+    if not record.parts:
+        yield ("parts",), "empty; a run has at least one recording"
+    for index, part in enumerate(record.parts):
+        if Path(part.file).name != part.file:
+            yield ("parts", index, "file"), "must be a file of the run folder"
+        for role, who in part.devices.items():
+            if role in ("servo", "encoder"):
+                yield from _lacking(who, "devices", ("parts", index, "devices", role))
+        if part.timing:
+            yield from _lacking(part.timing, "timing", ("parts", index, "timing"))
+    last = 0
+    for index, segment in enumerate(record.segments):
+        if segment.index <= last:
+            yield ("segments", index, "index"), f"must be above {last}: segments are numbered in order, from 1"
+        last = max(last, segment.index)
+        if not 0 <= segment.stage_index < len(record.stages):
+            yield ("segments", index, "stage_index"), f"there are {len(record.stages)} stages, numbered from 0"
+        elif segment.stage != record.stages[segment.stage_index].stage:
+            yield ("segments", index, "stage"), "differs from its stage's"
+        elif segment.kept and segment.weight_kg != record.stages[segment.stage_index].mass_kg:
+            yield ("segments", index, "weight_kg"), "differs from its stage's confirmed mass"
+        if not 1 <= segment.part <= len(record.parts):
+            yield ("segments", index, "part"), f"there are {len(record.parts)} recordings, numbered from 1"
+
+
+def _lacking(item: Any, kind: str, loc: Loc) -> Iterator[tuple[Loc, str]]:
+    """Yield the keys that a record kept as it came does not have."""
+    if not isinstance(item, Mapping):
+        yield loc, "must be a mapping"
+        return
+    for name in sorted(_MUST_HOLD[kind] - set(item)):
+        yield (*loc, name), "missing; this key is required"

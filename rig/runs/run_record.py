@@ -1,0 +1,255 @@
+"""What ``run.json`` holds."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Any, Literal
+
+from pydantic import ConfigDict
+
+SCHEMA = "loadrig.run/1"
+RUN_FILE = "run.json"
+RECORDING_FILE = "recording.mcap"
+BENCH_ATTACHMENT = "bench.yaml"
+SEQUENCE_ATTACHMENT = "sequence.yaml"
+FEEDFORWARD_INPUT = "feedforward.json"
+"""The identification that the drive's torque offsets were computed from, under the inputs and as attachment."""
+DIED = "died"
+"""State of a recording whose writer died."""
+STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
+"""How a record is read back; it is built without being checked."""
+Load = Literal["unloaded", "loaded", "hot_fire"]
+Role = Literal["fit", "validate"]
+StageEnd = Literal["stopped", "tripped", "failed"]
+STAGE_ENDS: Mapping[str, StageEnd] = {
+    "stopped": "stopped",
+    "tripped": "tripped",
+    "failed": "failed",
+    "crashed": "failed",
+}
+"""State of a run that ended before its plan did, to the state of the stage that was going on."""
+
+
+@dataclass
+class StageRecord:
+    """State of one stage.
+
+    Attributes:
+        name: Name of the stage.
+        stage: Load condition.
+        weight_kg: Planned mass on the lever.
+        repeats: Planned excitations.
+        samples: Samples of one excitation.
+        state: `planned`, `running`, `done`, or how the run ended that the stage was going on in.
+        confirmed_kg: Mass that the operator confirmed.
+        role: `fit` or `validate`.
+    """
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    stage: Load
+    weight_kg: float
+    repeats: int
+    samples: int
+    state: Literal["planned", "running", "done"] | StageEnd = "planned"
+    confirmed_kg: float | None = None
+    role: Role = "fit"
+
+    @property
+    def mass_kg(self) -> float:
+        """The mass that was confirmed, or the planned one where none was yet, kg."""
+        return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
+
+    def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
+        """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
+        name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
+        return SegmentRecord(
+            index,
+            name,
+            self.stage,
+            self.mass_kg,
+            start,
+            self.samples,
+            stage_index=stage_index,
+            part=part,
+            role=self.role,
+        )
+
+
+@dataclass
+class SegmentRecord:
+    """One excitation: which stage it belongs to, and when it ran.
+
+    Attributes:
+        index: Number from 1, unique in the run; the samples carry it.
+        name: Name of the recording that it becomes.
+        stage: Load condition.
+        weight_kg: Mass on the lever.
+        start: Start since the start of the recording, s.
+        samples: Planned samples.
+        end: End since the start of the recording, s.
+        stage_index: Index of its stage, from 0.
+        part: Number of its recording, from 1.
+        kept: False once its stage was begun again.
+        role: `fit` or `validate`.
+    """
+
+    __pydantic_config__ = STRICT
+
+    index: int
+    name: str
+    stage: Load
+    weight_kg: float
+    start: float
+    samples: int
+    end: float | None = None
+    stage_index: int = 0
+    part: int = 1
+    kept: bool = True
+    role: Role = "fit"
+
+
+@dataclass
+class PartRecord:
+    """One recording of a run: the first, or that of a ``rig resume``.
+
+    Attributes:
+        file: File of the run folder.
+        created: Date and time, UTC.
+        seed: Seed of the simulated bench's noise.
+        operator: Who ran it.
+        versions: Versions of this program and of what it depends on.
+        devices: Identities of the devices, and the limits that the drive held before.
+        state: `running`, `died`, or how it ended.
+        cycles: Control cycles.
+        seconds: Length of the recording, s.
+        timing: Histograms of lateness and of the answers, missed SYNCs, lost samples, oldest
+            sample.
+    """
+
+    __pydantic_config__ = STRICT
+
+    file: str
+    created: str
+    seed: int
+    operator: str | None
+    versions: Mapping[str, str]
+    devices: Mapping[str, Any] = field(default_factory=dict)
+    state: str = "running"
+    cycles: int = 0
+    seconds: float = 0.0
+    timing: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class RunRecord:
+    """Everything in ``run.json``.
+
+    Attributes:
+        name: Name of the sequence.
+        created: Date and time, UTC.
+        seed: Seed of the simulated bench's noise.
+        simulated: Whether the bench is simulated.
+        realtime: Whether a simulated bench was held to real time.
+        cycle_s: Control cycle, s.
+        versions: Versions of this program and of what it depends on.
+        inputs: Name to file and SHA-256 of everything that was read.
+        bench: Nominal constants of the bench, SI.
+        stages: State of each stage.
+        segments: Every excitation that began.
+        parts: Every recording.
+        operator: Who ran it.
+        calibrations: Calibrations of the bench, with what was overdue.
+        weights: Weight checks: stage, confirmed and measured mass, verdict, message.
+        warnings: What the operator was warned of.
+        state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
+        message: How it ended, in words.
+        trip: The limit that was broken: check, value, limit, unit, time.
+        de_energised: Whether the drive was read back as de-energised.
+        drive_state: State that the drive was read back in, in the words of CiA 402; None where unknown.
+        cycles: Control cycles.
+        overruns: Cycles that started late.
+        stale: Cycles whose answer was incomplete.
+        seconds: Time of the bench, s.
+        schema: Name and version of the format.
+    """
+
+    __pydantic_config__ = STRICT
+
+    name: str
+    created: str
+    seed: int
+    simulated: bool
+    realtime: bool
+    cycle_s: float
+    versions: Mapping[str, str]
+    inputs: Mapping[str, Mapping[str, str]]
+    bench: Mapping[str, Any]
+    stages: list[StageRecord]
+    segments: list[SegmentRecord] = field(default_factory=list)
+    parts: list[PartRecord] = field(default_factory=list)
+    operator: str | None = None
+    calibrations: list[Mapping[str, Any]] = field(default_factory=list)
+    weights: list[Mapping[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    state: str = "running"
+    message: str = ""
+    trip: Mapping[str, Any] | None = None
+    de_energised: bool | None = None
+    drive_state: str | None = None
+    cycles: int = 0
+    overruns: int = 0
+    stale: int = 0
+    seconds: float = 0.0
+    schema: str = SCHEMA
+
+    def stage_ended(self, state: str) -> None:
+        """Note how the run ended on the stage that was going on, if any: ``state`` is that of the run.
+
+        A stage that still goes on where the run says that it is done has failed.
+        """
+        for stage in self.stages:
+            if stage.state == "running":
+                stage.state = STAGE_ENDS.get(state, "failed")
+
+
+class Ending(Enum):
+    """How a run ended."""
+
+    DONE = "done"
+    TRIPPED = "tripped"
+    STOPPED = "stopped"
+    FAILED = "failed"
+    CRASHED = "crashed"
+
+
+class Verdict(Enum):
+    """What a weight check found."""
+
+    RIGHT = "right"
+    WRONG = "wrong"
+    UNCHECKED = "unchecked"
+
+
+@dataclass(frozen=True)
+class Weighing:
+    """One weight check.
+
+    Attributes:
+        stage: Name of the stage.
+        confirmed_kg: What the operator says is on the lever.
+        verdict: What friction says to that.
+        measured_kg: The mass that the friction fits; None where it could not be measured.
+        sigma_kg: Its standard error, as far as the yardstick's own goes.
+        message: In words, with what to do.
+    """
+
+    stage: str
+    confirmed_kg: float
+    verdict: Verdict
+    measured_kg: float | None
+    sigma_kg: float | None
+    message: str

@@ -1,0 +1,104 @@
+"""The samples of a run, segment by segment: streamed where the recording is whole, read at once where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from identification.recording import Array
+from rig.common.errors import InputError
+from rig.common.input_files import is_file
+from rig.runs.mcap.reader import Log, NotARecordingError, read_run
+from rig.runs.mcap.records import DamageError
+from rig.runs.mcap.stream import sample_blocks
+from rig.runs.run_record import SegmentRecord
+
+STAMPS = ("time", "host_time", "device_time", "encoder_time", "fresh")
+LEFT_OUT = ("velocity", "voltage", "supply_voltage", "temperature")
+"""Channels that an identification does without."""
+CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage", "supply_voltage", "temperature")
+MOST_SAMPLES = 5_000_000
+"""Samples of one recording above which :data:`LEFT_OUT` is not read: ten hours at 1 kHz fit into 4 GiB without."""
+_MOST_PER_BYTE = 4
+"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json that says more is wrong."""
+
+Samples = dict[str, Array]
+
+
+def by_segment(path: Path, segments: Sequence[SegmentRecord], *, whole: bool) -> tuple[dict[int, Samples], str | None]:
+    """Return segment index to its samples, stale ones among them, and what is damaged in words.
+
+    Args:
+        path: The recording.
+        segments: Those that are wanted.
+        whole: Whether the recording was closed in order, so that it can be streamed.
+
+    Raises:
+        InputError: It cannot be opened or is not a recording.
+    """
+    most = _MOST_PER_BYTE * path.stat().st_size if is_file(path) else 0
+    expected = {s.index: min(s.samples, most) for s in segments}
+    fields = {s.index: _fields(s, sum(other.samples for other in segments)) for s in segments}
+    if whole:
+        try:
+            wanted = sorted({name for names in fields.values() for name in names})
+            return _gather(sample_blocks(path, ["segment", *wanted]), fields, expected), None
+        except (DamageError, OSError):
+            pass  # read_log says what is wrong, in full
+    log = read_log(path)
+    return _gather([log.samples], fields, expected), log.damage
+
+
+def read_log(path: Path) -> Log:
+    """Read a recording as a whole.
+
+    Raises:
+        InputError: It cannot be opened or is not a recording.
+    """
+    try:
+        return read_run(path)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read: {error.strerror}") from error
+    except NotARecordingError as error:
+        raise InputError(str(error)) from error
+
+
+def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
+    channels = CHANNELS if total <= MOST_SAMPLES else tuple(c for c in CHANNELS if c not in LEFT_OUT)
+    return (*STAMPS, *channels, *(["pressure"] if segment.stage == "hot_fire" else []))
+
+
+class _Growing:
+    """One field of a segment, filled in place: joining blocks at the end would hold a long run twice."""
+
+    def __init__(self, expected: int) -> None:
+        self._values = np.empty(expected)
+        self._count = 0
+
+    def extend(self, values: Array) -> None:
+        """Add values; beyond what was expected by a copy."""
+        stop = self._count + len(values)
+        if stop > len(self._values):
+            self._values = np.concatenate((self._values[: self._count], np.empty(2 * len(values) + self._count)))
+        self._values[self._count : stop] = values
+        self._count = stop
+
+    def done(self) -> Array:
+        """Return what was added."""
+        return self._values[: self._count]
+
+
+def _gather(
+    blocks: Iterable[Mapping[str, Array]], fields: Mapping[int, Sequence[str]], expected: Mapping[int, int]
+) -> dict[int, Samples]:
+    """Return the samples of each segment out of blocks of all."""
+    held = {k: {name: _Growing(expected[k]) for name in names} for k, names in fields.items()}
+    for block in blocks:
+        for k, names in fields.items():
+            mine = block["segment"] == k
+            if mine.any():
+                for name in names:
+                    held[k][name].extend(block[name][mine])
+    return {k: {name: grown.done() for name, grown in each.items()} for k, each in held.items()}

@@ -1,0 +1,143 @@
+"""Questions to the operator, read so that nothing typed before a question answers it.
+
+An answer is one line. At a terminal everything that was typed before the question is dropped. Lines from
+a pipe can't be told from answers and are taken in order; a bench that isn't simulated refuses weight
+prompts without a terminal for that reason (:func:`rig.control.attendance.require_attendance`).
+"""
+
+from __future__ import annotations
+
+import os
+import select
+import sys
+from typing import Protocol, TextIO
+
+from drivers.clock import NS, Clock, RealClock
+from rig.terminal.screen import Screen
+from rig.terminal.stop_button import OperatorStopError
+
+_LONGEST_WAIT_S = 1.0
+_CHUNK = 4096
+
+
+class InputEndedError(Exception):
+    """There is no more input: it was closed, or the terminal is gone."""
+
+
+class Asker(Protocol):
+    """Puts questions to the operator."""
+
+    def ask(self, words: str) -> str:
+        """Show a question and return the line that answers it, stripped.
+
+        Raises:
+            InputEndedError: There is no input any more.
+            OperatorStopError: Nobody answered in time.
+            KeyboardInterrupt: The operator asked to stop.
+        """
+        ...
+
+
+def unanswered(patience_s: float) -> OperatorStopError:
+    """Return the end of a run whose prompt nobody answered in time."""
+    return OperatorStopError(
+        f"nobody answered the prompt within {patience_s:g} s; `rig resume` goes on, or raise prompt_timeout_s"
+    )
+
+
+def at_terminal() -> bool:
+    """Whether a person can be asked: standard input is a terminal."""
+    try:
+        return sys.stdin is not None and sys.stdin.isatty()
+    except ValueError:
+        return False
+
+
+class Prompt:
+    """Asks on a screen and reads the answer from a stream.
+
+    Args:
+        screen: Shows the question.
+        stream: ``sys.stdin`` unless given; None where the program was started without.
+        patience_s: How long an answer is waited for; None for ever.
+        clock: Measures that.
+    """
+
+    def __init__(
+        self,
+        screen: Screen,
+        stream: TextIO | None = None,
+        patience_s: float | None = None,
+        clock: Clock | None = None,
+    ) -> None:
+        self._screen = screen
+        self._stream = stream if stream is not None else sys.stdin
+        self._patience_s = patience_s
+        self._clock = clock or RealClock()
+        self._rest = b""
+        try:
+            self._descriptor: int | None = None if self._stream is None else self._stream.fileno()
+        except (OSError, ValueError):
+            self._descriptor = None
+
+    def ask(self, words: str) -> str:
+        """Show a question and return the line that answers it, stripped; see :class:`Asker`."""
+        self._flush()
+        self._screen.ask(words)
+        self._screen.drain()
+        if self._descriptor is None:
+            return self._from_stream()
+        return self._from_descriptor(self._descriptor)
+
+    def _flush(self) -> None:
+        """Drop what was typed before the question."""
+        if self._descriptor is None or not os.isatty(self._descriptor):
+            return
+        import termios
+
+        self._rest = b""
+        try:
+            termios.tcflush(self._descriptor, termios.TCIFLUSH)
+        except termios.error as error:
+            raise InputEndedError("the terminal is gone") from error
+
+    def _from_stream(self) -> str:
+        """Read a line of a stream without descriptor, which can't wait."""
+        line = "" if self._stream is None else self._stream.readline()
+        if not line:
+            raise InputEndedError("the input has ended")
+        return line.strip()
+
+    def _from_descriptor(self, descriptor: int) -> str:
+        began_ns = self._clock.now_ns()
+        while b"\n" not in self._rest:
+            self._wait(descriptor, began_ns)
+            try:
+                data = os.read(descriptor, _CHUNK)
+            except OSError as error:
+                raise InputEndedError(f"the input cannot be read: {error.strerror}") from error
+            if not data:
+                if self._rest.strip():
+                    break
+                raise InputEndedError("the input has ended")
+            self._rest += data
+        line, _, self._rest = self._rest.partition(b"\n")
+        if os.isatty(descriptor):
+            self._screen.answered()
+        return line.decode(errors="replace").strip()
+
+    def _wait(self, descriptor: int, began_ns: int) -> None:
+        """Wait for input, and show meanwhile what a stalled terminal did not take."""
+        while True:
+            wait_s = _LONGEST_WAIT_S
+            if self._patience_s is not None:
+                left_s = self._patience_s - (self._clock.now_ns() - began_ns) / NS
+                if left_s <= 0.0:
+                    raise unanswered(self._patience_s)
+                wait_s = min(wait_s, left_s)
+            try:
+                if select.select([descriptor], [], [], wait_s)[0]:
+                    return
+            except (OSError, ValueError) as error:
+                raise InputEndedError(f"the input cannot be read: {error}") from error
+            self._screen.pump()

@@ -1,0 +1,75 @@
+"""How much friction a motion met, by speed: the work done over the way gone.
+
+Work, not torque at an instant: current noise averages out, no acceleration has to be computed, and what the inertia
+takes while the joint speeds up it gives back while it slows down.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from rig.config.sequence import Array
+
+EDGES = np.geomspace(2e-3, 4.0, 67)
+"""Ends of the speed bins, rad/s; the same for every motion, so that levels can be compared bin by bin."""
+SPEED_WINDOW_S = 0.006
+"""The speed is that over this time: shorter than the jumps of a loaded joint that sticks and slips (some 20 ms)."""
+SLOWEST_SHARE = 0.2
+"""Speeds below this share of the greatest are left out: friction changes steeply there, and the steps of the encoder
+show."""
+FEWEST_SAMPLES = 100
+
+
+@dataclass(frozen=True)
+class FrictionLevel:
+    """Friction against speed, measured.
+
+    Attributes:
+        speed: Mean speed in each bin, rad/s, shape (66,); 0 where nothing was measured.
+        torque: Mean friction torque there, N m, shape (66,).
+        path: Way gone there, rad, shape (66,); the weight of the bin.
+    """
+
+    speed: Array
+    torque: Array
+    path: Array
+
+
+def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLevel | None:
+    """Measure the friction of a motion.
+
+    Args:
+        angle: Joint angle at evenly spaced instants, rad, shape (n,).
+        torque: Mean torque at the joint over the period that ends at each instant, N m, shape (n,).
+        period_s: s.
+
+    Returns:
+        The level, or None where there is too little motion to tell.
+    """
+    half = max(1, round(0.5 * SPEED_WINDOW_S / period_s))
+    if len(angle) < 2 * half + FEWEST_SAMPLES:
+        return None
+    speed = (angle[2 * half :] - angle[: -2 * half]) / (2 * half * period_s)
+    middle = slice(half, len(angle) - half)
+    step = np.diff(angle, prepend=angle[0])[middle]
+    power_sign = np.sign(speed)
+    magnitude = np.abs(speed)
+    used = magnitude >= max(SLOWEST_SHARE * float(magnitude.max()), EDGES[0])
+    if np.count_nonzero(used) < FEWEST_SAMPLES:
+        return None
+    way = (power_sign * step)[used]
+    bins = np.clip(np.digitize(magnitude[used], EDGES) - 1, 0, len(EDGES) - 2)
+
+    def summed(values: Array) -> Array:
+        return np.asarray(np.bincount(bins, values, minlength=len(EDGES) - 1))
+
+    path = summed(way)
+    seen = path > 0.0
+    safe = np.where(seen, path, 1.0)
+    return FrictionLevel(
+        speed=np.where(seen, summed(way * magnitude[used]) / safe, 0.0),
+        torque=np.where(seen, summed(torque[middle][used] * step[used]) / safe, 0.0),
+        path=np.where(seen, path, 0.0),
+    )

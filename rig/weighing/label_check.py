@@ -1,0 +1,54 @@
+"""After a run: is every stage's mass the one on its label?"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from identification.recording import Array, Dataset, Recording
+from rig.planning.reference import Reference
+from rig.runs.run_record import Weighing
+from rig.weighing.friction_level import friction_level
+from rig.weighing.weight_check import LoadedLevel, suspects
+
+
+def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weighing]:
+    """Find the recordings of a run or campaign whose mass is not their label.
+
+    Without a reference it takes stages of two different masses besides the one that is judged.
+
+    Returns:
+        Those that are, or may be, wrong; empty also where nothing can be compared.
+    """
+    return suspects(_levels(dataset.recordings), reference)
+
+
+def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
+    """Whether there is anything to judge by: a reference, or three stages of two masses or more, two of them loaded."""
+    masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
+    return reference is not None or (len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2)
+
+
+def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
+    found = []
+    for recording in recordings:
+        angle, torque = recording.channels.get("angle"), _torque(recording)
+        rotary = recording.bench.motion == "rotary"
+        if angle is None or torque is None or recording.pendulum is not None or recording.hot_fire or not rotary:
+            continue
+        level = friction_level(angle, torque, recording.period)
+        if level is not None:
+            found.append(LoadedLevel(recording.name, recording.weight_mass, level))
+    return found
+
+
+def _torque(recording: Recording) -> Array | None:
+    """Return the torque at the joint, N m, or None where it was not measured."""
+    torque, current = recording.channels.get("torque"), recording.channels.get("current")
+    if torque is not None:
+        return torque
+    constant = recording.bench.torque_constant
+    if current is None or constant is None:
+        return None
+    return np.asarray(current * constant * recording.bench.gear_ratio)

@@ -1,0 +1,60 @@
+"""What an operator must know of a bench first: which it is, whether it is real, and who stops it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drivers.canopen.cia402_servo import WATCH_S
+from rig.config.bench import Bench
+from rig.config.configuration import Document
+from rig.config.dbc import DbcServoSection
+from rig.config.serial_bus import SerialBus
+from rig.wiring.devices import Devices
+from rig.wiring.guardian import SILENCE_S
+
+
+def bench_line(document: Document[Bench]) -> str:
+    """Return the line that names a bench and its file, and says whether it is REAL or simulated."""
+    kind = "simulated" if document.value.simulated else "REAL"
+    return f"{kind} bench {document.value.name} ({document.path})"
+
+
+@dataclass(frozen=True)
+class Watcher:
+    """Who takes the power off when this program stops commanding the drive.
+
+    Attributes:
+        kind: ``drive``, ``guardian`` or ``nobody``.
+        after_s: How long the drive, or the guardian, waits for this program, s; None for nobody.
+    """
+
+    kind: str
+    after_s: float | None = None
+
+    @property
+    def words(self) -> str:
+        """In words."""
+        if self.kind == "drive" and self.after_s is not None:
+            wait = f"{self.after_s * 1e3:g} ms"
+            return f"the drive itself: it stops when it hears nothing of this program for {wait}"
+        if self.kind == "guardian" and self.after_s is not None:
+            wait = f"{self.after_s * 1e3:g} ms"
+            return f"a guardian: a process that stops the drive when this program dies or hangs for {wait}"
+        return "NOBODY: the drive goes on holding its last target when this program dies"
+
+
+def watcher_of(bench: Bench) -> Watcher:
+    """Return who will watch a bench, by its file."""
+    if isinstance(bench.bus, SerialBus):
+        return Watcher("nobody") if bench.simulated else Watcher("guardian", SILENCE_S)
+    if isinstance(bench.servo, DbcServoSection):
+        watchdog_ms = bench.servo.watchdog_ms
+        return Watcher("nobody") if watchdog_ms is None else Watcher("drive", watchdog_ms * 1e-3)
+    return Watcher("drive", WATCH_S)
+
+
+def watcher(devices: Devices) -> Watcher:
+    """Return who will watch a bench that is connected."""
+    if devices.link.has_watchdog and devices.servo.watch_s is not None:
+        return Watcher("drive", devices.servo.watch_s)
+    return Watcher("nobody") if devices.guard is None else Watcher("guardian", SILENCE_S)

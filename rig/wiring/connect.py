@@ -1,0 +1,237 @@
+"""From a bench file to devices on an open bus: the only place where drivers are chosen and wired together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Literal
+
+import drivers.mock
+from drivers.amt21.link import EncoderLink
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import CanopenLink
+from drivers.clock import Clock, RealClock
+from drivers.dbc.link import DbcLink
+from drivers.dbc.servo import DbcServo
+from drivers.epos.link import EposSerialLink
+from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
+from drivers.mock.bench import SimulatedBench, simulated_bench
+from drivers.mock.dbc_bench import SimulatedDbcBench, simulated_dbc_bench
+from drivers.mock.drive import Rating
+from drivers.units import EncoderScales, ServoScales
+from rig.common.errors import InputError
+from rig.common.locks import hold_bench
+from rig.config.bench import Bench, Bus, EncoderSection, ServoSection
+from rig.config.configuration import Document
+from rig.config.dbc import DbcServoSection, dbc_path, wire
+from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.wiring.devices import Devices
+from rig.wiring.guard import Guard
+from rig.wiring.resources import resources
+from rig.wiring.serial_devices import amt21_encoder, epos_link
+
+_EDS = Path(drivers.mock.__file__).parent
+DRIVE_EDS = _EDS / "drive.eds"
+ENCODER_EDS = _EDS / "encoder.eds"
+TRANSMITTER_EDS = _EDS / "transmitter.eds"
+_TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
+
+_ENCODER_NODES = (2, 3)
+"""Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
+NO_BUS = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
+Hang = Callable[[float], None]
+"""Hangs a mass in kg on the lever of a simulated machine."""
+Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
+"""Called with a simulated bench before its bus is opened; returns the clock that the host is to see."""
+
+
+@contextmanager
+def connect(
+    document: Document[Bench],
+    seed: int,
+    realtime: bool,
+    attach: Attach | None = None,
+    torque_offset: bool = False,
+    purpose: str = "rig",
+) -> Iterator[Devices]:
+    """Open a bench's bus with its devices on it, and close it at the end. Nothing moves.
+
+    A real bench is locked from before its bus is opened until after it is closed.
+
+    Args:
+        document: The bench.
+        seed: Of the mock bench's noise.
+        realtime: Hold the mock bench to real time.
+        attach: Tampers with a simulated bench.
+        torque_offset: Map the torque offset of a CANopen drive (60B2h); see
+            :func:`rig.planning.feedforward.require_torque_offset`.
+        purpose: The command that connects, as whoever finds the bench in use is told.
+
+    Raises:
+        InputError: The bench has no bus, or a real device has no EDS file.
+        InUseError: Another program uses it, or a part of it.
+        StorageError: It cannot be locked.
+        DeviceError: The bus cannot be opened, or the bench file contradicts itself on the wire.
+    """
+    bench = document.value
+    if bench.bus is None:
+        raise InputError(document.problem(("bus",), NO_BUS))
+    twin: SimulatedBench | None = None
+    hang: Hang | None
+    link: Link
+    servo: Servo
+    guard: Guard | None = None
+    if isinstance(bench.bus, SerialBus):
+        link, servo, twin, guard = _epos(document, bench.bus, seed, attach)
+        hang = None if twin is None else twin.machine.hang
+    elif isinstance(bench.servo, DbcServoSection):
+        link, servo, hang = _dbc_servo(document, bench.servo, bench.bus, seed, attach)
+    else:
+        link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
+        hang = None if twin is None else twin.machine.hang
+        drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
+        scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+        servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
+    pressure: PressureTransmitter | None = None
+    if bench.pressure is not None and isinstance(link, CanopenLink):
+        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, eds_path(document, "pressure")))
+    encoder: Encoder
+    if isinstance(bench.encoder, Amt21Section):
+        encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
+        link = EncoderLink(link, amt21)
+    elif isinstance(link, CanopenLink):
+        node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
+        encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
+    ignite = None if twin is None or pressure is None else twin.machine.ignite
+    with hold_bench(bench.name, resources(bench), purpose) as lock:
+        if guard is not None:
+            guard.keep(lock.descriptors)
+        link.open()
+        try:
+            pacer = RealClock() if realtime and bench.simulated else None
+            yield Devices(link, servo, encoder, hang, pacer, guard=guard, pressure=pressure, ignite=ignite, lock=lock)
+        finally:
+            link.close()
+            if guard is not None:
+                guard.close()
+
+
+def _epos(
+    document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
+) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
+    """Return the link of a drive on a serial line, the drive, the bench where they are simulated, else the guard."""
+    bench = document.value
+    assert isinstance(bench.servo, ServoSection)
+    twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
+    eds, node = eds_path(document, "servo"), bench.servo.node
+    scales = servo_scales(bench.servo, bench.machine.gear_ratio)
+    guard = Guard(bus.port, bus.baud, node, eds, scales) if twin is None else None
+    link = epos_link(bus, twin, clock, guard)
+    return link, Cia402Servo(link.add_node(node, eds), link, scales), twin, guard
+
+
+def _twin(
+    bench: Bench, servo: ServoSection, bitrate: int, seed: int, attach: Attach | None
+) -> tuple[SimulatedBench | None, Clock]:
+    """Return the simulated bench, if there is one, and the host's clock."""
+    if bench.mock is None or not bench.simulated:
+        return None, RealClock()
+    encoder_node = (
+        bench.encoder.node
+        if isinstance(bench.encoder, EncoderSection)
+        else _ENCODER_NODES[servo.node == _ENCODER_NODES[0]]
+    )
+    transmitter_node = None if bench.pressure is None else bench.pressure.node
+    rating = Rating(servo.rated_current_A, servo.rated_torque_N_m)
+    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating)
+    return twin, twin.clock if attach is None else attach(twin)
+
+
+def _link(
+    bench: Bench, servo: ServoSection, bus: Bus, seed: int, attach: Attach | None
+) -> tuple[CanopenLink, SimulatedBench | None]:
+    """Return the link, and the bench behind it where that is simulated."""
+    twin, clock = _twin(bench, servo, bus.bitrate, seed, attach)
+    if twin is not None:
+        return CanopenLink(clock, lambda: twin.bus, name="simulated bus"), twin
+    return CanopenLink.on_interface(clock, bus.interface, bus.channel or "", bus.bitrate), None
+
+
+def _dbc_servo(
+    document: Document[Bench], servo: DbcServoSection, bus: Bus, seed: int, attach: Attach | None
+) -> tuple[DbcLink, DbcServo, Hang | None]:
+    """Return the link with a drive of its own frames on it, and what hangs a weight on a simulated lever."""
+    bench = document.value
+    wiring = wire(servo, document.path, bench.simulated, document.problem)
+    hang: Hang | None = None
+    if bench.mock is not None and bench.simulated:
+        assert isinstance(bench.encoder, EncoderSection)
+        mock = simulated_dbc_bench(bench.mock, seed, bus.bitrate, bench.encoder.node)
+        clock = mock.clock if attach is None else attach(mock)
+        link, hang = DbcLink(clock, lambda: mock.bus, name="simulated bus"), mock.machine.hang
+    else:
+        link = DbcLink.on_interface(RealClock(), bus.interface, bus.channel or "", bus.bitrate)
+    drive = servo.drive(bench.machine.gear_ratio, bench.machine.torque_constant_N_m_A)
+    return link, DbcServo(link, link.add_channel(wiring, servo.name), drive), hang
+
+
+def device_files(document: Document[Bench]) -> dict[str, Path]:
+    """Return the files that say what the devices' objects or signals are: name to path.
+
+    Raises:
+        InputError: A real device has none.
+    """
+    bench = document.value
+    found = {}
+    if isinstance(bench.servo, DbcServoSection):
+        found["servo.dbc"] = dbc_path(bench.servo, document.path)
+    else:
+        found["servo.eds"] = eds_path(document, "servo")
+    if isinstance(bench.encoder, EncoderSection):
+        found["encoder.eds"] = eds_path(document, "encoder")
+    if bench.pressure is not None:
+        found["pressure.eds"] = eds_path(document, "pressure")
+    return found
+
+
+def eds_path(document: Document[Bench], section: Literal["servo", "encoder", "pressure"]) -> Path:
+    """Return a device's EDS file; the twins' own ship with them, real devices bring theirs.
+
+    Raises:
+        InputError: A real device has none.
+    """
+    bench = document.value
+    named: str | None = getattr(bench, section).eds
+    if named is not None:
+        return document.path.parent / named
+    if not bench.simulated:
+        text = "missing; a real device needs its manufacturer's EDS file, relative to this file"
+        raise InputError(document.problem((section, "eds"), text))
+    return _TWIN_EDS[section]
+
+
+def servo_scales(servo: ServoSection, gear_ratio: float) -> ServoScales:
+    """Return the drive's scales in SI units."""
+    return ServoScales(
+        counts_per_turn=servo.counts_per_motor_turn,
+        gear_ratio=gear_ratio,
+        rated_current_A=servo.rated_current_A,
+        rated_torque_N_m=servo.rated_torque_N_m,
+        sign=servo.sign,
+        offset_rad=math.radians(servo.offset_deg),
+        velocity_unit_rad_s=servo.velocity_unit_rad_s,
+        voltage_object=servo.voltage_object,
+        voltage_unit_V=servo.voltage_unit_V,
+        temperature_object=servo.temperature_object,
+        temperature_unit_C=servo.temperature_unit_C,
+    )
+
+
+def encoder_scales(encoder: EncoderSection) -> EncoderScales:
+    """Return the joint encoder's scales in SI units."""
+    return EncoderScales(
+        counts_per_turn=encoder.counts_per_turn, sign=encoder.sign, offset_rad=math.radians(encoder.offset_deg)
+    )

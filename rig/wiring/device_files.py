@@ -1,0 +1,106 @@
+"""Node identifiers and device files of a bench, checked on a link that is never opened."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal, NoReturn, Protocol
+
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.canopen.cia406 import Cia406Encoder
+from drivers.canopen.link import MASTER_ID, CanopenLink
+from drivers.clock import SimulatedClock
+from drivers.dbc.link import DbcLink
+from drivers.epos.link import EposSerialLink
+from drivers.errors import ConfigurationError, DeviceError
+from drivers.interfaces import Link
+from drivers.objects import ProcessChannel
+from rig.common.errors import InputError
+from rig.common.findings import Cause, Finding
+from rig.config.bench import Bench, EncoderSection, ServoSection
+from rig.config.configuration import Document
+from rig.config.dbc import DbcServoSection, wire
+from rig.config.serial_bus import SerialBus
+from rig.wiring.connect import eds_path, encoder_scales, servo_scales
+
+Role = Literal["servo", "encoder", "pressure"]
+_WORDS: dict[Role, str] = {"servo": "servo", "encoder": "encoder", "pressure": "pressure transmitter"}
+
+
+class _Described(Protocol):
+    """A device profile that can hold the device's description against what it needs."""
+
+    def description_refusals(self) -> Iterator[DeviceError]:
+        """Yield what the description lacks."""
+        ...
+
+
+def device_file_findings(document: Document[Bench]) -> list[Finding]:
+    """Return what is wrong with node identifiers, CAN identifiers and EDS files of a bench.
+
+    None of these benches can be connected to. A DBC file has been read with the bench file.
+    """
+    return list(_conflicts(document)) or list(_declared(document))
+
+
+def _nodes(bench: Bench) -> Iterator[tuple[Role, int]]:
+    """Yield the devices that have a node identifier."""
+    if isinstance(bench.servo, ServoSection):
+        yield "servo", bench.servo.node
+    if isinstance(bench.encoder, EncoderSection):
+        yield "encoder", bench.encoder.node
+    if bench.pressure is not None:
+        yield "pressure", bench.pressure.node
+
+
+def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
+    bench = document.value
+    owners: dict[int, str] = {} if isinstance(bench.bus, SerialBus) else {MASTER_ID: "this program's own heartbeat"}
+    for role, node in _nodes(bench):
+        if node in owners:
+            text = f"{node} is the node identifier of {owners[node]} as well; give each its own, 1 to {MASTER_ID - 1}"
+            yield Finding(Cause.NODES, document.problem((role, "node"), text), connectable=False)
+        owners.setdefault(node, f"the {_WORDS[role]}")
+
+
+def _declared(document: Document[Bench]) -> Iterator[Finding]:
+    """Declare every device as :func:`rig.wiring.connect.connect` does, and yield what is refused."""
+    bench = document.value
+    link: CanopenLink | EposSerialLink
+    if isinstance(bench.bus, SerialBus):
+        link = EposSerialLink(SimulatedClock(), _never_opened)
+    elif isinstance(bench.servo, DbcServoSection):
+        link = DbcLink(SimulatedClock(), _never_opened)
+        link.add_channel(wire(bench.servo, document.path, bench.simulated, document.problem), bench.servo.name)
+    else:
+        link = CanopenLink(SimulatedClock(), _never_opened)
+    for role, number in _nodes(bench):
+        try:
+            eds = eds_path(document, role)
+        except InputError as missing:
+            yield from (Finding(Cause.FILES, text, connectable=False) for text in missing.problems)
+            continue
+        refused: list[DeviceError]
+        try:
+            refused = list(_profile(bench, role, link, link.add_node(number, eds)).description_refusals())
+        except ConfigurationError as error:
+            refused = [error]
+        for lacking in refused:
+            yield Finding(Cause.FILES, document.problem((role, "eds"), str(lacking)), connectable=False)
+    if isinstance(link, DbcLink):
+        for text in link.conflicts():
+            yield Finding(Cause.NODES, document.problem(("servo",), text), connectable=False)
+
+
+def _profile(bench: Bench, role: Role, link: Link, node: ProcessChannel) -> _Described:
+    if role == "servo":
+        assert isinstance(bench.servo, ServoSection)
+        return Cia402Servo(node, link, servo_scales(bench.servo, bench.machine.gear_ratio))
+    if role == "encoder":
+        assert isinstance(bench.encoder, EncoderSection)
+        return Cia406Encoder(node, encoder_scales(bench.encoder))
+    assert bench.pressure is not None
+    return bench.pressure.transmitter(node)
+
+
+def _never_opened() -> NoReturn:
+    raise AssertionError("a bench that is only checked is not opened")

@@ -1,0 +1,52 @@
+"""What a run moves: link, servo, encoder and what stands beside them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from drivers.clock import Clock
+from drivers.interfaces import Encoder, Link, PressureTransmitter, Servo
+from rig.common.locks import Lock
+from rig.common.phase import Phase
+from rig.wiring.guard import Guard
+
+
+@dataclass(frozen=True)
+class Devices:
+    """What a run moves.
+
+    Attributes:
+        link: The opened bus.
+        servo: The drive.
+        encoder: The joint encoder.
+        hang: Puts a mass in kg on a simulated lever; None where a person does.
+        pacer: Real clock that holds simulated time back to real time; None to run on the link's clock alone.
+        observer: Told the stage's name and every phase as it begins.
+        pressure: The transmitter on the gas generator's chamber; None where there is none.
+        ignite: Lights a simulated gas generator; None where a person does.
+        guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
+        lock: What keeps other programs from the bench; None where nobody has to be kept from it.
+    """
+
+    link: Link
+    servo: Servo
+    encoder: Encoder
+    hang: Callable[[float], None] | None = None
+    pacer: Clock | None = None
+    observer: Callable[[str, Phase], None] | None = None
+    guard: Guard | None = None
+    pressure: PressureTransmitter | None = None
+    ignite: Callable[[], None] | None = None
+    lock: Lock | None = None
+
+    def prepare(self, cycle_s: float) -> None:
+        """Check every device against the bench file and map its process data. No power.
+
+        Raises:
+            DeviceError: A device is not what the bench file says, or does not answer.
+        """
+        self.servo.prepare(cycle_s)
+        self.encoder.prepare(cycle_s)
+        if self.pressure is not None:
+            self.pressure.prepare(cycle_s)

@@ -1,0 +1,253 @@
+"""The guardian: a process that takes the power off a drive without a watchdog when its program dies or hangs.
+
+It is started with the open port before the drive is enabled, and hears on its standard input, line by line in JSON, how
+to reach the drive, where to write, and whether the drive is under power (``armed``). While that is so, each line, an
+empty one too, shows that the control loop is alive. Two things make it act:
+
+- the input ends while the drive is armed: the other program is gone;
+- no line comes for ``limit_s``: the other program hangs, or was suspended. ``took over`` goes to the standard output
+  first, so that the other one, should it wake, keeps off the line; what was done follows as a line of words.
+
+It brakes the drive, takes the power off, reads 6041h back, and writes what it did beside the recording. Its own output
+never blocks it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final
+
+from drivers.canopen.cia402_servo import Cia402Servo
+from drivers.clock import NS, Clock, RealClock
+from drivers.epos.link import EposSerialLink
+from drivers.interfaces import Servo
+from drivers.serial_port import InheritedPort
+from drivers.units import ServoScales
+from rig.common.locks import inherited
+from rig.terminal.screen import Screen
+from rig.wiring.teardown import SafeState, make_safe
+
+SCHEMA: Final = "loadrig.guardian/1"
+REPORT_FILE: Final = "guardian.json"
+READY: Final = b"ready\n"
+TOOK_OVER: Final = b"took over\n"
+SILENCE_S: Final = 0.2
+"""Time without a sign of life after which it acts, unless it is told another one."""
+_PATIENCE_S: Final = 60.0
+_PAUSE_NS: Final = NS // 5
+"""Between two attempts: a line that is gone answers at once, and a busy loop would help nobody."""
+_CYCLE_NS: Final = NS // 1000
+_CHUNK: Final = 4096
+_SHOW_S: Final = 1.0
+
+
+class Cause(Enum):
+    """Why the guardian acts, or does not."""
+
+    RELEASED = "released"
+    GONE = "gone"
+    SILENT = "silent"
+
+
+@dataclass
+class Ward:
+    """What the guardian has been told so far.
+
+    Attributes:
+        drive: How to reach it: ``name``, ``node``, ``eds`` and ``scales``.
+        folder: Where to write what was done; None for nowhere.
+        armed: Whether the drive may be under power.
+        limit_s: How long the other program may be silent while it is.
+    """
+
+    drive: Mapping[str, Any] = field(default_factory=dict)
+    folder: Path | None = None
+    armed: bool = False
+    limit_s: float = SILENCE_S
+    _rest: bytes = b""
+
+    def hear(self, data: bytes) -> None:
+        """Take what came in; half a line, as a dying program may leave it, and unknown words change nothing."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        try:
+            told = json.loads(line)
+        except ValueError:
+            return
+        if isinstance(told, dict):
+            self.drive = told.get("drive", self.drive)
+            self.folder = Path(told["folder"]) if "folder" in told else self.folder
+            self.limit_s = float(told.get("limit_s", self.limit_s))
+            self.armed = bool(told.get("armed", self.armed))
+
+
+@dataclass(frozen=True)
+class Deed:
+    """What the guardian did: how the drive was left, how often it was tried, and how long that took."""
+
+    safe: SafeState
+    attempts: int
+    seconds: float
+
+
+def stop(
+    servo: Servo,
+    clock: Clock,
+    patience_s: float = _PATIENCE_S,
+    failed: Callable[[SafeState], None] = lambda safe: None,
+) -> Deed:
+    """Brake, take the power off and read the state back, again and again until that is verified or patience ends.
+
+    Args:
+        servo: The drive.
+        clock: Of its link.
+        patience_s: How long it is tried.
+        failed: Called after the first attempt that failed.
+    """
+    began = clock.now_ns()
+    attempts = 0
+    while True:
+        attempts += 1
+        safe = make_safe(
+            servo,
+            lambda: clock.sleep_until_ns(clock.now_ns() + _CYCLE_NS),
+            _CYCLE_NS,
+            brake=True,
+            hurry=lambda: False,
+            watched=False,
+        )
+        spent_s = (clock.now_ns() - began) / NS
+        if safe.verified or spent_s > patience_s:
+            return Deed(safe, attempts, spent_s)
+        if attempts == 1:
+            failed(safe)
+        clock.sleep_until_ns(clock.now_ns() + _PAUSE_NS)
+
+
+def watch(descriptor: int, ward: Ward, wait: Callable[[int, float | None], bool]) -> Cause:
+    """Listen until the drive must be stopped, or the other program has closed the pipe with the drive off.
+
+    Args:
+        descriptor: The pipe.
+        ward: Takes what is heard.
+        wait: Waits for input on a descriptor for so many seconds, None for ever; returns whether there is any.
+    """
+    while True:
+        if not wait(descriptor, ward.limit_s if ward.armed else None):
+            return Cause.SILENT
+        data = os.read(descriptor, _CHUNK)
+        if not data:
+            return Cause.GONE if ward.armed else Cause.RELEASED
+        ward.hear(data)
+
+
+def _wait(descriptor: int, seconds: float | None) -> bool:
+    return bool(select.select([descriptor], [], [], seconds)[0])
+
+
+def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
+    """Return what was done in a sentence."""
+    why = "is gone" if cause is Cause.GONE else f"did not run for {ward.limit_s:g} s"
+    return (
+        f"guardian: the program that drove {ward.drive['name']} {why}; after {deed.seconds:.2f} s {deed.safe.message}"
+    )
+
+
+def report(deed: Deed, ward: Ward, cause: Cause) -> str:
+    """Write what was done beside the recording, and return it in words; a full disk is no reason to be silent."""
+    words = words_of(deed, ward, cause)
+    if ward.folder is not None:
+        record = {
+            "schema": SCHEMA,
+            "created": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "cause": cause.value,
+            "safe": deed.safe.record(),
+            "attempts": deed.attempts,
+            "seconds": deed.seconds,
+            "message": words,
+        }
+        try:
+            (ward.folder / REPORT_FILE).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            words += f"; {REPORT_FILE} cannot be written: {error.strerror}"
+    return words
+
+
+def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
+    """Return the drive behind an open port, given as a file descriptor."""
+    clock, told = RealClock(), ward.drive
+    link = EposSerialLink(clock, lambda: InheritedPort(port), told["name"])
+    node = link.add_node(told["node"], Path(told["eds"]))
+    scales = dict(told["scales"])
+    for name in ("voltage_object", "temperature_object"):
+        scales[name] = tuple(scales[name])
+    link.open()
+    return Cia402Servo(node, link, ServoScales(**scales)), clock
+
+
+def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) -> Deed:
+    """Stop the drive, and say and write what came of it."""
+    name = ward.drive["name"]
+    deed = stop(servo, clock, failed=lambda safe: screen.say(f"guardian of {name}: {safe.message}; still trying"))
+    screen.say(report(deed, ward, cause))
+    return deed
+
+
+def main() -> int:
+    """Be the guardian of the port whose file descriptor is given first; those after it are the bench's lock."""
+    for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
+        # The end of the input is what ends it.
+        signal.signal(getattr(signal, name), signal.SIG_IGN)
+    ward, screen = Ward(), Screen()
+    listening, speaking = sys.stdin.fileno(), sys.stdout.fileno()
+    while not ward.drive:
+        data = os.read(listening, _CHUNK)
+        if not data:
+            # The other program died before it could say anything; nothing was under power.
+            return 0
+        ward.hear(data)
+    port, *lock = map(int, sys.argv[1:])
+    servo, clock = drive_on(port, ward)
+    bench = inherited(lock)
+    _speak(speaking, READY)
+    while True:
+        cause = watch(listening, ward, _wait)
+        if cause is Cause.RELEASED:
+            return 0
+        if cause is Cause.SILENT:
+            _speak(speaking, TOOK_OVER)
+        else:
+            bench.note("the guardian of a program that died")
+        deed = act(servo, clock, ward, cause, screen)
+        if cause is Cause.GONE:
+            if deed.safe.verified:
+                bench.release()
+            screen.drain(_SHOW_S)
+            return 0 if deed.safe.verified else 1
+        ward.armed = False
+        _speak(speaking, deed.safe.message.encode() + b"\n")
+        screen.pump()
+
+
+def _speak(descriptor: int, words: bytes) -> None:
+    """Say something to the other program; its pipe is empty but for a few words, and so takes them."""
+    # Where it is gone, the end of the input will say so.
+    with suppress(OSError):
+        os.write(descriptor, words)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

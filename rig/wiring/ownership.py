@@ -1,0 +1,25 @@
+"""Locks in commands: kept until the command ends, and what was taken over is said."""
+
+from __future__ import annotations
+
+import click
+
+from rig.common.locks import Lock
+from rig.terminal.screen import Screen
+
+
+def until_the_end(lock: Lock) -> Lock:
+    """Release a lock when the command that is being carried out has ended, however it ends."""
+    click.get_current_context().with_resource(lock)
+    say_taken_over(lock)
+    return lock
+
+
+def say_taken_over(lock: Lock | None, screen: Screen | None = None) -> None:
+    """Tell the operator where the last program that held a lock ended without releasing it."""
+    if lock is None or lock.taken_over is None:
+        return
+    if screen is None:
+        click.echo(lock.taken_over, err=True)
+    else:
+        screen.say(lock.taken_over)

@@ -1,0 +1,128 @@
+"""The checks before a run, in one list: those of the bench file, and those of the devices.
+
+``rig run``, ``resume`` and ``jog`` refuse what these find; ``rig check`` and ``rig run --dry-run``
+report it in the same words. A check that needs a write into a device is left to the run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from datetime import date
+
+from drivers.errors import ConfigurationError, DeviceError, StateError
+from drivers.interfaces import ServoLimits, ServoState
+from rig.common.errors import InputError
+from rig.common.findings import Cause, Finding, refusals, warnings
+from rig.config.bench import Bench
+from rig.config.calibration import calibration_records, overdue, overdue_problems
+from rig.config.configuration import Document
+from rig.config.simulated_loops import unstable_current_loop
+from rig.wiring.connect import NO_BUS
+from rig.wiring.device_files import device_file_findings
+from rig.wiring.devices import Devices
+from rig.wiring.drive_limits import require_within_own
+from rig.wiring.plausibility import implausible
+
+RESET_HINT = "; once its cause is removed, --reset-fault clears it"
+
+
+def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
+    """Return what is wrong with a bench as far as its file and the files it names tell.
+
+    Args:
+        document: The bench.
+        today: For the calibrations.
+    """
+    bench = document.value
+    if bench.bus is None:
+        return [Finding(Cause.BUS, document.problem(("bus",), NO_BUS), connectable=False)]
+    found = device_file_findings(document) + implausible(document)
+    if bench.simulated and bench.mock is not None and (text := unstable_current_loop(bench.mock)):
+        place = ("mock", "loops", "current_gain_V_A")
+        found.append(Finding(Cause.SIMULATION, document.problem(place, text)))
+    late = overdue_problems(document, today)
+    found += [Finding(Cause.CALIBRATION, text) for text in late]
+    if not late:
+        records = calibration_records(bench, today)
+        found += [Finding(Cause.CALIBRATION, text, refused=False) for text in overdue(records)]
+    return found
+
+
+def require_startable(document: Document[Bench], today: date, warn: Callable[[str], object]) -> None:
+    """Refuse a bench whose file, or a file it names, is wrong; before anything is connected to.
+
+    Args:
+        document: The bench.
+        today: For the calibrations.
+        warn: Told what is unusual but no reason to refuse.
+
+    Raises:
+        InputError: Lists every reason, with its place in the bench file.
+    """
+    found = bench_findings(document, today)
+    for text in warnings(found):
+        warn(f"warning: {text}")
+    if problems := refusals(found):
+        raise InputError(problems)
+
+
+def device_findings(
+    devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
+) -> Iterator[Finding]:
+    """Yield what a run with these limits would refuse of the devices. Reads, and writes nothing.
+
+    Args:
+        devices: On an opened link; not prepared.
+        wanted: The limits that the run would write into the drive.
+        cycle_s: Control cycle, s.
+        reset_fault: Whether the run may clear a fault.
+
+    Raises:
+        DeviceError: A device does not answer.
+    """
+    servo = devices.servo
+    state = servo.state()
+    if (error := energised(state)) is not None:
+        yield Finding(Cause.STATE, str(error))
+    elif state is ServoState.FAULT and not reset_fault:
+        yield Finding(Cause.STATE, f"{servo.fault()}{RESET_HINT}")
+    settings = list(_refused(Cause.DRIVE, servo.refusals(cycle_s)))
+    yield from settings
+    yield from _refused(Cause.ENCODER, devices.encoder.refusals(cycle_s))
+    if devices.pressure is not None:
+        yield from _refused(Cause.PRESSURE, devices.pressure.refusals(cycle_s))
+    if settings:
+        return  # limits in units that are not the drive's say nothing
+    try:
+        require_within_own(wanted, servo.read_limits(), servo.limit_steps())
+    except ConfigurationError as refused:
+        yield Finding(Cause.LIMITS, str(refused))
+    yield from _refused(Cause.LIMITS, servo.limit_refusals(wanted))
+
+
+def require_ready(devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False) -> None:
+    """Refuse devices that a run would refuse later, when the operator has hung a weight.
+
+    Args:
+        devices: As for :func:`device_findings`.
+        wanted: As there.
+        cycle_s: As there.
+        reset_fault: As there.
+
+    Raises:
+        ConfigurationError: Lists every reason.
+        DeviceError: A device does not answer.
+    """
+    if problems := refusals(list(device_findings(devices, wanted, cycle_s, reset_fault))):
+        raise ConfigurationError("; ".join(problems))
+
+
+def energised(state: ServoState) -> StateError | None:
+    """Return why no weight may be asked for in this state of the drive; None if it is off."""
+    if not state.energised:
+        return None
+    return StateError(f"the drive is in {state.value!r} before the weight prompt; it must be de-energised")
+
+
+def _refused(cause: Cause, errors: Iterable[DeviceError]) -> Iterator[Finding]:
+    return (Finding(cause, str(error)) for error in errors)

@@ -1,0 +1,54 @@
+"""What of a bench one program at a time may use: its ports, adapters and channels."""
+
+from __future__ import annotations
+
+import os
+from typing import Final
+
+from rig.common.locks import Resource
+from rig.config.bench import Bench, Bus
+from rig.config.serial_bus import Amt21Section, SerialBus
+
+_IN_PROCESS: Final = "virtual"
+"""Of python-can: a bus that no other process can reach."""
+_ON_SERIAL_PORTS: Final = frozenset({"slcan", "robotell", "seeedstudio", "serial"})
+"""Interfaces of python-can whose channel is a serial port, by path or as a URL of pyserial."""
+_WITH_RATE: Final = frozenset({"slcan", "robotell"})
+"""Those where ``@`` and the port's bit rate may follow."""
+
+
+def resources(bench: Bench) -> tuple[Resource, ...]:
+    """Return what a program that uses this bench must hold; nothing where the bench is simulated.
+
+    A device is the same under each of its names, as links are followed; an interface with a
+    channel is the same in every bench file that names both.
+    """
+    bus = bench.bus
+    if bus is None or bench.simulated:
+        return ()
+    found = [_port(bus.port)] if isinstance(bus, SerialBus) else _channel(bus)
+    if isinstance(bench.encoder, Amt21Section):
+        found.append(_port(bench.encoder.port))
+    return tuple(sorted({part.key: part for part in reversed(found)}.values()))
+
+
+def _channel(bus: Bus) -> list[Resource]:
+    """Return the channel of a CAN interface, or the serial port that it is."""
+    channel = bus.channel or ""
+    if bus.interface == _IN_PROCESS:
+        return []
+    if bus.interface in _WITH_RATE:
+        channel = channel.partition("@")[0]
+    if "://" not in channel and (bus.interface in _ON_SERIAL_PORTS or os.sep in channel):
+        return [_port(channel)]
+    return [Resource(f"{bus.interface}:{channel}", f"{bus.interface} channel {channel or 'by default'}")]
+
+
+def _port(path: str) -> Resource:
+    """Return a device of this computer."""
+    try:
+        real = os.path.realpath(path)
+    except ValueError:
+        # No path at all: it holds a null character.
+        real = path
+    return Resource(real, f"port {path}")

@@ -1,0 +1,47 @@
+"""The devices behind the serial sections of a bench file, real or simulated."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from drivers.amt21.encoder import COUNTS_PER_TURN, Amt21Encoder, Gate
+from drivers.amt21.line import Amt21Line
+from drivers.clock import Clock
+from drivers.epos.link import EposSerialLink
+from drivers.mock.amt21 import SimulatedAmt21
+from drivers.mock.bench import SimulatedBench
+from drivers.mock.epos_serial import SimulatedEposPort
+from drivers.mock.wires.serial_line import SimulatedLine, Station
+from drivers.serial_port import BytePort, PySerialPort
+from drivers.units import EncoderScales
+from rig.config.serial_bus import Amt21Section, SerialBus
+from rig.wiring.guard import Guard
+
+
+def epos_link(bus: SerialBus, twin: SimulatedBench | None, clock: Clock, guard: Guard | None) -> EposSerialLink:
+    """Return the link of a drive on a serial line: a real port with its guard, or the twin's in simulated time."""
+    if twin is None:
+        assert guard is not None
+        return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
+    station = SimulatedEposPort(twin.bus, twin.clock, twin.drive)
+    return EposSerialLink(clock, _simulated(twin, "drive", bus.baud, station), "simulated EPOS4")
+
+
+def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clock) -> Amt21Encoder:
+    """Return an encoder on its line, real or simulated."""
+    connect: Callable[[], BytePort]
+    if twin is None:
+        connect, name = lambda: PySerialPort(section.port, section.baud), f"AMT21 at {section.port}"
+    else:
+        station = SimulatedAmt21(twin.clock, twin.sampler, section.address)
+        connect, name = _simulated(twin, "encoder", section.baud, station), "simulated AMT21"
+    line = Amt21Line(clock, connect, name, section.address)
+    scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
+    gate = Gate(math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2))
+    return Amt21Encoder(line, scales, gate)
+
+
+def _simulated(twin: SimulatedBench, device: str, baud: int, station: Station) -> Callable[[], BytePort]:
+    line = twin.lines[device] = SimulatedLine(twin.clock, baud, station)
+    return lambda: line

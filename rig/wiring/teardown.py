@@ -1,0 +1,169 @@
+"""Takes the power off, whatever happened before, and says honestly whether that was verified."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.clock import NS
+from drivers.errors import DeviceError
+from drivers.interfaces import Servo, ServoLimits, ServoState
+from rig.common.errors import StorageError
+
+BRAKING_TIMEOUT_S = 1.0
+STATE_CYCLES = 20
+DISABLE_ATTEMPTS = 2
+
+
+@dataclass(frozen=True)
+class SafeState:
+    """How the drive was left.
+
+    Attributes:
+        verified: Whether 6041h was read and shows a de-energised state.
+        state: That state in words, or ``unknown``.
+        problems: What went wrong on the way.
+        watched: Whether the drive takes its power off by itself once nobody commands it.
+        unforeseen: Exceptions of the steps that are neither device or storage errors nor Ctrl-C: defects
+            of this program, to be raised again once the operator knows how the drive was left.
+    """
+
+    verified: bool
+    state: str
+    problems: tuple[str, ...] = ()
+    watched: bool = True
+    unforeseen: tuple[BaseException, ...] = field(default=(), repr=False, compare=False)
+
+    @property
+    def message(self) -> str:
+        """One sentence for the operator."""
+        if self.verified:
+            return f"the drive is de-energised (read back: {self.state})"
+        by_itself = (
+            "its own heartbeat watch takes the power off; switch the main supply off before approaching the bench"
+            if self.watched
+            else "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main supply off now"
+        )
+        return (
+            "it could NOT be verified that the drive is de-energised "
+            f"(state {self.state}; {'; '.join(self.problems)}); {by_itself}"
+        )
+
+    def record(self) -> dict[str, Any]:
+        """Return what a result file keeps."""
+        return {
+            "verified": self.verified,
+            "state": self.state,
+            "problems": list(self.problems),
+            "watched": self.watched,
+        }
+
+
+def words_of(error: BaseException) -> str:
+    """Return an exception's class and words, also where its ``__str__`` is broken."""
+    try:
+        return f"{type(error).__name__}: {error}"
+    except Exception:  # noqa: BLE001 whatever it raises, the class says enough
+        return type(error).__name__
+
+
+class _Steps:
+    """Runs the steps of a teardown one by one; whatever one raises, the next is still run."""
+
+    def __init__(self) -> None:
+        self.problems: list[str] = []
+        self.unforeseen: list[BaseException] = []
+
+    def attempt(self, step: Callable[[], object]) -> None:
+        """Run one step, and note what it raises."""
+        try:
+            step()
+        except KeyboardInterrupt:
+            self.problems.append("interrupted again while stopping")
+        except (DeviceError, StorageError) as error:
+            self.problems.append(str(error))
+        except BaseException as error:  # noqa: BLE001 a defect must not keep the power on; the caller raises it
+            self.problems.append(f"unforeseen {words_of(error)}")
+            self.unforeseen.append(error)
+
+    def state(self, servo: Servo) -> ServoState | None:
+        """Read the drive's state; None where that fails."""
+        found: list[ServoState] = []
+        self.attempt(lambda: found.append(servo.state()))
+        return next(iter(found), None)
+
+
+def make_safe(
+    servo: Servo,
+    watch: Callable[[], None],
+    cycle_ns: int,
+    *,
+    brake: bool,
+    hurry: Callable[[], bool],
+    watched: bool = True,
+) -> SafeState:
+    """Brake if asked to, take the power off and read the state back. Never raises.
+
+    Each step has a time-out of its own, and is tried whatever the steps before it raised. Where the
+    state cannot be read, or shows power, taking the power off is tried once more.
+
+    Args:
+        servo: The drive.
+        watch: Runs one control cycle; called while the drive brakes, so that its heartbeat watch does not cut the ramp
+            short, and so that the recording shows the shaft stopping.
+        cycle_ns: Control cycle, ns.
+        brake: Start with a quick stop: after anything but an orderly end.
+        hurry: Whether the operator asks again: then the power goes off without waiting for the end of the ramp.
+        watched: Whether the drive takes its power off by itself once nobody commands it.
+
+    Returns:
+        How the drive was left; exceptions that nobody foresaw are in ``unforeseen``.
+    """
+    steps = _Steps()
+    if brake:
+        steps.attempt(servo.quick_stop)
+        steps.attempt(lambda: _wait_for_standstill(servo, watch, cycle_ns, hurry))
+    state = None if brake else steps.state(servo)
+    for _ in range(DISABLE_ATTEMPTS):
+        if state is not ServoState.SWITCH_ON_DISABLED:
+            steps.attempt(servo.disable)
+        state = steps.state(servo)
+        if state is not None and not state.energised:
+            break
+    return SafeState(
+        verified=state is not None and not state.energised,
+        state="unknown" if state is None else state.value,
+        problems=tuple(dict.fromkeys(steps.problems)),
+        watched=watched,
+        unforeseen=tuple(steps.unforeseen),
+    )
+
+
+def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
+    """Run every step, whatever those before it raised; returns what nobody foresaw."""
+    taken = _Steps()
+    for step in steps:
+        taken.attempt(step)
+    return tuple(taken.unforeseen)
+
+
+def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]) -> None:
+    """Keep the bus alive until the drive has braked, or for the time-out, or until the operator cannot wait."""
+    for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
+        if hurry():
+            return
+        if cycle % STATE_CYCLES == 0 and servo.state() is not ServoState.QUICK_STOP_ACTIVE:
+            return
+        watch()
+
+
+def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:
+    """Write the drive's own limits back, so that the tighter ones of a run do not stand in the way of the next.
+
+    Only into a drive that is verified off. A drive that does not take them keeps the tighter ones, which is safe.
+
+    Returns:
+        What nobody foresaw, as in :attr:`SafeState.unforeseen`.
+    """
+    return attempt_all(lambda: servo.write_limits(own)) if safe.verified else ()
