@@ -1,4 +1,5 @@
-"""Cycles per second of the mock bench, whole exchange over the simulated bus, against the plant alone and real time.
+"""Cycles per second of the mock bench, whole exchange over the simulated bus, against the plant
+alone and real time.
 
 python benchmarks/bus_speed.py
 """
@@ -29,7 +30,9 @@ def targets(cycle_s: float) -> np.ndarray:
 
 
 def exchange(document: Document[Bench], cycle_s: float) -> float:
-    """Return the seconds that the cycles take with drive, encoder and every frame between them and the host."""
+    """Return the seconds that the cycles take with drive, encoder and every frame between them and
+    the host.
+    """
     with connect(document, seed=0, realtime=False) as devices:
         link, servo, encoder = devices.link, devices.servo, devices.encoder
         servo.prepare(cycle_s)
@@ -79,7 +82,12 @@ def main() -> None:
             seconds[name].append(job(document, cycle_s))
     floor = median(seconds["plant alone"])
     rows = [
-        [name, f"{median(s) / floor:.2f}", f"{CYCLES * cycle_s / median(s):.1f}", f"{CYCLES / median(s):.0f}"]
+        [
+            name,
+            f"{median(s) / floor:.2f}",
+            f"{CYCLES * cycle_s / median(s):.1f}",
+            f"{CYCLES / median(s):.0f}",
+        ]
         for name, s in seconds.items()
     ]
     print(table(["loop", "time over plant alone", "times real time", "cycles/s"], rows))

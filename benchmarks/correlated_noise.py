@@ -1,8 +1,10 @@
-"""Correlated noise of the current sensor: how often intervals hold the truth, and what the refinement is worth.
+"""Correlated noise of the current sensor: how often intervals hold the truth, and what the
+refinement is worth.
 
-Unloaded and loaded stages of the fitted model itself (``benchmarks/profile_coverage.py``), the measured torque with
-noise of one rms and several poles of a first-order process; half of its power white in each case. The equation error's
-intervals stand beside those of the default method, and beside both what they would be for white errors.
+Unloaded and loaded stages of the fitted model itself (``benchmarks/profile_coverage.py``), the
+measured torque with noise of one rms and several poles of a first-order process; half of its power
+white in each case. The equation error's intervals stand beside those of the default method, and
+beside both what they would be for white errors.
 
     python benchmarks/correlated_noise.py --benches 12 --first 100
 """
@@ -33,22 +35,33 @@ WEIGHT_KG = 30.6
 
 
 def noise(rng: np.random.Generator, samples: int, pole: float) -> Array:
-    """Return noise of :data:`NOISE_N_M`, half of its power white and half of a first-order process."""
+    """Return noise of :data:`NOISE_N_M`, half of its power white and half of a first-order
+    process.
+    """
     settle = 2000
-    driven = signal.lfilter([(1.0 - pole**2) ** 0.5], [1.0, -pole], rng.standard_normal(samples + settle))[settle:]
+    driven = signal.lfilter(
+        [(1.0 - pole**2) ** 0.5], [1.0, -pole], rng.standard_normal(samples + settle)
+    )[settle:]
     return np.asarray(NOISE_N_M * 0.5**0.5 * (driven + rng.standard_normal(samples)))
 
 
-def white_half_widths(prepared: list[Prepared], values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
+def white_half_widths(
+    prepared: list[Prepared], values: Mapping[str, float], names: Sequence[str]
+) -> dict[str, float]:
     """Return the equation error's half widths as if its errors were white."""
     columns = []
     here = [model_torque(p, values, 2.0) for p in prepared]
     for name in names:
         step = 1e-5 * abs(values[name])
         moved = {**values, name: values[name] + step}
-        slopes = [(model_torque(p, moved, 2.0) - h)[p.used] / step for p, h in zip(prepared, here, strict=True)]
+        slopes = [
+            (model_torque(p, moved, 2.0) - h)[p.used] / step
+            for p, h in zip(prepared, here, strict=True)
+        ]
         columns.append(np.concatenate(slopes))
-    residuals = np.concatenate([(p.torque - h)[p.used] for p, h in zip(prepared, here, strict=True)])
+    residuals = np.concatenate(
+        [(p.torque - h)[p.used] for p, h in zip(prepared, here, strict=True)]
+    )
     jacobian = np.column_stack(columns)
     covariance = np.linalg.pinv(jacobian.T @ jacobian) * np.mean(residuals**2)
     return dict(zip(names, NORMAL_90 * np.sqrt(np.diag(covariance)), strict=True))
@@ -63,7 +76,9 @@ def recorded(weight_kg: float, pole: float, rng: np.random.Generator) -> Recordi
 
 def main() -> None:
     """Print coverage, half widths and the noise found, by pole."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--benches", type=int, default=12)
     parser.add_argument("--first", type=int, default=0)
     arguments = parser.parse_args()
@@ -85,13 +100,18 @@ def main() -> None:
             refused += bool(found.warnings)
             if found.warnings or found.noise is None:
                 continue
-            found_noise.append((found.noise.torque, found.noise.correlated, found.noise.correlation_s))
+            found_noise.append(
+                (found.noise.torque, found.noise.correlated, found.noise.correlation_s)
+            )
             for name, q in found.parameters.items():
                 if q.low is not None and q.high is not None:
                     final.append(q.low <= NOMINAL[name] <= q.high)
                     if name in names:
                         gains.append(spread.half_width(name) / (0.5 * (q.high - q.low)))
-        cells = [f"{100.0 * np.mean(held):.0f} of {len(held)}" if held else "-" for held in (plain, equation, final)]
+        cells = [
+            f"{100.0 * np.mean(held):.0f} of {len(held)}" if held else "-"
+            for held in (plain, equation, final)
+        ]
         levels = np.median(found_noise, axis=0) if found_noise else np.full(3, np.nan)
         rows.append(
             [

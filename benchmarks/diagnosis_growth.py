@@ -1,8 +1,9 @@
-"""How a diagnosis grows with samples and with the catalogue: processor seconds and peak memory, as ratios in one run.
+"""How a diagnosis grows with samples and with the catalogue: processor seconds and peak memory, as
+ratios in one run.
 
-One simulated bench that hides asymmetric viscous friction, recorded by the experiments of the blind proof at 1 kHz.
-Each case is diagnosed in a process of its own, with one thread. The catalogue is cut by declaring the other effects as
-physics of this bench, which keeps them from being sought.
+One simulated bench that hides asymmetric viscous friction, recorded by the experiments of the blind
+proof at 1 kHz. Each case is diagnosed in a process of its own, with one thread. The catalogue is
+cut by declaring the other effects as physics of this bench, which keeps them from being sought.
 
     python benchmarks/diagnosis_growth.py --recordings 2 4 8 16 --effects 5 10 20 39
 """
@@ -55,10 +56,11 @@ def record(folder: Path, recordings: int, seed: int) -> None:
 
 
 def subset(count: int) -> list[str]:
-    """Return so many effects of the catalogue, spread over its groups, each set within the next larger one.
+    """Return so many effects of the catalogue, spread over its groups, each set within the next
+    larger one.
 
-    What is hidden is in all of them, and so is the friction that only benches with a declared weight can show:
-    declaring it would change the nominal model.
+    What is hidden is in all of them, and so is the friction that only benches with a declared
+    weight can show: declaring it would change the nominal model.
     """
     always = [HIDDEN, "load_dependent_friction"]
     others = [t.name for t in TERMS if t.name not in always]
@@ -77,7 +79,9 @@ def measure(folder: Path, names: list[str]) -> None:
         screened.append(sum(len(t.shapes(context)) for t in TERMS if t.name in names))
 
     began = time.process_time()
-    found = diagnose(Dataset(dataset.recordings, model), rng=np.random.default_rng(0), onlooker=count)
+    found = diagnose(
+        Dataset(dataset.recordings, model), rng=np.random.default_rng(0), onlooker=count
+    )
     seconds = time.process_time() - began
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     named = ", ".join(e.name for e in found.effects) or found.verdict.value
@@ -87,13 +91,17 @@ def measure(folder: Path, names: list[str]) -> None:
 def measured(folder: Path, names: list[str]) -> dict[str, Any]:
     """Return what one case takes in a process of its own."""
     command = [sys.executable, __file__, "--measure", str(folder), *names]
-    told = subprocess.run(command, check=True, capture_output=True, text=True, env=os.environ | ONE_THREAD)
+    told = subprocess.run(
+        command, check=True, capture_output=True, text=True, env=os.environ | ONE_THREAD
+    )
     return dict(json.loads(told.stdout))
 
 
 def main() -> None:
     """Record, run every case in its own process, print both tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--recordings", type=int, nargs="+", default=[2, 4, 8, 16])
     parser.add_argument("--effects", type=int, nargs="+", default=[5, 10, 20, len(TERMS)])
     parser.add_argument("--seed", type=int, default=0)
@@ -109,11 +117,23 @@ def main() -> None:
             record(folder, recordings, arguments.seed)
         measured(folders[min(folders)], everything)  # compiles what is not yet compiled
         full = measured(folders[FULL], everything)
-        lengths = [(n, full if n == FULL else measured(folders[n], everything)) for n in arguments.recordings]
-        sizes = [(n, full if n == len(everything) else measured(folders[FULL], subset(n))) for n in arguments.effects]
+        lengths = [
+            (n, full if n == FULL else measured(folders[n], everything))
+            for n in arguments.recordings
+        ]
+        sizes = [
+            (n, full if n == len(everything) else measured(folders[FULL], subset(n)))
+            for n in arguments.effects
+        ]
     header = ["times the full one", "s", "peak GiB", "named"]
-    print(f"full: {FULL} recordings of {DURATION_S:g} s at 1 kHz and one set aside, {len(everything)} effects\n")
-    print(table(["recordings", *header], [[str(n), *_cells(c, full)] for n, c in lengths], range(4)) + "\n")
+    print(
+        f"full: {FULL} recordings of {DURATION_S:g} s at 1 kHz and one set aside, "
+        f"{len(everything)} effects\n"
+    )
+    print(
+        table(["recordings", *header], [[str(n), *_cells(c, full)] for n, c in lengths], range(4))
+        + "\n"
+    )
     rows = [[str(n), str(c["shapes"]), *_cells(c, full)] for n, c in sizes]
     print(table(["effects", "trial shapes", *header], rows, range(5)))
 

@@ -1,7 +1,9 @@
-"""Tracking before and after friction feed-forward, on stiff and on soft gains, through the whole simulated chain.
+"""Tracking before and after friction feed-forward, on stiff and on soft gains, through the whole
+simulated chain.
 
-Each seed runs `figure10` on each of the two benches and identifies that bench's own log; then sines and ramps follow
-there, with other noise, without feed-forward and with it. Errors of the identified parameters are printed as well.
+Each seed runs `figure10` on each of the two benches and identifies that bench's own log; then sines
+and ramps follow there, with other noise, without feed-forward and with it. Errors of the identified
+parameters are printed as well.
 
     python benchmarks/feedforward.py --seeds 8
 """
@@ -32,7 +34,10 @@ from rig.runs.truth import true_parameters
 BENCHES = {"stiff": "practical", "soft": "practical_soft"}
 """Gains to the packaged bench that has them."""
 RAMPS = {0.1: 0.5, 0.3: 4.0, 1.0: 6.0, 3.0: 8.0, 6.0: 12.0}
-"""Speed, deg/s, to travel, deg. A soft drive gives way by 1.7 deg before friction yields, by 5.2 deg under 3000 N."""
+"""Speed, deg/s, to travel, deg.
+
+A soft drive gives way by 1.7 deg before friction yields, by 5.2 deg under 3000 N.
+"""
 SINE_PERIOD_S = 5.0
 FIRST_S, LAST_S = 1.0, 11.0
 """Two whole cycles of the sine, between its ramps."""
@@ -45,12 +50,16 @@ def sequence() -> str:
     for load, weight in (("unloaded", 0.0), ("loaded", 30.6)):
         head = f"stage: {load}, weight_kg: {weight}"
         lines.append(
-            f"  - {{name: {load}-sine, {head}, tones: [{{amplitude_deg: 20, frequency_Hz: 0.2}}], duration_s: 12}}"
+            f"  - {{name: {load}-sine, {head}, tones: [{{amplitude_deg: 20, frequency_Hz: 0.2}}], "
+            f"duration_s: 12}}"
         )
         for speed, travel in RAMPS.items():
             ramp = f"{{travel_deg: {travel:g}, speed_deg_s: {speed:g}, rest_s: 0.5}}"
             duration = 2.0 * travel / speed + 1.0
-            lines.append(f"  - {{name: {load}-ramp-{speed:g}, {head}, ramp: {ramp}, duration_s: {duration:g}}}")
+            lines.append(
+                f"  - {{name: {load}-ramp-{speed:g}, {head}, ramp: {ramp}, duration_s: "
+                f"{duration:g}}}"
+            )
     return "\n".join(lines) + "\n"
 
 
@@ -69,7 +78,9 @@ def identify(bench: str, seed: int, scratch: Path) -> Path:
 
 
 def errors(found: Path, bench: str) -> Iterator[tuple[str, float | None, bool]]:
-    """Yield each parameter, its error (None where it is left open) and whether the 90 % interval holds the truth."""
+    """Yield each parameter, its error (None where it is left open) and whether the 90 % interval
+    holds the truth.
+    """
     machine = load_bench(bench).value.mock
     assert machine is not None
     truth = true_parameters(machine)
@@ -80,7 +91,9 @@ def errors(found: Path, bench: str) -> Iterator[tuple[str, float | None, bool]]:
             yield name, p["value"] / truth[name] - 1.0, p["low"] <= truth[name] <= p["high"]
 
 
-def compare(name: str, found: Path, seed: int, scratch: Path) -> Iterator[tuple[str, Tracking, Tracking]]:
+def compare(
+    name: str, found: Path, seed: int, scratch: Path
+) -> Iterator[tuple[str, Tracking, Tracking]]:
     """Yield each stage, and how it was followed before and after."""
     path = scratch / "tracking.yaml"
     path.write_text(sequence())
@@ -98,7 +111,9 @@ def compare(name: str, found: Path, seed: int, scratch: Path) -> Iterator[tuple[
 
 
 def known(off: Mapping[tuple[str, str], Sequence[tuple[float | None, bool]]]) -> list[list[str]]:
-    """Return a row for each bench and parameter: seeds that leave it open, errors, intervals that hold the truth."""
+    """Return a row for each bench and parameter: seeds that leave it open, errors, intervals that
+    hold the truth.
+    """
     cells = []
     for (gains, name), seeds in off.items():
         sizes = [100.0 * abs(error) for error, _ in seeds if error is not None]
@@ -110,7 +125,9 @@ def known(off: Mapping[tuple[str, str], Sequence[tuple[float | None, bool]]]) ->
 
 def main() -> None:
     """Run, compare, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=8)
     parser.add_argument("--first", type=int, default=0)
     arguments = parser.parse_args()
@@ -125,12 +142,25 @@ def main() -> None:
                     off.setdefault((gains, name), []).append((error, held))
                 for stage, before, after in compare(bench, found, seed, Path(scratch)):
                     rows.setdefault((gains, stage), []).append((before, after))
-    print(table(["gains", "parameter", "open", "median error %", "worst %", "90 % interval holds truth"], known(off)))
+    print(
+        table(
+            [
+                "gains",
+                "parameter",
+                "open",
+                "median error %",
+                "worst %",
+                "90 % interval holds truth",
+            ],
+            known(off),
+        )
+    )
     print()
     cells = []
     for (gains, stage), pairs in rows.items():
         gain = [before.rms / after.rms for before, after in pairs]
         cycles = (LAST_S - FIRST_S) / SINE_PERIOD_S if stage.endswith("sine") else 1.0
+        mean_rms = [statistics.fmean(p[k].rms for p in pairs) for k in (0, 1)]
         cells.append(
             [
                 gains,
@@ -138,15 +168,28 @@ def main() -> None:
                 *(f"{1e3 * statistics.median(p[k].rms for p in pairs):.4f}" for k in (0, 1)),
                 f"{statistics.median(gain):.2f}",
                 f"{min(gain):.2f}",
-                f"{statistics.fmean(p[0].rms for p in pairs) / statistics.fmean(p[1].rms for p in pairs):.2f}",
+                f"{mean_rms[0] / mean_rms[1]:.2f}",
                 *(f"{1e3 * max(p[k].largest for p in pairs):.2f}" for k in (0, 1)),
                 *(f"{100.0 * statistics.median(p[k].waiting for p in pairs):.0f}" for k in (0, 1)),
                 *(f"{statistics.median(p[k].energy for p in pairs) / cycles:.1f}" for k in (0, 1)),
             ]
         )
-    header = ["gains", "stage", "rms mrad", "after", "ratio", "worst seed", "of means", "largest mrad", "after"]
+    header = [
+        "gains",
+        "stage",
+        "rms mrad",
+        "after",
+        "ratio",
+        "worst seed",
+        "of means",
+        "largest mrad",
+        "after",
+    ]
     print(table([*header, "waits %", "after", "energy J", "after"], cells, right=range(2, 13)))
-    print(f"{arguments.seeds} seeds, {time.perf_counter() - started:.0f} s; energy per cycle (sine) or ramp")
+    print(
+        f"{arguments.seeds} seeds, {time.perf_counter() - started:.0f} s; energy per cycle (sine) "
+        f"or ramp"
+    )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,9 @@
-"""Feed-forward on joints that hide physics: what its gains and pulses do where the joint is not what they presume.
+"""Feed-forward on joints that hide physics: what its gains and pulses do where the joint is not
+what they presume.
 
-The true nominal parameters on soft gains under 3000 N, one effect of the catalogue hidden at a time; a sine and a slow
-ramp without feed-forward and with it. Speed is judged as a mean over 20 ms, over the cycles in which it should move.
+The true nominal parameters on soft gains under 3000 N, one effect of the catalogue hidden at a
+time; a sine and a slow ramp without feed-forward and with it. Speed is judged as a mean over 20 ms,
+over the cycles in which it should move.
 
     python benchmarks/feedforward_hidden.py
 """
@@ -47,8 +49,10 @@ SEQUENCE = """\
 sequence: 1
 name: hidden
 stages:
-  - {name: sine, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}], duration_s: 7}
-  - {name: ramp, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 5, speed_deg_s: 1, rest_s: 0.5}, duration_s: 11}
+  - {name: sine, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 20, frequency_Hz: 0.2}],
+     duration_s: 7}
+  - {name: ramp, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 5, speed_deg_s: 1,
+     rest_s: 0.5}, duration_s: 11}
 """
 
 
@@ -63,7 +67,9 @@ def unsteadiness(recording: Recording) -> float:
 
 def main() -> None:
     """Run, compare, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--bench", default="practical_soft")
     arguments = parser.parse_args()
@@ -79,7 +85,10 @@ def main() -> None:
             known = {"schema": IDENTIFY_SCHEMA, "motion": "rotary", "alpha": 2.0}
             known["parameters"] = {key: {"value": value} for key, value in NOMINAL.items()}
             (scratch / "known.json").write_text(json.dumps(known))
-            bench, plan = load_bench(str(scratch / "bench.yaml")), load_sequence(scratch / "hidden.yaml")
+            bench, plan = (
+                load_bench(str(scratch / "bench.yaml")),
+                load_sequence(scratch / "hidden.yaml"),
+            )
             model = load_feedforward(scratch / "known.json", bench_constants(bench.value))
             runs = [
                 run_simulated(bench, plan, arguments.seed, scratch / f"run{k}", fed)
@@ -98,7 +107,18 @@ def main() -> None:
                     *(f"{1e3 * unsteadiness(r):.1f}" for r in pair),
                 ]
             )
-    header = ["hidden", "stage", "rms mrad", "after", "largest", "after", "waits %", "after", "speed mrad/s", "after"]
+    header = [
+        "hidden",
+        "stage",
+        "rms mrad",
+        "after",
+        "largest",
+        "after",
+        "waits %",
+        "after",
+        "speed mrad/s",
+        "after",
+    ]
     print(table(header, cells, right=range(2, 10)))
 
 

@@ -1,8 +1,9 @@
-"""Accuracy and coverage of the default method on the default Figure 10 run, or another, over seeds of noise.
+"""Accuracy and coverage of the default method on the default Figure 10 run, or another, over seeds
+of noise.
 
-Each seed runs `rig run` through the whole simulated chain (drive loops, bus, quantisation, noise) and
-identifies that run's own log. Prints the error of every parameter, the share of 90 % intervals that hold the truth, and
-what was flagged.
+Each seed runs `rig run` through the whole simulated chain (drive loops, bus, quantisation, noise)
+and identifies that run's own log. Prints the error of every parameter, the share of 90 % intervals
+that hold the truth, and what was flagged.
 
     python benchmarks/figure10_accuracy.py --seeds 20
     python benchmarks/figure10_accuracy.py --sequence hotfire --bench practical_hot --seeds 12
@@ -25,7 +26,9 @@ from rig.runs.truth import truth_of
 
 def main() -> None:
     """Run, identify, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--sequence", default="figure10")
@@ -62,7 +65,11 @@ def main() -> None:
         ]
         for name, values in errors.items()
     ]
-    print(table(["parameter", "median error %", "worst %", "mean %", "90 % interval holds truth"], rows))
+    print(
+        table(
+            ["parameter", "median error %", "worst %", "mean %", "90 % interval holds truth"], rows
+        )
+    )
     pooled = np.concatenate([np.array(v) for v in inside.values()])
     print(f"pooled coverage {100 * np.mean(pooled):.1f} % of {len(pooled)} intervals")
     print("\n".join(flagged) if flagged else "nothing flagged")

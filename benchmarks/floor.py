@@ -1,13 +1,15 @@
-"""Errors over the Cramer-Rao floor on random practical benches, and how often the 90 % intervals hold the truth.
+"""Errors over the Cramer-Rao floor on random practical benches, and how often the 90 % intervals
+hold the truth.
 
-Each bench has the nine constants within 40 % of the practical bench's, 4096 to 65536 counts per motor turn and a
-current noise of 0.2 to 1 % of full scale. Its Figure 10 run goes through the whole simulated chain; its log is
-identified by the default method, by the equation error alone and, for the first few, by the paper's genetic algorithm.
-Rows are kept as they come, and a study that was stopped goes on where it was.
+Each bench has the nine constants within 40 % of the practical bench's, 4096 to 65536 counts per
+motor turn and a current noise of 0.2 to 1 % of full scale. Its Figure 10 run goes through the whole
+simulated chain; its log is identified by the default method, by the equation error alone and, for
+the first few, by the paper's genetic algorithm. Rows are kept as they come, and a study that was
+stopped goes on where it was.
 
     python benchmarks/floor.py --benches 200 --first 5000 --out out/floor
-    python benchmarks/floor.py --practical --benches 50     # the practical bench itself, seeds of noise only
-    python benchmarks/floor.py --model --benches 50         # the fitted model's own data: the floor's code on trial
+    python benchmarks/floor.py --practical --benches 50  # the practical bench, seeds of noise
+    python benchmarks/floor.py --model --benches 50      # the fitted model's own data
 """
 
 from __future__ import annotations
@@ -35,24 +37,36 @@ from rig.runs.truth import JOINT_FIELDS, truth_of
 
 NORMAL_90 = 1.6449
 FAR_OFF = 0.5
-"""A value off by more than this share is in doubt: the search is made again from the true values."""
+"""A value off by more than this share is in doubt: the search is made again from the true
+values.
+"""
 SAME_BASIN = 0.25
 """Share by which it may differ from where that ends, and not be in a wrong basin."""
 
 
 def main() -> None:
     """Run what is missing, print the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--benches", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--paper", type=int, default=0, help="benches that the genetic algorithm gets as well")
-    parser.add_argument("--practical", action="store_true", help="the practical bench as it is, over seeds of noise")
     parser.add_argument(
-        "--model", action="store_true", help="data of the fitted model itself, not of the simulated bench"
+        "--paper", type=int, default=0, help="benches that the genetic algorithm gets as well"
+    )
+    parser.add_argument(
+        "--practical", action="store_true", help="the practical bench as it is, over seeds of noise"
+    )
+    parser.add_argument(
+        "--model",
+        action="store_true",
+        help="data of the fitted model itself, not of the simulated bench",
     )
     parser.add_argument("--out", type=Path, default=Path("out/floor"))
     arguments = parser.parse_args()
-    template = (Path(rig.config.bench.__file__).parent / "benches" / "practical.yaml").read_text(encoding="utf-8")
+    template = (Path(rig.config.bench.__file__).parent / "benches" / "practical.yaml").read_text(
+        encoding="utf-8"
+    )
     kind = "practical" if arguments.practical else "model" if arguments.model else "row"
     rows = []
     for seed in range(arguments.first, arguments.first + arguments.benches):
@@ -60,9 +74,13 @@ def main() -> None:
         wanted = seed < arguments.first + arguments.paper
         row = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else None
         if row is None or (wanted and "paper" not in row):
-            bench = yaml.safe_load(template) if arguments.practical else random_bench(template, seed)
+            bench = (
+                yaml.safe_load(template) if arguments.practical else random_bench(template, seed)
+            )
             truth, dataset = (
-                of_the_model(bench, seed) if arguments.model else of_a_run(record(bench, seed, arguments.out))
+                of_the_model(bench, seed)
+                if arguments.model
+                else of_a_run(record(bench, seed, arguments.out))
             )
             row = study(truth, dataset, wanted, seed)
             row["seed"] = seed
@@ -81,7 +99,9 @@ def of_a_run(run: Path) -> tuple[dict[str, float], Dataset]:
 
 
 def study(truth: dict[str, float], dataset: Dataset, with_paper: bool, seed: int) -> dict[str, Any]:
-    """Return truth, estimates, intervals and floors of one experiment; ``seed`` is the genetic algorithm's."""
+    """Return truth, estimates, intervals and floors of one experiment; ``seed`` is the genetic
+    algorithm's.
+    """
     found = identify(dataset)
     row: dict[str, Any] = {
         "truth": truth,
@@ -115,11 +135,15 @@ def _far_off(value: float | None, truth: float) -> bool:
     return value is not None and abs(value / truth - 1.0) > FAR_OFF
 
 
-def from_truth(truth: Mapping[str, float], dataset: Dataset, found: Identification) -> dict[str, float]:
-    """Return where the searches end that begin at the true values; empty where they come to nothing.
+def from_truth(
+    truth: Mapping[str, float], dataset: Dataset, found: Identification
+) -> dict[str, float]:
+    """Return where the searches end that begin at the true values; empty where they come to
+    nothing.
 
-    With noise the likeliest values are not the true ones: a value that is far off, and is where the search from the
-    truth ends too, is in the right basin. Refined with the kind of noise that was ``found``.
+    With noise the likeliest values are not the true ones: a value that is far off, and is where the
+    search from the truth ends too, is in the right basin. Refined with the kind of noise that was
+    ``found``.
     """
     correlated = found.noise is not None and found.noise.correlated > 0.0
     refined = refine_recordings(dataset.part("fit"), truth, tuple(truth), dataset.model, correlated)
@@ -129,7 +153,9 @@ def from_truth(truth: Mapping[str, float], dataset: Dataset, found: Identificati
 def _wrong_basin(row: Mapping[str, Any], name: str) -> bool:
     """Return whether a value is far off, and not where the search from the true values ends."""
     value, right = row["default"][name]["value"], row.get("from_truth", {}).get(name)
-    return _far_off(value, row["truth"][name]) and (right is None or abs(value / right - 1.0) > SAME_BASIN)
+    return _far_off(value, row["truth"][name]) and (
+        right is None or abs(value / right - 1.0) > SAME_BASIN
+    )
 
 
 def equation_error(dataset: Dataset, bandwidth_Hz: float) -> dict[str, float]:
@@ -177,8 +203,10 @@ def summary(rows: list[Mapping[str, Any]]) -> str:
             ]
         )
     header = [
-        "parameter", "rms/floor", "mean/floor", "median/floor", "covered %", "median error %", "worst %", "floor %",
-        "EE rms/floor", "EE median %", "GA median %", "GA worst %", "no value", "off by half", "wrong basin",
+        "parameter", "rms/floor", "mean/floor", "median/floor", "covered %", "median error %",
+         "worst %", "floor %",
+        "EE rms/floor", "EE median %", "GA median %", "GA worst %", "no value", "off by half",
+         "wrong basin",
     ]  # fmt: skip
     pooled = f"pooled coverage {100.0 * np.mean(inside_all):.1f} % of {len(inside_all)} intervals"
     refused = [f"bench {r['seed']}: {w}" for r in rows for w in r["warnings"]]
@@ -187,8 +215,16 @@ def summary(rows: list[Mapping[str, Any]]) -> str:
 
 
 def _paper_cells(rows: list[Mapping[str, Any]], name: str) -> list[str]:
-    errors = [abs(r["paper"][name] / r["truth"][name] - 1.0) for r in rows if r.get("paper", {}).get(name) is not None]
-    return [f"{100.0 * np.median(errors):.2f}", f"{100.0 * np.max(errors):.1f}"] if errors else ["-", "-"]
+    errors = [
+        abs(r["paper"][name] / r["truth"][name] - 1.0)
+        for r in rows
+        if r.get("paper", {}).get(name) is not None
+    ]
+    return (
+        [f"{100.0 * np.median(errors):.2f}", f"{100.0 * np.max(errors):.1f}"]
+        if errors
+        else ["-", "-"]
+    )
 
 
 if __name__ == "__main__":

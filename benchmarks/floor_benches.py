@@ -1,4 +1,6 @@
-"""Random practical benches of the floor study: their files, and Figure 10 run on each or made of the fitted model."""
+"""Random practical benches of the floor study: their files, and Figure 10 run on each or made of
+the fitted model.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,9 @@ _BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
 
 
 def random_bench(template: str, seed: int) -> dict[str, Any]:
-    """Return a practical bench drawn from ``seed``; static friction is drawn again where it falls below Coulomb's."""
+    """Return a practical bench drawn from ``seed``; static friction is drawn again where it falls
+    below Coulomb's.
+    """
     rng = np.random.default_rng([seed, _STREAM])
     bench: dict[str, Any] = yaml.safe_load(template)
     joint, sensing = bench["mock"]["joint"], bench["mock"]["sensing"]
@@ -50,7 +54,8 @@ def random_bench(template: str, seed: int) -> dict[str, Any]:
 
 
 def record(bench: Mapping[str, Any], seed: int, folder: Path) -> Path:
-    """Run the Figure 10 sequence on a bench through the whole simulated chain, once; return the run's folder.
+    """Run the Figure 10 sequence on a bench through the whole simulated chain, once; return the
+    run's folder.
 
     Raises:
         SystemExit: The run did not end well.
@@ -63,9 +68,8 @@ def record(bench: Mapping[str, Any], seed: int, folder: Path) -> Path:
     file.write_text(yaml.safe_dump(dict(bench)), encoding="utf-8")
     said = io.StringIO()
     with contextlib.redirect_stdout(said):
-        status = cli.status(
-            ["run", "figure10", "--bench", str(file), "--yes", "--seed", str(seed), "--out", str(run)]
-        )  # fmt: skip
+        options = ["--yes", "--bench", str(file), "--seed", str(seed), "--out", str(run)]
+        status = cli.status(["run", "figure10", *options])
     if status != 0:
         raise SystemExit(f"bench {seed}: rig run ended with status {status}:\n{said.getvalue()}")
     (run / "done").touch()
@@ -80,7 +84,8 @@ def figure10_command() -> Array:
 
 
 def of_the_model(bench: Mapping[str, Any], seed: int) -> tuple[dict[str, float], Dataset]:
-    """Return the true values and Figure 10 as the fitted model itself makes it, under a usual drive's loop.
+    """Return the true values and Figure 10 as the fitted model itself makes it, under a usual
+    drive's loop.
 
     Half of the current noise's power is in the torque itself, half in its measurement.
     """
@@ -91,7 +96,9 @@ def of_the_model(bench: Mapping[str, Any], seed: int) -> tuple[dict[str, float],
     count = 2.0 * np.pi / (sensing["motor_counts_per_turn"] * _BENCH.gear_ratio)
     command, recordings = figure10_command(), []
     for weight in WEIGHTS_KG:
-        noise = ampere * sensing["current_noise_A"] * 0.5**0.5 * rng.standard_normal((2, len(command)))
+        noise = (
+            ampere * sensing["current_noise_A"] * 0.5**0.5 * rng.standard_normal((2, len(command)))
+        )
         moment = _BENCH.contact_force(weight) * (_BENCH.moment_arm or 0.0)
         loop = usual_loop(truth["J"], ampere * FULL_SCALE_A, count)
         out = respond(command, PERIOD_S, truth, moment, 2.0, loop, noise[0])

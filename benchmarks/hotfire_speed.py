@@ -1,8 +1,10 @@
-"""Plant, drive loops and gas generator together, compiled and without the bus: times real time, and the step's error.
+"""Plant, drive loops and gas generator together, compiled and without the bus: times real time, and
+the step's error.
 
-The valve swings from closed to open and back at 0.2 Hz for 20 s under the pressure that it makes. The error is what
-halving the steps changes: those of eq. 1 (``steps_per_loop``) and those in which pressure and contact force are renewed
-(``loops_per_step``), with exact sensors and without noise, so that nothing else differs.
+The valve swings from closed to open and back at 0.2 Hz for 20 s under the pressure that it makes.
+The error is what halving the steps changes: those of eq. 1 (``steps_per_loop``) and those in which
+pressure and contact force are renewed (``loops_per_step``), with exact sensors and without noise,
+so that nothing else differs.
 
     python benchmarks/hotfire_speed.py
 """
@@ -82,12 +84,16 @@ def stepped(steps_per_loop: int, loops_per_step: int) -> Machine:
 
 
 def speeds() -> list[float]:
-    """Print times real time by processor time, medians over alternating repeats; return those of hot firings."""
+    """Print times real time by processor time, medians over alternating repeats; return those of
+    hot firings.
+    """
     machine = Machine()
     hiding = replace(machine, effects={"asymmetric_coulomb": {"torque_Nm": 0.5}})
     hot = {
         "hot firing": lambda: followed(machine),
-        "the same, pressure renewed every loop": lambda: followed(replace(machine, gas=GasGenerator(loops_per_step=1))),
+        "the same, pressure renewed every loop": lambda: followed(
+            replace(machine, gas=GasGenerator(loops_per_step=1))
+        ),
         "recording without the bus": lambda: recorded(machine),
         "the same, hiding asymmetric friction": lambda: recorded(hiding),
     }
@@ -101,7 +107,12 @@ def speeds() -> list[float]:
             job()
             seconds[name].append(process_time() - began)
     times = {name: DURATION_S / median(s) for name, s in seconds.items()}
-    print(table(["plant, drive loops and", "times real time"], [[name, f"{x:.0f}"] for name, x in times.items()]))
+    print(
+        table(
+            ["plant, drive loops and", "times real time"],
+            [[name, f"{x:.0f}"] for name, x in times.items()],
+        )
+    )
     return [times[name] for name in hot]
 
 
@@ -120,8 +131,13 @@ def errors() -> None:
     print("rms / worst, against 6.25 and 50 us")
     angle = command(1e3)
     fine = burn(Machine(), angle, 1e-3, 80).pressure_Pa
-    changes = [np.max(np.abs(burn(Machine(), angle, 1e-3, n).pressure_Pa / fine - 1.0)) for n in (5, 10, 20)]
-    shown = ", ".join(f"{error:.1e} at {1000 / n:g} us" for n, error in zip((5, 10, 20), changes, strict=True))
+    changes = [
+        np.max(np.abs(burn(Machine(), angle, 1e-3, n).pressure_Pa / fine - 1.0))
+        for n in (5, 10, 20)
+    ]
+    shown = ", ".join(
+        f"{error:.1e} at {1000 / n:g} us" for n, error in zip((5, 10, 20), changes, strict=True)
+    )
     print(f"gas generator alone, worst relative error of the pressure: {shown}")
 
 

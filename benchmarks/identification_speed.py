@@ -1,15 +1,19 @@
-"""Seconds and evaluations to the same error: the default identification against differential evolution and CMA-ES.
+"""Seconds and evaluations to the same error: the default identification against differential
+evolution and CMA-ES.
 
-40 s at 1 kHz on the practical bench. Two races, each search from several seeds, all in one process, processor time:
+40 s at 1 kHz on the practical bench. Two races, each search from several seeds, all in one process,
+processor time:
 
-- on the paper's equation error, stage by stage in one box, until the cost is within 0.1 % of variable projection's;
-- on the likelihood of the prediction errors (Huber's beyond four deviations), all nine parameters at once in the same
-  boxes, until the worst error of any parameter against the truth is no greater than the whole default method's. The
-  noise is taken from the torque's scatter, and each stretch breaks away where its torque reaches the static limit on
-  trial.
+- on the paper's equation error, stage by stage in one box, until the cost is within 0.1 % of
+  variable projection's;
+- on the likelihood of the prediction errors (Huber's beyond four deviations), all nine parameters
+  at once in the same boxes, until the worst error of any parameter against the truth is no greater
+  than the whole default method's. The noise is taken from the torque's scatter, and each stretch
+  breaks away where its torque reaches the static limit on trial.
 
-The searches are SciPy's and those of ``cmaes`` with their own settings; CMA-ES begins again from another point where it
-stalls. What ends at a cap prints ``>=``. That they stop by looking at the truth is in their favour.
+The searches are SciPy's and those of ``cmaes`` with their own settings; CMA-ES begins again from
+another point where it stalls. What ends at a cap prints ``>=``. That they stop by looking at the
+truth is in their favour.
 
     python benchmarks/identification_speed.py --seeds 3 --cap 150
 """
@@ -54,13 +58,17 @@ FIRST_SIGMA = 0.3
 def command(time: Array) -> Array:
     """Return 20 deg at 0.2 Hz, eased in over the first and out over the last second, rad."""
     ease = np.clip(np.minimum(time, STAGE_S - time), 0.0, 1.0)
-    return np.asarray(np.deg2rad(20.0) * np.sin(0.4 * np.pi * time) * (0.5 - 0.5 * np.cos(np.pi * ease)))
+    return np.asarray(
+        np.deg2rad(20.0) * np.sin(0.4 * np.pi * time) * (0.5 - 0.5 * np.cos(np.pi * ease))
+    )
 
 
 def recording(weight_kg: float) -> Recording:
     """Simulate one stage and log it as the practical bench does: counts, quanta, mean current."""
     machine = Machine()
-    out = simulate(machine, command, STAGE_S, RATE_HZ, weight_kg, rng=np.random.default_rng(round(weight_kg)))
+    out = simulate(
+        machine, command, STAGE_S, RATE_HZ, weight_kg, rng=np.random.default_rng(round(weight_kg))
+    )
     count = 2.0 * np.pi / machine.sensing.motor_counts_per_turn
     channels = {
         "time": out["time"],
@@ -79,7 +87,8 @@ def recording(weight_kg: float) -> Recording:
 
 
 class Race:
-    """One search: costs of points of the unit cube, counted and timed until the goal or a cap is reached.
+    """One search: costs of points of the unit cube, counted and timed until the goal or a cap is
+    reached.
 
     Args:
         costs: Points, shape (p, d), to costs, shape (p,).
@@ -89,7 +98,11 @@ class Race:
     """
 
     def __init__(
-        self, costs: Callable[[Array], Array], size: int, goal: Callable[[Array, float], bool], cap_s: float
+        self,
+        costs: Callable[[Array], Array],
+        size: int,
+        goal: Callable[[Array, float], bool],
+        cap_s: float,
     ) -> None:
         self.size = size
         self.best, self.least, self.evaluations, self.won = np.full(size, 0.5), np.inf, 0, False
@@ -130,7 +143,9 @@ def differential_evolution(race: Race, seed: int) -> None:
 
 
 def cma_es(race: Race, seed: int) -> None:
-    """The library's settings from the centre of the box; from a random point where it has stalled."""
+    """The library's settings from the centre of the box; from a random point where it has
+    stalled.
+    """
     rng = np.random.default_rng(seed)
     bounds = np.column_stack([np.zeros(race.size), np.ones(race.size)])
     mean = np.full(race.size, 0.5)
@@ -151,7 +166,13 @@ def equation_race(problems: Sequence[StageProblem], seeds: int, cap_s: float) ->
     costs = []
     for problem in problems:
         found = varpro.solve(problem.design, problem.low[2], problem.high[2])
-        costs.append(float(np.linalg.norm(problem.residuals(problem.unlinear(found.omega_s, found.coefficients)))))
+        costs.append(
+            float(
+                np.linalg.norm(
+                    problem.residuals(problem.unlinear(found.omega_s, found.coefficients))
+                )
+            )
+        )
     spent_s, spent = process_time() - began, sum(p.evaluations for p in problems)
     rows = [["variable projection", "1 of 1", str(spent), f"{spent_s:.2f}", "1", "1"]]
     for name, search in SEARCHES.items():
@@ -159,7 +180,14 @@ def equation_race(problems: Sequence[StageProblem], seeds: int, cap_s: float) ->
         for seed in range(seeds):
             races = []
             for problem, cost in zip(problems, costs, strict=True):
-                races.append(Race(problem.costs, problem.size, lambda _x, c, most=SAME_COST * cost: c <= most, cap_s))
+                races.append(
+                    Race(
+                        problem.costs,
+                        problem.size,
+                        lambda _x, c, most=SAME_COST * cost: c <= most,
+                        cap_s,
+                    )
+                )
                 search(races[-1], seed)
             runs.append(races)
         rows.append(_row(name, runs, spent, spent_s))
@@ -167,7 +195,11 @@ def equation_race(problems: Sequence[StageProblem], seeds: int, cap_s: float) ->
 
 
 def likelihood_race(
-    pair: Sequence[Recording], problems: Sequence[StageProblem], truth: Mapping[str, float], seeds: int, cap_s: float
+    pair: Sequence[Recording],
+    problems: Sequence[StageProblem],
+    truth: Mapping[str, float],
+    seeds: int,
+    cap_s: float,
 ) -> tuple[float, list[list[str]]]:
     """Return the default method's worst error and the rows of the race to it."""
     began = process_time()
@@ -188,7 +220,9 @@ def likelihood_race(
             p = pack(named(x), 2.0)
             begins = [m.static_crossing(static_limit(p, m)) for m in motions]
             errors, deviations = likelihood.run(p, begins, noise)
-            value = 2.0 * float(np.sum(np.log(deviations) + huber(errors / deviations, HUBER_THRESHOLD)))
+            value = 2.0 * float(
+                np.sum(np.log(deviations) + huber(errors / deviations, HUBER_THRESHOLD))
+            )
             out[k] = value if np.isfinite(value) else 1e300
         return out
 
@@ -197,7 +231,17 @@ def likelihood_race(
 
     size = sum(p.size for p in problems)
     costs(np.full((1, size), 0.5))  # compiled before it is timed
-    rows = [["whole default method", "1 of 1", str(spent), f"{spent_s:.2f}", "1", "1", f"{100.0 * target:.2f}"]]
+    rows = [
+        [
+            "whole default method",
+            "1 of 1",
+            str(spent),
+            f"{spent_s:.2f}",
+            "1",
+            "1",
+            f"{100.0 * target:.2f}",
+        ]
+    ]
     for name, search in SEARCHES.items():
         races: list[Race] = []
         for seed in range(seeds):
@@ -214,7 +258,9 @@ def _worst(values: Mapping[str, float], truth: Mapping[str, float]) -> float:
 
 
 def _row(name: str, runs: Sequence[Sequence[Race]], spent: int, spent_s: float) -> list[str]:
-    """Return wins, median evaluations and seconds over the seeds, and their ratios to the reference's."""
+    """Return wins, median evaluations and seconds over the seeds, and their ratios to the
+    reference's.
+    """
     wins = sum(all(r.won for r in races) for races in runs)
     least = "" if 2 * wins > len(runs) else ">= "
     evaluations = median(sum(r.evaluations for r in races) for races in runs)
@@ -231,7 +277,9 @@ def _row(name: str, runs: Sequence[Sequence[Race]], spent: int, spent_s: float) 
 
 def main() -> None:
     """Run both races and print their tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--cap", type=float, default=150.0, help="processor seconds of each search")
     arguments = parser.parse_args()
@@ -242,10 +290,19 @@ def main() -> None:
     first = StageProblem("unloaded", prepared[:1], {}, alpha)
     found = varpro.solve(first.design, first.low[2], first.high[2])
     known = first.named(first.unlinear(found.omega_s, found.coefficients))
-    problems = [StageProblem("unloaded", prepared[:1], {}, alpha), StageProblem("loaded", prepared[1:], known, alpha)]
+    problems = [
+        StageProblem("unloaded", prepared[:1], {}, alpha),
+        StageProblem("loaded", prepared[1:], known, alpha),
+    ]
     header = ["search", "reached", "evaluations", "s", "evaluations over", "s over"]
-    print(f"to the equation error of variable projection at {result.fit.bandwidth_Hz:.3g} Hz", flush=True)
-    print(table(header, equation_race(problems, arguments.seeds, arguments.cap), range(2, 6)), flush=True)
+    print(
+        f"to the equation error of variable projection at {result.fit.bandwidth_Hz:.3g} Hz",
+        flush=True,
+    )
+    print(
+        table(header, equation_race(problems, arguments.seeds, arguments.cap), range(2, 6)),
+        flush=True,
+    )
     target, rows = likelihood_race(pair, problems, truth, arguments.seeds, arguments.cap)
     print(f"to the default method's worst error of {100.0 * target:.2f} %")
     print(table([*header, "worst error, %"], rows, range(2, 7)))

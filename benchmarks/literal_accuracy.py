@@ -1,4 +1,5 @@
-"""Accuracy on the literal bench: noise-free exact channels of the paper's parameter set and of random ones.
+"""Accuracy on the literal bench: noise-free exact channels of the paper's parameter set and of
+random ones.
 
 Run: python benchmarks/literal_accuracy.py [random sets, default 20]
 """
@@ -24,7 +25,9 @@ SPREAD = 0.4
 
 
 def literal_machine(joint: Joint) -> Machine:
-    """Return the packaged literal bench (i = 1, no limits, exact channels) with these constants at the joint."""
+    """Return the packaged literal bench (i = 1, no limits, exact channels) with these constants at
+    the joint.
+    """
     machine = load_bench("literal").value.mock
     if machine is None:
         raise ValueError("the packaged bench 'literal' has no simulated machine")
@@ -37,7 +40,9 @@ def paper_joint() -> Joint:
 
 
 def random_joint(rng: np.random.Generator) -> Joint:
-    """Return a set with every one of the nine within 40 % of the paper's; static friction stays above Coulomb's."""
+    """Return a set with every one of the nine within 40 % of the paper's; static friction stays
+    above Coulomb's.
+    """
     paper = paper_joint()
     factors = {name: float(rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)) for name in JOINT_FIELDS}
     values = {field: getattr(paper, field) * factors[name] for name, field in JOINT_FIELDS.items()}
@@ -64,11 +69,15 @@ def dataset(joint: Joint) -> Dataset:
 
 
 def errors_percent(joint: Joint) -> dict[str, float]:
-    """Return the error of every parameter, percent of the truth; infinite where it was not identified."""
+    """Return the error of every parameter, percent of the truth; infinite where it was not
+    identified.
+    """
     result = identify(dataset(joint), bandwidth_Hz=0.5 * RATE_HZ)
     found = result.values()
     true = {name: getattr(joint, field) for name, field in JOINT_FIELDS.items()}
-    return {name: 100.0 * abs(found.get(name, np.inf) / value - 1.0) for name, value in true.items()}
+    return {
+        name: 100.0 * abs(found.get(name, np.inf) / value - 1.0) for name, value in true.items()
+    }
 
 
 def main() -> None:
@@ -83,7 +92,10 @@ def main() -> None:
         print(label.ljust(8), *(f"{errors[name]:10.2e}" for name in JOINT_FIELDS), flush=True)
         if k < count:
             rows.append((f"{k + 1}", errors_percent(random_joint(rng))))
-    print("worst".ljust(8), *(f"{max(errors[name] for _, errors in rows):10.2e}" for name in JOINT_FIELDS))
+    print(
+        "worst".ljust(8),
+        *(f"{max(errors[name] for _, errors in rows):10.2e}" for name in JOINT_FIELDS),
+    )
 
 
 if __name__ == "__main__":

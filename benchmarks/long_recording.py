@@ -1,10 +1,12 @@
-"""Long recordings: processor seconds and peak memory of the default method and of reading, over 1e4 to 3.6e7 samples.
+"""Long recordings: processor seconds and peak memory of the default method and of reading, over 1e4
+to 3.6e7 samples.
 
-3.6e7 are 10 h at 1 kHz. Half of the samples unloaded, half at 30.6 kg, 20 deg at 0.2 Hz; noise of the current and steps
-of both sensors as on the practical bench, fresh throughout. They come from the cheap forward simulation of the nominal
-model and are read back from npz files through a campaign, or with ``--run`` from a run folder, where every cycle has
-its sample and eight frames; each size in a process of its own. Up to 2e5 samples the in-memory path is run on the same
-data, and the greatest difference of a parameter is told in half widths of its interval.
+3.6e7 are 10 h at 1 kHz. Half of the samples unloaded, half at 30.6 kg, 20 deg at 0.2 Hz; noise of
+the current and steps of both sensors as on the practical bench, fresh throughout. They come from
+the cheap forward simulation of the nominal model and are read back from npz files through a
+campaign, or with ``--run`` from a run folder, where every cycle has its sample and eight frames;
+each size in a process of its own. Up to 2e5 samples the in-memory path is run on the same data, and
+the greatest difference of a parameter is told in half widths of its interval.
 
     python benchmarks/long_recording.py --sizes 1e4 1e5 1e6 --run
 """
@@ -46,7 +48,8 @@ FRAMES = [RawFrame(0, identifier, bytes(8), identifier == 0x80) for identifier i
 CAMPAIGN = """\
 campaign: 1
 bench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095}
-defaults: {channels: {time: time, current: {column: current, average: true}, motor_angle: motor_angle}}
+defaults:
+  channels: {time: time, current: {column: current, average: true}, motor_angle: motor_angle}
 recordings:
   - {file: unloaded.npz, stage: unloaded}
   - {file: loaded.npz, stage: loaded, weight_mass: 30.6}
@@ -79,7 +82,9 @@ def write(folder: Path, samples: int) -> None:
 
 
 def write_run(folder: Path, samples: int) -> None:
-    """Write both recordings as a run: that of a short one on the practical bench, its recording replaced."""
+    """Write both recordings as a run: that of a short one on the practical bench, its recording
+    replaced.
+    """
     short = folder / "short"
     run_simulated(load_bench("practical"), load_sequence("figure10"), 0, short)
     (folder / "run").mkdir()
@@ -92,7 +97,11 @@ def write_run(folder: Path, samples: int) -> None:
             segment |= {"samples": samples // 2, "start": start, "weight_kg": weight}
             for k in range(samples // 2):
                 now = start + out["time"][k]
-                command_rad, current, motor = out["command"][k], out["current"][k], out["motor_angle"][k]
+                command_rad, current, motor = (
+                    out["command"][k],
+                    out["current"][k],
+                    out["motor_angle"][k],
+                )
                 angle = motor / BENCH.gear_ratio
                 rest = (angle, 0.0, current, 0.0, 48.0, 25.0, 0.0, 0x237, segment["index"], True)
                 sample = Sample(now, now + 4e-4, now, now, command_rad, motor, *rest)
@@ -104,7 +113,9 @@ def write_run(folder: Path, samples: int) -> None:
 
 
 def measure(folder: Path, path: str) -> None:
-    """Read and identify in this process; print seconds, peak memory in GiB and the parameters as JSON."""
+    """Read and identify in this process; print seconds, peak memory in GiB and the parameters as
+    JSON.
+    """
     began = time.process_time()
     run = folder / "run"
     dataset = load_source(run if run.is_dir() else folder / "campaign.yaml")
@@ -113,12 +124,24 @@ def measure(folder: Path, path: str) -> None:
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     parameters = {n: (p.value, p.low, p.high) for n, p in result.parameters.items()}
     seconds = time.process_time() - began
-    print(json.dumps({"read": read, "seconds": seconds, "peak": peak, "parameters": parameters, "w": result.warnings}))
+    print(
+        json.dumps(
+            {
+                "read": read,
+                "seconds": seconds,
+                "peak": peak,
+                "parameters": parameters,
+                "w": result.warnings,
+            }
+        )
+    )
 
 
 def main() -> None:
     """Run every size in its own process and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--sizes", type=float, nargs="+", default=SIZES)
     parser.add_argument("--run", action="store_true", help="from a run folder instead of npz files")
     parser.add_argument("--measure", nargs=2, metavar=("FOLDER", "PATH"), help=argparse.SUPPRESS)
@@ -133,22 +156,40 @@ def main() -> None:
             found = {}
             for path in ("pieces", "memory") if size <= IN_MEMORY else ("pieces",):
                 told = subprocess.run(
-                    [sys.executable, __file__, "--measure", scratch, path], check=True, capture_output=True, text=True
+                    [sys.executable, __file__, "--measure", scratch, path],
+                    check=True,
+                    capture_output=True,
+                    text=True,
                 )
                 found[path] = json.loads(told.stdout)
         row = found["pieces"]
         apart = "-"
         if "memory" in found:
-            pairs = zip(row["parameters"].values(), found["memory"]["parameters"].values(), strict=True)
-            gaps = [abs(a[0] - b[0]) / (0.5 * (b[2] - b[1])) for a, b in pairs if None not in (*a, *b)]
+            pairs = zip(
+                row["parameters"].values(), found["memory"]["parameters"].values(), strict=True
+            )
+            gaps = [
+                abs(a[0] - b[0]) / (0.5 * (b[2] - b[1])) for a, b in pairs if None not in (*a, *b)
+            ]
             apart = f"{max(gaps):.3f}" if gaps else "-"
         rate = size / row["seconds"] / 1e3
         rows.append(
-            [f"{size:.1e}", f"{row['seconds']:.1f}", f"{row['read']:.1f}", f"{rate:.0f}", f"{row['peak']:.2f}", apart]
+            [
+                f"{size:.1e}",
+                f"{row['seconds']:.1f}",
+                f"{row['read']:.1f}",
+                f"{rate:.0f}",
+                f"{row['peak']:.2f}",
+                apart,
+            ]
         )
         print("row:", *rows[-1], *row["w"], flush=True)
     print(
-        table(["samples", "s", "of that reading", "1000 samples/s", "peak GiB", "apart, half widths"], rows, range(6))
+        table(
+            ["samples", "s", "of that reading", "1000 samples/s", "peak GiB", "apart, half widths"],
+            rows,
+            range(6),
+        )
     )
 
 

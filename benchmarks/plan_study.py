@@ -1,12 +1,13 @@
 """Does the proposed experiment tighten the weakest parameter? Random benches, measured end to end.
 
-Each bench: the nine constants of the practical bench each within 40 % (redrawn until the static limits stand at least
-20 % above the Coulomb levels). `rig run figure10`, `rig identify`, `rig identify --plan figure10` on that result, `rig
-run` of the proposal, `rig identify` of it. The weakest parameter is that with the widest relative interval after
-Figure 10; its interval then over its interval after the proposal is the gain. The proposal lasts no
-longer than Figure 10. One run of Figure 10 may state twice what the next one does, as a single stroke in which the
-shaft all but stops tells much: both are run with several noises, and the gain is that of the median intervals. The
-proposal knows of the first run alone.
+Each bench: the nine constants of the practical bench each within 40 % (redrawn until the static
+limits stand at least 20 % above the Coulomb levels). `rig run figure10`, `rig identify`,
+`rig identify --plan figure10` on that result, `rig run` of the proposal, `rig identify` of it. The
+weakest parameter is that with the widest relative interval after Figure 10; its interval then over
+its interval after the proposal is the gain. The proposal lasts no longer than Figure 10. One run of
+Figure 10 may state twice what the next one does, as a single stroke in which the shaft all but
+stops tells much: both are run with several noises, and the gain is that of the median intervals.
+The proposal knows of the first run alone.
 
     python benchmarks/plan_study.py --benches 20
 """
@@ -58,8 +59,14 @@ def random_bench(seed: int, path: Path) -> None:
     rng = np.random.default_rng(seed)
     usual = dataclasses.asdict(Joint())
     while True:
-        drawn = {name: usual[name] * float(rng.uniform(1.0 - SPREAD, 1.0 + SPREAD)) for name in _CONSTANTS}
-        if drawn["Ms_N_m"] > LEAST_RISE * drawn["Mc_N_m"] and drawn["mu_s"] > LEAST_RISE * drawn["mu_c"]:
+        drawn = {
+            name: usual[name] * float(rng.uniform(1.0 - SPREAD, 1.0 + SPREAD))
+            for name in _CONSTANTS
+        }
+        if (
+            drawn["Ms_N_m"] > LEAST_RISE * drawn["Mc_N_m"]
+            and drawn["mu_s"] > LEAST_RISE * drawn["mu_c"]
+        ):
             break
     tree = yaml.safe_load(resolve("practical", "benches").read_text(encoding="utf-8"))
     tree["mock"]["joint"].update(drawn)
@@ -67,11 +74,14 @@ def random_bench(seed: int, path: Path) -> None:
 
 
 def identified(sequence: str, bench: Path, seed: int, folder: Path) -> Identification:
-    """Run a sequence through the whole simulated chain and identify its log; keep the result as a file.
+    """Run a sequence through the whole simulated chain and identify its log; keep the result as a
+    file.
 
     A run that ends with a verdict, such as a doubted weight, is a whole one.
     """
-    status = cli.status(["run", sequence, "--bench", str(bench), "--yes", "--seed", str(seed), "--out", str(folder)])
+    status = cli.status(
+        ["run", sequence, "--bench", str(bench), "--yes", "--seed", str(seed), "--out", str(folder)]
+    )
     if status not in (0, 1):
         raise SystemExit(f"bench {bench}, {sequence}: rig run ended with status {status}")
     dataset = load_run(folder)
@@ -83,9 +93,13 @@ def identified(sequence: str, bench: Path, seed: int, folder: Path) -> Identific
 
 
 def widths(result: Identification) -> dict[str, float]:
-    """Return relative half widths of the intervals; infinite where a parameter was not identified."""
+    """Return relative half widths of the intervals; infinite where a parameter was not
+    identified.
+    """
     return {
-        name: np.inf if p.value is None or p.low is None or p.high is None else 0.5 * (p.high - p.low) / p.value
+        name: np.inf
+        if p.value is None or p.low is None or p.high is None
+        else 0.5 * (p.high - p.low) / p.value
         for name, p in result.parameters.items()
     }
 
@@ -100,27 +114,45 @@ def study(seed: int, scratch: Path, runs: int) -> list[str]:
     """Return one row of the table."""
     bench = scratch / "bench.yaml"
     random_bench(seed, bench)
-    first = [identified("figure10", bench, seed + 100 * k, scratch / f"first{k}") for k in range(runs)]
+    first = [
+        identified("figure10", bench, seed + 100 * k, scratch / f"first{k}") for k in range(runs)
+    ]
     nominal = scratch / "first0" / "identify.json"
     sequence, document = load_sequence("figure10"), load_bench(bench)
-    experiment = plan_experiment(sequence, document, nominal, None, seed, lambda _what, _share: None)
+    experiment = plan_experiment(
+        sequence, document, nominal, None, seed, lambda _what, _share: None
+    )
     proposal = write(scratch / "plan", experiment, "random", None)
-    second = [identified(str(proposal), bench, seed + 1000 + 100 * k, scratch / f"second{k}") for k in range(runs)]
+    second = [
+        identified(str(proposal), bench, seed + 1000 + 100 * k, scratch / f"second{k}")
+        for k in range(runs)
+    ]
     before, after = median_widths(first), median_widths(second)
     weakest = experiment.proposal.weakest
     left = max(after, key=lambda name: after[name])
-    present, proposed = (p.half_widths[weakest] for p in (experiment.proposal.present, experiment.proposal.pinned))
+    present, proposed = (
+        p.half_widths[weakest] for p in (experiment.proposal.present, experiment.proposal.pinned)
+    )
     truth = truth_of(scratch / "second0")
     assert truth is not None
     held = [
-        p.value is not None and p.low is not None and p.high is not None and p.low <= truth[name] <= p.high
+        p.value is not None
+        and p.low is not None
+        and p.high is not None
+        and p.low <= truth[name] <= p.high
         for result in second
         for name, p in result.parameters.items()
     ]
-    errors = [abs(r.parameters[weakest].value / truth[weakest] - 1.0) for r in second if r.parameters[weakest].value]
+    errors = [
+        abs(r.parameters[weakest].value / truth[weakest] - 1.0)
+        for r in second
+        if r.parameters[weakest].value
+    ]
     refused = sum(r.noise is None for r in second)
     stages = experiment.proposed.stages
-    commands = "; ".join(f"{s.duration_s:.3g} s, {s.weight_kg:g} kg: {excitation_words(s)}" for s in stages)
+    commands = "; ".join(
+        f"{s.duration_s:.3g} s, {s.weight_kg:g} kg: {excitation_words(s)}" for s in stages
+    )
     return [
         str(seed),
         weakest,
@@ -139,7 +171,9 @@ def study(seed: int, scratch: Path, runs: int) -> list[str]:
 
 def main() -> None:
     """Run all benches and print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--benches", type=int, default=20)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--runs", type=int, default=3, help="noises of each experiment")
@@ -166,7 +200,10 @@ def main() -> None:
     print(table(header, rows, (2, 3, 4, 5)))
     gains = [float(row[4]) for row in rows]
     reached = sum(gain >= 3.0 for gain in gains)
-    print(f"at least threefold on {reached} of {len(gains)}; least {min(gains)}, median {np.median(gains):.1f}")
+    print(
+        f"at least threefold on {reached} of {len(gains)}; least {min(gains)}, median "
+        f"{np.median(gains):.1f}"
+    )
 
 
 if __name__ == "__main__":

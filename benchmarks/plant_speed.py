@@ -1,7 +1,7 @@
 """Steps per second of the simulated machine against a bare compiled loop of eq. 1, in the same run.
 
-The bare loop has no friction, no drive loops, no sums for the sensors and no work balance: what remains is the floor
-that any integration of eq. 1 with this step stands on.
+The bare loop has no friction, no drive loops, no sums for the sensors and no work balance: what
+remains is the floor that any integration of eq. 1 with this step stands on.
 
     python benchmarks/plant_speed.py
 """
@@ -27,12 +27,22 @@ REPEATS = 9
 
 
 @njit(cache=True, error_model="numpy")
-def bare_loop(steps: int, h: float, voltage: float, r: float, l: float, km: float, ke: float, j: float) -> float:  # noqa: E741
+def bare_loop(
+    steps: int,
+    h: float,
+    voltage: float,
+    r: float,
+    inductance: float,
+    km: float,
+    ke: float,
+    j: float,
+) -> float:
     """Integrate eq. 1 without friction at constant voltage; return the speed reached, rad/s.
 
-    The current by its exact decay over half a step, the speed over a step, the current over half a step.
+    The current by its exact decay over half a step, the speed over a step, the current over half a
+    step.
     """
-    decay = math.exp(-0.5 * r * h / l)
+    decay = math.exp(-0.5 * r * h / inductance)
     current = omega = 0.0
     for _ in range(steps):
         settled = (voltage - ke * omega) / r
@@ -50,7 +60,9 @@ def bare() -> float:
     steps = round(DURATION_S * m.loops.rate_Hz) * m.steps_per_loop
     km, ke = motor.torque_constant_N_m_A * gear, motor.back_emf_constant_V_s_rad * gear
     h = DURATION_S / steps
-    return bare_loop(steps, h, 10.0, motor.resistance_ohm, motor.inductance_H, km, ke, m.joint.inertia_kg_m2)
+    return bare_loop(
+        steps, h, 10.0, motor.resistance_ohm, motor.inductance_H, km, ke, m.joint.inertia_kg_m2
+    )
 
 
 def plant(weight_kg: float) -> float:
@@ -80,7 +92,9 @@ def main() -> None:
         "plant, 30.6 kg": lambda: plant(30.6),
         "recording without the bus": lambda: recorded(0.0, {}),
         "the same, 30.6 kg": lambda: recorded(30.6, {}),
-        "hiding asymmetric friction": lambda: recorded(0.0, {"asymmetric_coulomb": {"torque_Nm": 0.5}}),
+        "hiding asymmetric friction": lambda: recorded(
+            0.0, {"asymmetric_coulomb": {"torque_Nm": 0.5}}
+        ),
         "the same, 30.6 kg, and a gap": lambda: recorded(
             30.6, {"asymmetric_coulomb": {"torque_Nm": 0.5}, "backlash": {"gap_rad": 0.005}}
         ),
@@ -97,7 +111,12 @@ def main() -> None:
     steps = DURATION_S * machine.loops.rate_Hz * machine.steps_per_loop
     floor = median(seconds["bare eq. 1"])
     rows = [
-        [name, f"{median(s) / floor:.2f}", f"{DURATION_S / median(s):.0f}", f"{steps / median(s) / 1e6:.1f}"]
+        [
+            name,
+            f"{median(s) / floor:.2f}",
+            f"{DURATION_S / median(s):.0f}",
+            f"{steps / median(s) / 1e6:.1f}",
+        ]
         for name, s in seconds.items()
     ]
     print(table(["loop", "time over bare", "times real time", "million steps/s"], rows))

@@ -1,9 +1,9 @@
 """How often profile ranges and intervals hold the truth, on data of the fitted model itself.
 
-Two stages of 10 s at 1 kHz under a usual servo loop with set-valued friction; the torque is a noisy mean over each
-period, half of the noise's power in the torque itself and half in its measurement, the encoder is quantised. The
-constants are drawn within 20 % of the practical bench's. Beside the scaled range stands that of the likelihood as it
-comes.
+Two stages of 10 s at 1 kHz under a usual servo loop with set-valued friction; the torque is a noisy
+mean over each period, half of the noise's power in the torque itself and half in its measurement,
+the encoder is quantised. The constants are drawn within 20 % of the practical bench's. Beside the
+scaled range stands that of the likelihood as it comes.
 
     python benchmarks/profile_coverage.py --benches 40
 """
@@ -31,7 +31,10 @@ SPREAD = 0.2
 
 
 def stage(
-    truth: dict[str, float], weight_kg: float, rng: np.random.Generator, noise_N_m: float = NOISE_N_M
+    truth: dict[str, float],
+    weight_kg: float,
+    rng: np.random.Generator,
+    noise_N_m: float = NOISE_N_M,
 ) -> Recording:
     """Simulate and log one stage."""
     time = PERIOD_S * np.arange(round(STAGE_S / PERIOD_S))
@@ -52,7 +55,9 @@ def stage(
 
 def main() -> None:
     """Print coverage by parameter."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--benches", type=int, default=40)
     parser.add_argument("--first", type=int, default=0)
     arguments = parser.parse_args()
@@ -61,7 +66,10 @@ def main() -> None:
     for seed in range(arguments.first, arguments.first + arguments.benches):
         rng = np.random.default_rng(seed)
         truth = {n: v * rng.uniform(1.0 - SPREAD, 1.0 + SPREAD) for n, v in NOMINAL.items()}
-        truth["Ms"], truth["mu_s"] = max(truth["Ms"], 1.2 * truth["Mc"]), max(truth["mu_s"], 1.2 * truth["mu_c"])
+        truth["Ms"], truth["mu_s"] = (
+            max(truth["Ms"], 1.2 * truth["Mc"]),
+            max(truth["mu_s"], 1.2 * truth["mu_c"]),
+        )
         found = identify(Dataset((stage(truth, 0.0, rng), stage(truth, 30.6, rng))), profile=True)
         if not found.profiles:
             refused.append(seed)
@@ -70,14 +78,22 @@ def main() -> None:
             p, true = found.parameters[curve.name], truth[curve.name]
             if p.low is None or p.high is None:
                 continue
-            ranges = ((curve.low, curve.high), crossings(curve.values, curve.deviance / curve.scale))
-            scaled, plain = ((low is None or low <= true) and (high is None or true <= high) for low, high in ranges)
+            ranges = (
+                (curve.low, curve.high),
+                crossings(curve.values, curve.deviance / curve.scale),
+            )
+            scaled, plain = (
+                (low is None or low <= true) and (high is None or true <= high)
+                for low, high in ranges
+            )
             held[curve.name].append((p.low <= true <= p.high, scaled, plain))
     rows = []
     for name, each in (*held.items(), ("all", [h for some in held.values() for h in some])):
         counts = np.sum(each, axis=0)
         ends = [
-            stats.beta.ppf(q, [counts[1], counts[1] + 1], [len(each) - counts[1] + 1, len(each) - counts[1]])[k]
+            stats.beta.ppf(
+                q, [counts[1], counts[1] + 1], [len(each) - counts[1] + 1, len(each) - counts[1]]
+            )[k]
             for k, q in enumerate((0.05, 0.95))
         ]
         rows.append(
@@ -90,7 +106,14 @@ def main() -> None:
         )
     print(
         table(
-            ["parameter", "benches", "interval", "profile", "profile, unscaled", "90 % of the profile's"],
+            [
+                "parameter",
+                "benches",
+                "interval",
+                "profile",
+                "profile, unscaled",
+                "90 % of the profile's",
+            ],
             rows,
             range(1, 5),
         )

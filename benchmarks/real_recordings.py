@@ -1,4 +1,6 @@
-"""The real recordings through the commands a user would type: what docs/real_recordings.md states."""
+"""The real recordings through the commands a user would type: what docs/real_recordings.md
+states.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,12 @@ def main() -> int:
     commands: list[list[str | Path]] = [
         ["identify", CAMPAIGNS / "sts3032_to_heavy.yaml", "--ladder"],
         ["identify", CAMPAIGNS / "sts3032_to_light.yaml", "--ladder"],
-        ["identify", CAMPAIGNS / "sts3032_to_heavy.yaml", "--score", CAMPAIGNS / "sts3032_to_light.yaml"],
+        [
+            "identify",
+            CAMPAIGNS / "sts3032_to_heavy.yaml",
+            "--score",
+            CAMPAIGNS / "sts3032_to_light.yaml",
+        ],
         ["identify", CAMPAIGNS / "emps.yaml", "--json", fitted],
         ["simulate", CAMPAIGNS / "emps.yaml", "--result", fitted, "--result", published],
         ["identify", CAMPAIGNS / "emps_pulses.yaml", "--score", CAMPAIGNS / "emps.yaml"],

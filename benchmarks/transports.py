@@ -1,10 +1,12 @@
 """Cycles per second and lateness on each transport, beside a bare sleeping loop in the same run.
 
-The simulated devices live in a process of their own, behind pseudo-terminals and a loopback socket, in real time. The
-drive is prepared but not enabled, which makes no difference to the traffic. ``time.sleep`` is ``clock_nanosleep`` on
-Linux. The simulated buses have no real time to be late in; they show what the host's own code takes, plant included.
+The simulated devices live in a process of their own, behind pseudo-terminals and a loopback socket,
+in real time. The drive is prepared but not enabled, which makes no difference to the traffic.
+``time.sleep`` is ``clock_nanosleep`` on Linux. The simulated buses have no real time to be late in;
+they show what the host's own code takes, plant included.
 
-At the end ``rig run --realtime`` runs a whole sequence over slcan, and its own report of its timing is printed.
+At the end ``rig run --realtime`` runs a whole sequence over slcan, and its own report of its timing
+is printed.
 
     python benchmarks/transports.py --seconds 5
 """
@@ -49,7 +51,9 @@ from rig.config.bench import load_bench
 from rig.config.packaged import resolve
 from rig.wiring.connect import connect
 
-SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
+SCALES = ServoScales(
+    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+)
 MACHINE = Machine(sensing=Sensing(joint_counts_per_turn=COUNTS_PER_TURN))
 FREE_CYCLES = 1000
 SEQUENCE = """\
@@ -110,15 +114,28 @@ def _serial(ports: Ports) -> Devices:
 
 def _can(kind: str, ports: Ports) -> Devices:
     slcan = kind == "slcan"
-    options = {"sleep_after_open": 0, "timeout": 1e-4} if slcan else {"host": "127.0.0.1", "port": ports[0]}
+    options = (
+        {"sleep_after_open": 0, "timeout": 1e-4}
+        if slcan
+        else {"host": "127.0.0.1", "port": ports[0]}
+    )
     options |= {} if slcan else {"tcp_tune": True}
-    link = CanopenLink.on_interface(RealClock(), kind, str(ports[0]) if slcan else "can0", 1_000_000, options)
+    link = CanopenLink.on_interface(
+        RealClock(), kind, str(ports[0]) if slcan else "can0", 1_000_000, options
+    )
     servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES)
-    return link, servo, Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(COUNTS_PER_TURN))
+    return (
+        link,
+        servo,
+        Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(COUNTS_PER_TURN)),
+    )
 
 
 def paced(clock: Clock, cycle_s: float, seconds: float, work: Callable[[], None]) -> np.ndarray:
-    """Do ``work`` once a cycle; return how late each began, s. A late one moves the next ones back."""
+    """Do ``work`` once a cycle; return how late each began, s.
+
+    A late one moves the next ones back.
+    """
     late = []
     due = clock.now_ns()
     for _ in range(round(seconds / cycle_s)):
@@ -182,7 +199,14 @@ def whole_run() -> tuple[int, str]:
             folder = Path(name)
             (folder / "sequence.yaml").write_text(SEQUENCE)
             (folder / "bench.yaml").write_text(slcan_bench(str(terminal)))
-            words = ["run", str(folder / "sequence.yaml"), "--bench", str(folder / "bench.yaml"), "--realtime", "--yes"]
+            words = [
+                "run",
+                str(folder / "sequence.yaml"),
+                "--bench",
+                str(folder / "bench.yaml"),
+                "--realtime",
+                "--yes",
+            ]
             said = StringIO()
             with redirect_stdout(said), redirect_stderr(said):
                 code = status([*words, "--no-first-pass", "--out", str(folder / "run")])
@@ -193,7 +217,9 @@ def whole_run() -> tuple[int, str]:
 
 
 def slcan_bench(terminal: str) -> str:
-    """Return the practical bench behind an slcan adapter, with a cycle and time limits for a machine that is shared."""
+    """Return the practical bench behind an slcan adapter, with a cycle and time limits for a
+    machine that is shared.
+    """
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
     changes = {
         "interface: mock": f"interface: slcan, channel: {terminal}",
@@ -210,12 +236,16 @@ def slcan_bench(terminal: str) -> str:
 
 
 def _lateness(late: np.ndarray) -> list[str]:
-    return [f"{1e3 * value:.2f}" for value in (np.median(late), np.quantile(late, 0.99), late.max())]
+    return [
+        f"{1e3 * value:.2f}" for value in (np.median(late), np.quantile(late, 0.99), late.max())
+    ]
 
 
 def main() -> None:
     """Measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=5.0)
     seconds = parser.parse_args().seconds
     cases = [
@@ -230,7 +260,8 @@ def main() -> None:
         try:
             measured = measure(kind, cycle_s, seconds)
         except DeviceError as error:
-            # On a machine that is too busy a limit on silence is met; the other transports are measured all the same.
+            # On a machine that is too busy a limit on silence is met; the other transports are
+            # measured all the same.
             measured = ["", "", "", "", str(error)]
         rows.append([f"{name} at {1 / cycle_s:g} Hz", *measured])
     for name, bench in (
@@ -239,7 +270,9 @@ def main() -> None:
         ("DBC", "practical_dbc"),
     ):
         rows.append([f"{name}, in simulated time", simulated(bench), *[""] * 4])
-    print(table(["loop", "cycles/s unpaced", "late p50 ms", "p99 ms", "worst ms", "incomplete"], rows))
+    print(
+        table(["loop", "cycles/s unpaced", "late p50 ms", "p99 ms", "worst ms", "incomplete"], rows)
+    )
     code, words = whole_run()
     print(f"rig run --realtime over slcan at 250 Hz, exit status {code}:\n{words}")
 

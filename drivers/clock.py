@@ -1,7 +1,7 @@
 """Time behind one interface. Nothing else in the program reads a clock or sleeps.
 
-Two implementations: :class:`RealClock` for hardware, :class:`SimulatedClock` for the mock bus, where time only moves
-when somebody waits for it.
+Two implementations: :class:`RealClock` for hardware, :class:`SimulatedClock` for the mock bus,
+where time only moves when somebody waits for it.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ class SimulatedClock:
     def call_at(self, when_ns: int, action: Callable[[], None]) -> None:
         """Run ``action`` when simulated time reaches ``when_ns`` (now at the earliest)."""
         self._order += 1
-        heapq.heappush(self._events, (when_ns if when_ns > self._now else self._now, self._order, action))
+        heapq.heappush(
+            self._events, (when_ns if when_ns > self._now else self._now, self._order, action)
+        )
 
     def next_event_ns(self) -> int | None:
         """Return when the next scheduled event falls due, or None."""
@@ -74,7 +76,9 @@ class SimulatedClock:
             self._now = deadline_ns
 
     def fire_next(self, horizon_ns: int) -> None:
-        """Fire the next event, which there must be; it may move time on by itself as far as ``horizon_ns``."""
+        """Fire the next event, which there must be; it may move time on by itself as far as
+        ``horizon_ns``.
+        """
         self._now, _, action = heapq.heappop(self._events)
         self._horizon = horizon_ns
         action()
@@ -83,7 +87,8 @@ class SimulatedClock:
         """Move time on from inside an event, which saves scheduling another one.
 
         Returns:
-            False, and time stands still, where something else is due by then or nobody waits for that long.
+            False, and time stands still, where something else is due by then or nobody waits for
+            that long.
         """
         if when_ns > self._horizon or (self._events and self._events[0][0] <= when_ns):
             return False

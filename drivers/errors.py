@@ -11,7 +11,9 @@ class DeviceError(Exception):
 
 
 class LinkError(DeviceError):
-    """The bus or port itself failed (not opened, bus-off, no answer): check cabling, power, bit rate."""
+    """The bus or port itself failed (not opened, bus-off, no answer): check cabling, power, bit
+    rate.
+    """
 
 
 class ObjectAccessError(DeviceError):

@@ -1,7 +1,8 @@
 """What the rest of the program sees of a bench: small verbs in SI units.
 
-One :class:`Link` exchanges all outputs and inputs once a cycle; :class:`Servo` and :class:`Encoder` are the devices on
-it. Angles, speeds and torques are at the joint, after the gear, unless the name says ``motor``.
+One :class:`Link` exchanges all outputs and inputs once a cycle; :class:`Servo` and :class:`Encoder`
+are the devices on it. Angles, speeds and torques are at the joint, after the gear, unless the name
+says ``motor``.
 """
 
 from __future__ import annotations
@@ -35,7 +36,9 @@ class ServoState(Enum):
         return self in _ENERGISED
 
 
-_ENERGISED = frozenset({ServoState.OPERATION_ENABLED, ServoState.QUICK_STOP_ACTIVE, ServoState.FAULT_REACTION})
+_ENERGISED = frozenset(
+    {ServoState.OPERATION_ENABLED, ServoState.QUICK_STOP_ACTIVE, ServoState.FAULT_REACTION}
+)
 
 
 @dataclass(frozen=True)
@@ -70,7 +73,8 @@ class ServoLimits:
 
 @dataclass(frozen=True)
 class LimitSteps:
-    """Resolution of the limits that a drive holds: one unit of each object, at the joint and in SI units.
+    """Resolution of the limits that a drive holds: one unit of each object, at the joint and in SI
+    units.
 
     Zero where the drive does not hold that limit itself, or holds it exactly.
     """
@@ -99,8 +103,9 @@ class ServoReadings(NamedTuple):
 class ServoSample(NamedTuple):
     """What the drive said about one cycle.
 
-    ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is False when a part of the
-    answer is missing or bad; the values are then those of the last good frame.
+    ``current_A`` is the mean over the SYNC period that ends at ``device_time_s``. ``fresh`` is
+    False when a part of the answer is missing or bad; the values are then those of the last good
+    frame.
     """
 
     device_time_s: float
@@ -140,7 +145,9 @@ class RawFrame(NamedTuple):
 
 
 class Link(ABC):
-    """A bus or port with the devices on it, exchanged once a cycle. Its methods raise nothing but DeviceError.
+    """A bus or port with the devices on it, exchanged once a cycle.
+
+    Its methods raise nothing but DeviceError.
 
     Attributes:
         clock: Real or simulated; goes with the bus.
@@ -166,8 +173,9 @@ class Link(ABC):
     def exchange(self) -> None:
         """Send every device's outputs, latch all inputs at one instant and collect them.
 
-        Sends the master's heartbeat as well, so that it stops when the control loop does. A device that does not answer
-        in time leaves its last sample with ``fresh`` False; it raises only when the bus itself is gone.
+        Sends the master's heartbeat as well, so that it stops when the control loop does. A device
+        that does not answer in time leaves its last sample with ``fresh`` False; it raises only
+        when the bus itself is gone.
 
         Raises:
             LinkError: The bus failed.
@@ -183,7 +191,8 @@ class Servo(ABC):
     """A position servo. Only :meth:`enable` ever moves it toward power.
 
     Attributes:
-        watch_s: The drive stops by itself when the control loop is silent for so long; None where it never does.
+        watch_s: The drive stops by itself when the control loop is silent for so long; None where
+            it never does.
     """
 
     watch_s: float | None = None
@@ -217,7 +226,9 @@ class Servo(ABC):
         """
 
     def readings(self) -> ServoReadings:
-        """Ask the drive how it is, without preparing it. Writes nothing, and sends nothing but questions.
+        """Ask the drive how it is, without preparing it.
+
+        Writes nothing, and sends nothing but questions.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -226,10 +237,13 @@ class Servo(ABC):
 
     def fault(self) -> DriveFault:
         """Read why the drive is in fault; only for one that is."""
-        return DriveFault(0, "the drive is in fault: see its display and manual, and remove the cause")
+        return DriveFault(
+            0, "the drive is in fault: see its display and manual, and remove the cause"
+        )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield what :meth:`prepare` would refuse in a de-energised drive, as far as reading shows it. Writes nothing.
+        """Yield what :meth:`prepare` would refuse in a de-energised drive, as far as reading shows
+        it. Writes nothing.
 
         Raises:
             LinkError: The drive cannot be reached.
@@ -238,9 +252,11 @@ class Servo(ABC):
 
     @abstractmethod
     def prepare(self, cycle_s: float) -> None:
-        """Check units against the drive, map process data, set the cycle, prove the heartbeat watch. No power.
+        """Check units against the drive, map process data, set the cycle, prove the heartbeat
+        watch. No power.
 
-        Proven means written and read back; the watch itself is armed by :meth:`enable` and ends with :meth:`disable`.
+        Proven means written and read back; the watch itself is armed by :meth:`enable` and ends
+        with :meth:`disable`.
 
         Raises:
             ConfigurationError: Scale, unit or identity differ from the bench file.
@@ -276,15 +292,18 @@ class Servo(ABC):
         """Stage the joint angle that the next exchange sends."""
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to its own, from the next exchange until another is staged.
+        """Stage a joint torque that the drive adds to its own, from the next exchange until another
+        is staged.
 
-        Only where the drive was prepared for it; zero again as soon as anything takes it away from power.
+        Only where the drive was prepared for it; zero again as soon as anything takes it away from
+        power.
 
         Raises:
             ConfigurationError: The drive was not prepared for it, or has no such input.
         """
         raise ConfigurationError(
-            f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run without feed-forward, "
+            f"this drive takes no torque offset ({torque_N_m:g} N m was to be added): run without "
+            f"feed-forward, "
             "or use a CANopen drive with object 60B2h"
         )
 
@@ -301,7 +320,9 @@ class Encoder(ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Ask for the joint angle, rad, without preparing the encoder; NaN where it gives none. Writes nothing.
+        """Ask for the joint angle, rad, without preparing the encoder; NaN where it gives none.
+
+        Writes nothing.
 
         Raises:
             LinkError: The encoder cannot be reached.
@@ -333,7 +354,9 @@ class PressureTransmitter(ABC):
         """Read who it is."""
 
     def reading(self) -> float:
-        """Ask for the pressure, Pa, without preparing the transmitter; NaN where it gives none. Writes nothing.
+        """Ask for the pressure, Pa, without preparing the transmitter; NaN where it gives none.
+
+        Writes nothing.
 
         Raises:
             LinkError: The transmitter cannot be reached.

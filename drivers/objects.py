@@ -20,7 +20,8 @@ P = ParamSpec("P")
 
 
 def refusal(act: Callable[P, object], *args: P.args, **kwargs: P.kwargs) -> Iterator[DeviceError]:
-    """Yield the error with which a device or its description refuses something; nothing where it does not.
+    """Yield the error with which a device or its description refuses something; nothing where it
+    does not.
 
     Raises:
         LinkError: The device cannot be reached, which is no refusal.
@@ -68,7 +69,8 @@ class PdoLayout:
         number: PDO number, from 1.
         objects: Addresses in order.
         every: Exchanged once in this many cycles.
-        slack: Cycles that an input may be late and still count as fresh; the exchange does not wait for one with slack.
+        slack: Cycles that an input may be late and still count as fresh; the exchange does not wait
+            for one with slack.
     """
 
     number: int
@@ -96,25 +98,32 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an object that must be sent even where the device can't be heard; raises as :meth:`write`.
+        """Write an object that must be sent even where the device can't be heard; raises as
+        :meth:`write`.
 
         Only for what takes power away: it may arrive more than once.
         """
         ...
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check that process data can be mapped as far as the device's description says. Sends nothing.
+        """Check that process data can be mapped as far as the device's description says.
+
+        Sends nothing.
 
         Raises:
-            ConfigurationError: An object is not described or is no integer, or too many travel together.
+            ConfigurationError: An object is not described or is no integer, or too many travel
+                together.
         """
         ...
 
-    def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
+    def map_process_data(
+        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
+    ) -> None:
         """Configure what is exchanged and how often, and start it. Energises nothing.
 
         Raises:
-            ConfigurationError: The device lacks an object, or another device on the link has another cycle.
+            ConfigurationError: The device lacks an object, or another device on the link has
+            another cycle.
             ObjectAccessError: The device refuses the mapping.
             LinkError: No answer.
         """
@@ -129,7 +138,8 @@ class ProcessChannel(ObjectAccess, Protocol):
         ...
 
     def watch(self, limit_s: float) -> None:
-        """Make the device watch the control loop: without an exchange for ``limit_s`` it stops by itself.
+        """Make the device watch the control loop: without an exchange for ``limit_s`` it stops by
+        itself.
 
         Raises:
             ConfigurationError: The device did not take it.

@@ -20,10 +20,14 @@ from drivers.interfaces import RawFrame
 from drivers.port_errors import close_all, os_errors
 
 SERIAL_FLAG: Final = 0x10000000
-"""Set in :attr:`RawFrame.identifier` for bytes of a serial line; the low bits are the line's number."""
+"""Set in :attr:`RawFrame.identifier` for bytes of a serial line; the low bits are the line's
+number.
+"""
 
 WRITE_LIMIT_S: Final = 0.1
-"""How long a line may take to accept what is written: some 30 bytes, for which drivers have room."""
+"""How long a line may take to accept what is written: some 30 bytes, for which drivers have
+room.
+"""
 
 _FRAME_BYTES: Final = 8
 _CHUNK: Final = 4096
@@ -101,7 +105,9 @@ class InheritedPort:
             if wait_ns <= 0 or not select.select([], [descriptor], [], wait_ns / NS)[1]:
                 termios.tcflush(descriptor, termios.TCOFLUSH)
                 taken = len(data) - len(left)
-                raise TimeoutError(f"the line took {taken} of {len(data)} bytes within {WRITE_LIMIT_S:g} s")
+                raise TimeoutError(
+                    f"the line took {taken} of {len(data)} bytes within {WRITE_LIMIT_S:g} s"
+                )
 
     @os_errors
     def read(self, timeout_s: float) -> bytes:
@@ -120,7 +126,9 @@ class InheritedPort:
             return b""
         if not data:
             # An unplugged adapter reports this for ever, at once and without an error.
-            raise OSError("the line is hung up (adapter unplugged), or another program reads it too")
+            raise OSError(
+                "the line is hung up (adapter unplugged), or another program reads it too"
+            )
         return data
 
     @os_errors

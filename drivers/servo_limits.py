@@ -27,7 +27,9 @@ OBJECTS: Final = (
 
 
 def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]:
-    """Return the object values that hold ``limits``, each rounded to the drive's unit and never to a wider limit."""
+    """Return the object values that hold ``limits``, each rounded to the drive's unit and never to
+    a wider limit.
+    """
     first, last = sorted(
         (angle - scales.offset_rad) / scales.joint_rad_per_count
         for angle in (limits.angle_min_rad, limits.angle_max_rad)
@@ -40,7 +42,9 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
         MAX_SPEED: _whole(limits.speed_rad_s / speed),
         MAX_TORQUE: _whole(limits.torque_N_m / scales.joint_torque_unit_N_m),
         MAX_CURRENT: _whole(limits.current_A / scales.current_unit_A),
-        FOLLOWING_WINDOW: WINDOW_OFF if window is None else _whole(window / abs(scales.joint_rad_per_count)),
+        FOLLOWING_WINDOW: WINDOW_OFF
+        if window is None
+        else _whole(window / abs(scales.joint_rad_per_count)),
         QUICK_STOP_OPTION: limits.quick_stop_option,
         QUICK_STOP_DECELERATION: round(limits.quick_stop_deceleration_rad_s2 / speed),
     }
@@ -48,7 +52,9 @@ def encode(limits: ServoLimits, scales: ServoScales) -> dict[ObjectAddress, int]
 
 def decode(values: dict[ObjectAddress, int], scales: ServoScales) -> ServoLimits:
     """Return the limits that the object values hold."""
-    ends = sorted((scales.joint_angle_rad(values[POSITION_MIN]), scales.joint_angle_rad(values[POSITION_MAX])))
+    ends = sorted(
+        (scales.joint_angle_rad(values[POSITION_MIN]), scales.joint_angle_rad(values[POSITION_MAX]))
+    )
     window = values[FOLLOWING_WINDOW]
     speed = scales.joint_speed_unit_rad_s
     return ServoLimits(
@@ -57,7 +63,9 @@ def decode(values: dict[ObjectAddress, int], scales: ServoScales) -> ServoLimits
         speed_rad_s=values[MAX_SPEED] * speed,
         torque_N_m=values[MAX_TORQUE] * scales.joint_torque_unit_N_m,
         current_A=values[MAX_CURRENT] * scales.current_unit_A,
-        following_error_rad=None if window == WINDOW_OFF else window * abs(scales.joint_rad_per_count),
+        following_error_rad=None
+        if window == WINDOW_OFF
+        else window * abs(scales.joint_rad_per_count),
         quick_stop_option=values[QUICK_STOP_OPTION],
         quick_stop_deceleration_rad_s2=values[QUICK_STOP_DECELERATION] * speed,
     )
@@ -66,7 +74,9 @@ def decode(values: dict[ObjectAddress, int], scales: ServoScales) -> ServoLimits
 def steps(scales: ServoScales) -> LimitSteps:
     """Return one unit of each object, at the joint."""
     count, speed = abs(scales.joint_rad_per_count), scales.joint_speed_unit_rad_s
-    return LimitSteps(count, speed, scales.joint_torque_unit_N_m, scales.current_unit_A, count, speed)
+    return LimitSteps(
+        count, speed, scales.joint_torque_unit_N_m, scales.current_unit_A, count, speed
+    )
 
 
 def _whole(units: float) -> int:

@@ -1,4 +1,6 @@
-"""Device units to SI and back: counts, per mille and microseconds, with the bench's gear, sign and zero."""
+"""Device units to SI and back: counts, per mille and microseconds, with the bench's gear, sign and
+zero.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +31,8 @@ class ServoScales:
         rated_torque_N_m: What 6076h must say; 6072h is in per mille of it.
         sign: 1 where positive counts are a positive joint angle, else -1.
         offset_rad: Joint angle at position 0.
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None for one count per
-            second.
+        velocity_unit_rad_s: Motor speed of one unit of 606Ch, 607Fh and, per second, 6085h; None
+            for one count per second.
         voltage_object: Where the drive keeps the mean motor voltage.
         voltage_unit_V: Its unit.
         temperature_object: Where the drive keeps its temperature.
@@ -58,9 +60,13 @@ class ServoScales:
         for name in ("counts_per_turn", "gear_ratio", "rated_current_A", "rated_torque_N_m"):
             value = getattr(self, name)
             if not (value > 0 and math.isfinite(value)):
-                raise ConfigurationError(f"{name} is {value}, must be positive: correct the bench file")
+                raise ConfigurationError(
+                    f"{name} is {value}, must be positive: correct the bench file"
+                )
         if self.sign not in (1, -1):
-            raise ConfigurationError(f"sign is {self.sign}, must be 1 or -1: correct the bench file")
+            raise ConfigurationError(
+                f"sign is {self.sign}, must be 1 or -1: correct the bench file"
+            )
 
     @cached_property
     def motor_rad_per_count(self) -> float:
@@ -97,10 +103,11 @@ class ServoScales:
         return round((joint_angle_rad - self.offset_rad) / self.joint_rad_per_count)
 
     def mismatches(self, drive: ObjectAccess) -> Iterator[DeviceError]:
-        """Yield where the scales differ from what the drive says of itself: 6075h, 6076h and, if it has one, 608Fh.
+        """Yield where the scales differ from what the drive says of itself: 6075h, 6076h and, if it
+        has one, 608Fh.
 
-        Values are the same within 0.1 % or within one unit of the object, which a drive may round either way. An
-        object that the drive refuses is yielded as well.
+        Values are the same within 0.1 % or within one unit of the object, which a drive may round
+        either way. An object that the drive refuses is yielded as well.
 
         Raises:
             LinkError: No answer.
@@ -110,7 +117,9 @@ class ServoScales:
             ("rated current, 6075h", current, self.rated_current_A, "A"),
             ("rated torque, 6076h", torque, self.rated_torque_N_m, "N m"),
         ):
-            yield from _compare(what, partial(_milli, drive, address), bench, unit, resolution=_MILLI)
+            yield from _compare(
+                what, partial(_milli, drive, address), bench, unit, resolution=_MILLI
+            )
         what, unit = "encoder resolution, 608Fh", "counts per motor turn"
         for error in _compare(what, lambda: _resolution(drive), self.counts_per_turn, unit):
             if not isinstance(error, ObjectAccessError) or error.code != _NO_OBJECT:
@@ -165,7 +174,9 @@ class EncoderScales:
         if self.counts_per_turn <= 0:
             raise ConfigurationError(f"counts_per_turn is {self.counts_per_turn}, must be positive")
         if self.sign not in (1, -1):
-            raise ConfigurationError(f"sign is {self.sign}, must be 1 or -1: correct the bench file")
+            raise ConfigurationError(
+                f"sign is {self.sign}, must be 1 or -1: correct the bench file"
+            )
 
     @cached_property
     def rad_per_count(self) -> float:
@@ -176,8 +187,9 @@ class EncoderScales:
 class Unwrapper:
     """Follows a counter modulo ``modulus`` without bound.
 
-    Each new value is taken as the nearest to the last one, so the counter may move less than half its range between
-    calls. The first value is taken as it is, or, with ``signed``, as the nearest to zero.
+    Each new value is taken as the nearest to the last one, so the counter may move less than half
+    its range between calls. The first value is taken as it is, or, with ``signed``, as the nearest
+    to zero.
     """
 
     def __init__(self, modulus: int, signed: bool = False) -> None:

@@ -1,4 +1,6 @@
-"""Contact force on the valve during a recording: measured, of the gas generator, or of a weight (M4)."""
+"""Contact force on the valve during a recording: measured, of the gas generator, or of a weight
+(M4).
+"""
 
 from __future__ import annotations
 
@@ -13,8 +15,9 @@ from identification.signals import resample
 def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return F_P on ``grid``, N, shape (n,).
 
-    The `load_force` channel where there is one; in a hot firing (p_g - p_c0) A_s(theta_r) of eq. 10 from the
-    `pressure` channel, nothing where the pressure behind the valve is the greater; else that of the weight, eq. 17.
+    The `load_force` channel where there is one; in a hot firing (p_g - p_c0) A_s(theta_r) of eq. 10
+    from the `pressure` channel, nothing where the pressure behind the valve is the greater; else
+    that of the weight, eq. 17.
 
     Args:
         recording: What was measured.
@@ -31,10 +34,13 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
         return np.full(len(grid), recording.contact_force)
     if generator is None:
         raise RecordingError(
-            f"{recording.name}: F_P = (p_g - p_c0) A_s of a hot firing takes valve and p_c0 of bench.gas_generator"
+            f"{recording.name}: F_P = (p_g - p_c0) A_s of a hot firing takes valve and p_c0 of "
+            f"bench.gas_generator"
         )
     pressure = resample(recording.time, recording.channels["pressure"], grid)
-    return np.asarray(np.maximum(pressure - generator.p_c0, 0.0) * impacted_area(angle, generator.valve))
+    return np.asarray(
+        np.maximum(pressure - generator.p_c0, 0.0) * impacted_area(angle, generator.valve)
+    )
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
@@ -47,6 +53,8 @@ def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
     arm = recording.bench.moment_arm
     if arm is None:
         if np.any(force != 0.0):
-            raise RecordingError(f"{recording.name}: a loaded recording needs bench.moment_arm (L1)")
+            raise RecordingError(
+                f"{recording.name}: a loaded recording needs bench.moment_arm (L1)"
+            )
         return np.zeros(len(grid))
     return np.asarray(force * arm)

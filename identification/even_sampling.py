@@ -1,8 +1,8 @@
 """Even sampling: missing or late samples of a recording are interpolated and marked.
 
-The Kalman filter runs from sample to sample with one period. Cycles that a bus lost, or that were late by their own
-time stamp, are few and short on a sound bench; torque and angle are nearly straight between their neighbours. Callers
-leave out longer gaps.
+The Kalman filter runs from sample to sample with one period. Cycles that a bus lost, or that were
+late by their own time stamp, are few and short on a sound bench; torque and angle are nearly
+straight between their neighbours. Callers leave out longer gaps.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ _COUNTED = ("angle", "motor_angle")
 
 
 def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
-    """Return the recording on its even grid and the samples of holes too long to be used; None where it is uneven.
+    """Return the recording on its even grid and the samples of holes too long to be used; None
+    where it is uneven.
 
-    The grid is fitted to all time stamps, since a median period would drift off it within seconds. A recording that is
-    even already is returned as it is.
+    The grid is fitted to all time stamps, since a median period would drift off it within seconds.
+    A recording that is even already is returned as it is.
     """
     time = recording.time
     steps = np.diff(time)
@@ -58,12 +59,16 @@ def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
     return replace(recording, channels=channels), _long(~measured)
 
 
-def _grid(time: Array, period: float) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
+def _grid(
+    time: Array, period: float
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.int64]], float, float]:
     """Return the grid index of each sample, and origin and period of the line through their times.
 
     Fitted twice, the second time without the samples that are off it.
     """
-    index = np.concatenate(([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))).astype(np.int64)
+    index = np.concatenate(
+        ([0], np.cumsum(np.maximum(np.round(np.diff(time) / period), 0.0)))
+    ).astype(np.int64)
     origin = float(time[0])
     near = np.ones(len(time), dtype=bool)
     for _ in range(2):

@@ -1,7 +1,9 @@
-"""From a recording to the equation-error view: torque, velocity and acceleration at one stated bandwidth.
+"""From a recording to the equation-error view: torque, velocity and acceleration at one stated
+bandwidth.
 
-Torque and regressors must pass the same filter, or every parameter is biased. The filter is a symmetric FIR, so that it
-is known exactly which outputs a resting shaft (where friction balances the drive and obeys no equation) has touched.
+Torque and regressors must pass the same filter, or every parameter is biased. The filter is a
+symmetric FIR, so that it is known exactly which outputs a resting shaft (where friction balances
+the drive and obeys no equation) has touched.
 """
 
 from __future__ import annotations
@@ -30,20 +32,30 @@ POSITION_BANDWIDTH = 2.5
 DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
 """Default bandwidth over the sample rate, where the encoder does not ask for less."""
 SLOW_BANDWIDTH_HZ = 20.0
-"""Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of their rate."""
+"""Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of
+their rate.
+"""
 RATE_TOLERANCE = 1e-6
 """Share of the rate that rounded time stamps may cost."""
 IRREGULAR, STANDS_OUT = 0.25, 8.0
-"""A sample interval is irregular that differs from the period by this share, and by so many times what is usual."""
+"""A sample interval is irregular that differs from the period by this share, and by so many times
+what is usual.
+"""
 LEAST_CLEAN = 0.1
-"""Share of the samples in motion that must be left where those about late or missing samples are taken out."""
+"""Share of the samples in motion that must be left where those about late or missing samples are
+taken out.
+"""
 REST_SAMPLES = 8
-"""Samples over which the angle changes by no more than one step of its encoder that count as rest."""
+"""Samples over which the angle changes by no more than one step of its encoder that count as
+rest.
+"""
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """The equation-error view of one recording. Arrays have shape (n,), all through the same filter, SI, at the joint.
+    """The equation-error view of one recording.
+
+    Arrays have shape (n,), all through the same filter, SI, at the joint.
 
     Attributes:
         recording: Where it came from.
@@ -51,10 +63,12 @@ class Prepared:
         angle: rad.
         velocity: rad/s.
         acceleration: rad/s^2.
-        torque: Drive torque less the known loads (a declared pendulum), N m; A where no torque constant is known.
+        torque: Drive torque less the known loads (a declared pendulum), N m; A where no torque
+        constant is known.
         drive_torque: Drive torque alone, N m.
         moment: F_P L1, what multiplies m_L in eq. 13, N m; zero when unloaded.
-        used: Samples in motion that no resting sample, and none about a late or missing one, has touched.
+        used: Samples in motion that no resting sample, and none about a late or missing one, has
+        touched.
         bandwidth_Hz: Of all of the above.
         filter: The filter, for regressors that are not linear in the velocity.
         raw_velocity: Velocity before that filter, shape (m,), for those regressors.
@@ -83,7 +97,8 @@ def uniform_grid(recording: Recording) -> Array:
 
 
 def joint_angle(recording: Recording) -> Array | None:
-    """Return the joint angle by the finer of the two encoders, rad, or None where neither was recorded.
+    """Return the joint angle by the finer of the two encoders, rad, or None where neither was
+    recorded.
 
     The motor encoder counts through the gear (assumption 5); the joint encoder's zero is kept.
     """
@@ -100,10 +115,12 @@ def joint_angle(recording: Recording) -> Array | None:
 
 
 def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
-    """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque constant).
+    """Return the drive's torque at the joint on ``grid``, N m (N when linear; A without a torque
+    constant).
 
-    From the torque channel, else the current, else the voltage: I = (U - Ke omega_motor)/R, zero while the power stage
-    is off. A channel that is a mean over the period ending at its time stands half a period earlier.
+    From the torque channel, else the current, else the voltage: I = (U - Ke omega_motor)/R, zero
+    while the power stage is off. A channel that is a mean over the period ending at its time stands
+    half a period earlier.
 
     Raises:
         RecordingError: No channel gives the torque.
@@ -117,7 +134,8 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
         if name == "voltage":
             if bench.resistance is None or bench.back_emf_constant is None:
                 raise RecordingError(
-                    f"{recording.name}: torque from voltage needs bench.resistance and bench.back_emf_constant"
+                    f"{recording.name}: torque from voltage needs bench.resistance and "
+                    f"bench.back_emf_constant"
                 )
             off = ~np.isfinite(values)
             if "enabled" in channels:
@@ -139,14 +157,18 @@ def torque_unit(recording: Recording) -> str:
 
 
 def volts_per_torque(recording: Recording) -> float | None:
-    """Return the armature voltage R I of one unit of joint torque, V; None unless torque comes from the voltage."""
+    """Return the armature voltage R I of one unit of joint torque, V; None unless torque comes from
+    the voltage.
+    """
     if {"torque", "current"} & recording.channels.keys() or recording.bench.resistance is None:
         return None
     return recording.bench.resistance / recording.bench.ampere_torque
 
 
 def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
-    """Mark samples of stretches of at least ``samples`` in which the angle changes by one encoder step at most."""
+    """Mark samples of stretches of at least ``samples`` in which the angle changes by one encoder
+    step at most.
+    """
     tolerance = max(1.01 * quantum(angle), 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0)
     if len(angle) <= samples:
         return np.zeros(len(angle), dtype=bool)
@@ -159,10 +181,12 @@ def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
 
 
 def irregular(time: Array, grid: Array) -> BoolArray:
-    """Mark grid samples at which the recording's own samples came too early, too late, or not at all.
+    """Mark grid samples at which the recording's own samples came too early, too late, or not at
+    all.
 
-    In a run in real time nearly all cycles are on time and a few are not; about those the motion jerks faster than the
-    samples tell. Where sampling is uneven throughout, nothing stands out, and nothing is marked.
+    In a run in real time nearly all cycles are on time and a few are not; about those the motion
+    jerks faster than the samples tell. Where sampling is uneven throughout, nothing stands out, and
+    nothing is marked.
     """
     steps = np.diff(time)
     median = float(np.median(steps))
@@ -177,24 +201,29 @@ def irregular(time: Array, grid: Array) -> BoolArray:
 
 
 def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolArray:
-    """Return which outputs neither ``bad`` nor ``rare`` samples have touched; ``rare`` ones do where little is left."""
+    """Return which outputs neither ``bad`` nor ``rare`` samples have touched; ``rare`` ones do
+    where little is left.
+    """
     every = low_pass.untouched(bad)
     clean = low_pass.untouched(bad | rare)
     return clean if np.sum(clean) >= LEAST_CLEAN * np.sum(every) else every
 
 
 def widened(marks: BoolArray, samples: int) -> BoolArray:
-    """Return the marks with ``samples`` more on either side: what a filter on position has smeared into motion."""
+    """Return the marks with ``samples`` more on either side: what a filter on position has smeared
+    into motion.
+    """
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
     return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
 
 
 def default_bandwidth(recording: Recording) -> float:
-    """Choose a bandwidth, Hz: 1/25 of the rate (20 Hz or a sixth of the rate where that is slow), or less where the
-    encoder's steps would swamp the acceleration.
+    """Choose a bandwidth, Hz: 1/25 of the rate (20 Hz or a sixth of the rate where that is slow),
+    or less where the encoder's steps would swamp the acceleration.
 
-    White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12) sqrt(2 b / (5 rate));
-    the bandwidth keeps that below a tenth of the acceleration's own rms, estimated at the lowest bandwidth tried.
+    White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12)
+    sqrt(2 b / (5 rate)); the bandwidth keeps that below a tenth of the acceleration's own rms,
+    estimated at the lowest bandwidth tried.
     """
     rate = 1.0 / recording.period
     top = max(DEFAULT_SHARE_OF_RATE * rate, min(SLOW_BANDWIDTH_HZ, rate / 6.0))
@@ -220,12 +249,12 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
 
     Args:
         recording: Any recording with an angle or a velocity, and a torque, current or voltage.
-        bandwidth_Hz: Bandwidth; None chooses one. At 0.45 of the rate or more nothing is filtered, and samples whose
-            acceleration the rate cannot resolve are left out.
+        bandwidth_Hz: Bandwidth; None chooses one. At 0.45 of the rate or more nothing is filtered,
+            and samples whose acceleration the rate cannot resolve are left out.
 
     Raises:
-        RecordingError: A needed channel is missing, the bandwidth is more than the rate can carry, or the recording is
-            shorter than the filter.
+        RecordingError: A needed channel is missing, the bandwidth is more than the rate can carry,
+            or the recording is shorter than the filter.
     """
     if bandwidth_Hz is None:
         bandwidth_Hz = default_bandwidth(recording)
@@ -233,20 +262,24 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
     rate = 1.0 / recording.period
     if not 0.0 < bandwidth_Hz <= 0.5 * rate * (1.0 + RATE_TOLERANCE):
         raise RecordingError(
-            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is out of reach; ask for more than 0 and at most "
+            f"{recording.name}: a bandwidth of {bandwidth_Hz:.4g} Hz is out of reach; ask for "
+            f"more than 0 and at most "
             f"half the rate, {0.5 * rate:.4g} Hz"
         )
     _, half = reach(rate, bandwidth_Hz)
     if len(grid) < 2 * half + 8:
         raise RecordingError(
-            f"{recording.name}: {len(grid)} samples are fewer than the {2 * half + 8} that a bandwidth of "
+            f"{recording.name}: {len(grid)} samples are fewer than the {2 * half + 8} that a "
+            f"bandwidth of "
             f"{bandwidth_Hz:.3g} Hz needs; ask for a higher bandwidth or a longer recording"
         )
     low_pass = decimator(rate, bandwidth_Hz)
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
     angle, velocity, still = _motion(recording, grid, rate, cutoff)
     exact = low_pass.half == 0
-    acceleration = derivative(velocity, 1.0 / rate) if exact else central_difference(velocity, 1.0 / rate)
+    acceleration = (
+        derivative(velocity, 1.0 / rate) if exact else central_difference(velocity, 1.0 / rate)
+    )
     drive = drive_torque(recording, grid, velocity)
     if not exact:
         drive = smooth(drive, rate, cutoff)
@@ -276,7 +309,9 @@ def prepare(recording: Recording, bandwidth_Hz: float | None = None) -> Prepared
     )
 
 
-def _motion(recording: Recording, grid: Array, rate: float, cutoff: float) -> tuple[Array, Array, BoolArray]:
+def _motion(
+    recording: Recording, grid: Array, rate: float, cutoff: float
+) -> tuple[Array, Array, BoolArray]:
     """Return angle, velocity (both smoothed) and the resting samples on ``grid``."""
     position = joint_angle(recording)
     if position is not None:
@@ -297,9 +332,11 @@ def _motion(recording: Recording, grid: Array, rate: float, cutoff: float) -> tu
 
 
 def _unresolved(velocity: Array, rate: float) -> BoolArray:
-    """Mark samples where differences of third and seventh point disagree: faster than the rate can follow.
+    """Mark samples where differences of third and seventh point disagree: faster than the rate can
+    follow.
 
-    Used where nothing is filtered, on exact channels: around breakaway and stop the speed changes within microseconds.
+    Used where nothing is filtered, on exact channels: around breakaway and stop the speed changes
+    within microseconds.
     """
     fine = derivative(velocity, 1.0 / rate)
     steps = np.abs(np.diff(velocity, n=7, prepend=velocity[:4], append=velocity[-3:]))

@@ -30,8 +30,9 @@ CHANNELS: Mapping[str, str] = {
 }
 """Canonical channels and their units (rotary; on a linear bench rad reads m and N m reads N).
 
-``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear; ``motor_angle``, ``current`` and
-``voltage`` at the motor; ``feedforward`` is added to the controller's output, in its unit.
+``torque``, ``angle``, ``velocity`` and ``command`` are at the joint, after the gear;
+``motor_angle``, ``current`` and ``voltage`` at the motor; ``feedforward`` is added to the
+controller's output, in its unit.
 """
 
 
@@ -45,7 +46,8 @@ class Bench:
 
     Attributes:
         motion: ``rotary`` (rad, N m) or ``linear`` (m, N).
-        torque_constant: Km, N m/A at the motor shaft; None where a torque channel is given or the fit is in amperes.
+        torque_constant: Km, N m/A at the motor shaft; None where a torque channel is given or the
+        fit is in amperes.
         back_emf_constant: Ke, V s/rad of the motor shaft.
         resistance: R, ohm.
         inductance: L, H.
@@ -53,8 +55,8 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
-        gas_generator: What is believed of the valve (Fig. 3), the pressure behind it and what burns before it (eq. 2 to
-            8); only hot firings need it.
+        gas_generator: What is believed of the valve (Fig. 3), the pressure behind it and what burns
+            before it (eq. 2 to 8); only hot firings need it.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -70,7 +72,9 @@ class Bench:
 
     @property
     def ampere_torque(self) -> float:
-        """Joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in amperes."""
+        """Joint torque of one motor ampere, Km i; 1 where Km is unknown and the fit is in
+        amperes.
+        """
         return 1.0 if self.torque_constant is None else self.torque_constant * self.gear_ratio
 
     def contact_force(self, weight_mass: float) -> float:
@@ -104,10 +108,12 @@ class Pendulum:
 
 @dataclass(frozen=True)
 class Controller:
-    """The position loop a recording was made in: output = clip(kp (command - angle) - kv velocity, limit).
+    """The position loop a recording was made in: output = clip(kp (command - angle) - kv velocity,
+    limit).
 
     Attributes:
-        output: ``duty`` (share of the supply voltage), ``voltage`` (V at the motor) or ``torque`` (N m at the joint).
+        output: ``duty`` (share of the supply voltage), ``voltage`` (V at the motor) or ``torque``
+        (N m at the joint).
         position_gain: kp, output per rad.
         velocity_gain: kv, output per rad/s.
         limit: Greatest magnitude of the output; None where nothing limits it.
@@ -124,7 +130,8 @@ class Model:
     """What is fitted beyond, or held out of, the nominal nine parameters.
 
     Attributes:
-        terms: Declared physics of the bench by catalogue name, or ``offset``; fitted, never "found".
+        terms: Declared physics of the bench by catalogue name, or ``offset``; fitted, never
+        "found".
         fixed: Parameter name to value, not fitted.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
         friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
@@ -142,8 +149,9 @@ class Recording:
 
     Attributes:
         name: Short name for tables and legends.
-        channels: Canonical name to samples, shape (n,), SI units; always holds ``time``, strictly increasing.
-            NaN marks samples that were not measured (``voltage`` while the power stage is off).
+        channels: Canonical name to samples, shape (n,), SI units; always holds ``time``, strictly
+            increasing. NaN marks samples that were not measured (``voltage`` while the power stage
+            is off).
         bench: The machine.
         stage: ``unloaded`` or ``loaded``.
         weight_mass: m_w on the lever, kg; none in a hot firing, which is loaded by its `pressure`.
@@ -175,7 +183,8 @@ class Recording:
         """Check shapes, names and time.
 
         Raises:
-            RecordingError: On an unknown channel, a length that differs, or time that does not increase.
+            RecordingError: On an unknown channel, a length that differs, or time that does not
+                increase.
         """
         if "time" not in self.channels:
             raise RecordingError(f"{self.name}: no channel 'time'")
@@ -184,14 +193,20 @@ class Recording:
             raise RecordingError(f"{self.name}: {n} samples; at least 2 are needed")
         for channel, values in self.channels.items():
             if channel not in CHANNELS:
-                raise RecordingError(f"{self.name}: unknown channel {channel!r}; known are {', '.join(CHANNELS)}")
+                raise RecordingError(
+                    f"{self.name}: unknown channel {channel!r}; known are {', '.join(CHANNELS)}"
+                )
             if values.shape != (n,):
-                raise RecordingError(f"{self.name}: channel {channel!r} has shape {values.shape}, time has ({n},)")
+                raise RecordingError(
+                    f"{self.name}: channel {channel!r} has shape {values.shape}, time has ({n},)"
+                )
         steps = np.diff(self.channels["time"])
         bad = np.flatnonzero(~(steps > 0))
         if bad.size:
             row = int(bad[0]) + 1
-            raise RecordingError(f"{self.name}: time does not increase at sample {row} (step {steps[row - 1]:.6g} s)")
+            raise RecordingError(
+                f"{self.name}: time does not increase at sample {row} (step {steps[row - 1]:.6g} s)"
+            )
 
     @property
     def time(self) -> Array:

@@ -15,8 +15,9 @@ from identification.numerics.arrays import Array
 class Parameter:
     """One estimate with its 90 % interval.
 
-    ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then says why, in words.
-    ``floor`` is the half width that the Cramer-Rao bound allows the interval; None where it was not computed.
+    ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then says
+    why, in words. ``floor`` is the half width that the Cramer-Rao bound allows the interval; None
+    where it was not computed.
     """
 
     name: str
@@ -32,7 +33,10 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Fit:
-    """Torque error at the stated bandwidth. Relative is the norm of the residual over the norm of the torque."""
+    """Torque error at the stated bandwidth.
+
+    Relative is the norm of the residual over the norm of the torque.
+    """
 
     unit: str
     bandwidth_Hz: float
@@ -79,7 +83,8 @@ class Starts:
         cost: What was compared, in words.
         ends: Final cost of each start, in the order they were tried.
         reached: Cost up to which a start has reached the best end.
-        absolute: Whether ``reached`` is a fixed limit, at which the search ends, and not one above the least end.
+        absolute: Whether ``reached`` is a fixed limit, at which the search ends, and not one above
+            the least end.
     """
 
     stage: str
@@ -103,9 +108,11 @@ class Profile:
         unit: Of ``values``.
         values: Held, rising, shape (n,).
         deviance: -2 log likelihood there above the estimate's, shape (n,).
-        low: Lower end of the 90 % range; None where the deviance does not get there within ``values``.
+        low: Lower end of the 90 % range; None where the deviance does not get there within
+        ``values``.
         high: Upper end, alike.
-        scale: What the likelihood's own deviance was multiplied by, so that it bears out the interval.
+        scale: What the likelihood's own deviance was multiplied by, so that it bears out the
+            interval.
     """
 
     name: str
@@ -216,8 +223,8 @@ class Identification:
         fits_by_recording: Error of every recording.
         evaluations: Residual evaluations spent.
         seconds: Wall-clock time spent.
-        fitted: Name to the value the fit ended with, those that are not identifiable by themselves included: what a
-            simulation of the fitted model needs.
+        fitted: Name to the value the fit ended with, those that are not identifiable by themselves
+            included: what a simulation of the fitted model needs.
         friction: Rung of :data:`identification.model.ladder.LADDER`.
         starts: Where the starts of each search ended; empty where there was one start only.
         tradeoffs: Pairs that the recordings hardly tell apart.

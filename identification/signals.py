@@ -17,11 +17,13 @@ _LEAST_STEPS = 8
 
 
 def quantum(values: Array) -> float:
-    """Return the resolution of a quantised channel: its smallest step, or 0.0 where values look continuous.
+    """Return the resolution of a quantised channel: its smallest step, or 0.0 where values look
+    continuous.
 
-    A channel counts as quantised when its steps are whole multiples of the smallest one within 2 %, as an encoder's are
-    after any scale and offset. Steps of up to 20 units settle the unit, those of up to 400 test it: around a turning
-    point even a smooth curve, sampled just so, steps by 1, 3, 5 units at first.
+    A channel counts as quantised when its steps are whole multiples of the smallest one within 2 %,
+    as an encoder's are after any scale and offset. Steps of up to 20 units settle the unit, those
+    of up to 400 test it: around a turning point even a smooth curve, sampled just so, steps by 1,
+    3, 5 units at first.
     """
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     steps = steps[steps > 1e-9 * float(np.max(steps, initial=0.0))]
@@ -43,11 +45,15 @@ def resample(time: Array, values: Array, grid: Array, offset: float = 0.0) -> Ar
 
 
 def derivative(values: Array, step: float) -> Array:
-    """Differentiate by the seven-point central difference (error of order step^6); lower orders at the ends."""
+    """Differentiate by the seven-point central difference (error of order step^6); lower orders at
+    the ends.
+    """
     out = np.gradient(values, step)
     if len(values) >= 7:
         out[3:-3] = (
-            45.0 * (values[4:-2] - values[2:-4]) - 9.0 * (values[5:-1] - values[1:-5]) + (values[6:] - values[:-6])
+            45.0 * (values[4:-2] - values[2:-4])
+            - 9.0 * (values[5:-1] - values[1:-5])
+            + (values[6:] - values[:-6])
         ) / (60.0 * step)
     return out
 
@@ -63,7 +69,8 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
         return values
     sections = signal.butter(4, cutoff / (0.5 * rate), output="sos")
     both = signal.sosfiltfilt(sections, values, padlen=min(len(values) - 1, int(3 * rate / cutoff)))
-    # It comes back to front, and every kernel that is compiled for that as well takes several times as long.
+    # It comes back to front, and every kernel that is compiled for that as well takes several times
+    # as long.
     return np.ascontiguousarray(both)
 
 
@@ -85,7 +92,9 @@ class Decimator:
         return len(self.taps) // 2
 
     def __call__(self, values: Array) -> Array:
-        """Filter and decimate along the last axis; the ends, where the filter hangs over, are dropped."""
+        """Filter and decimate along the last axis; the ends, where the filter hangs over, are
+        dropped.
+        """
         if self.half == 0:
             return values[..., :: self.factor]
         series = np.ascontiguousarray(values, dtype=np.float64).reshape(-1, values.shape[-1])
@@ -95,7 +104,9 @@ class Decimator:
         """Return the outputs of these numbers alone, for series of shape (k, m), shape (n, k)."""
         if self.half == 0:
             return np.asarray(values[:, :: self.factor][:, places].T)
-        return _chosen(np.ascontiguousarray(values, dtype=np.float64), self.taps, self.factor, places)
+        return _chosen(
+            np.ascontiguousarray(values, dtype=np.float64), self.taps, self.factor, places
+        )
 
     def untouched(self, bad: BoolArray) -> BoolArray:
         """Return, at the decimated rate, which outputs depend on no sample marked ``bad``."""
@@ -105,7 +116,9 @@ class Decimator:
 
 @compiled_sums
 def _decimated(series: Array, taps: Array, factor: int) -> Array:
-    """Return every ``factor``-th output of a symmetric FIR filter that the series fills, (k, m) to (k, n)."""
+    """Return every ``factor``-th output of a symmetric FIR filter that the series fills, (k, m) to
+    (k, n).
+    """
     reach = len(taps)
     out = np.empty((series.shape[0], max(0, (series.shape[1] - reach) // factor + 1)))
     for i in range(out.shape[0]):
@@ -120,7 +133,9 @@ def _decimated(series: Array, taps: Array, factor: int) -> Array:
 
 @compiled_sums
 def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) -> Array:
-    """Return outputs of :func:`_decimated` by their numbers, (k, m) to (n, k); of a series of zeros without a sum."""
+    """Return outputs of :func:`_decimated` by their numbers, (k, m) to (n, k); of a series of zeros
+    without a sum.
+    """
     reach, count = len(taps), len(places)
     out = np.zeros((count, series.shape[0]))
     for i in range(series.shape[0]):
@@ -141,7 +156,12 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
                 total_b += taps[k] * b[k]
                 total_c += taps[k] * c[k]
                 total_d += taps[k] * d[k]
-            out[j, i], out[j + 1, i], out[j + 2, i], out[j + 3, i] = total_a, total_b, total_c, total_d
+            out[j, i], out[j + 1, i], out[j + 2, i], out[j + 3, i] = (
+                total_a,
+                total_b,
+                total_c,
+                total_d,
+            )
         for j in range(count - count % 4, count):
             under = series[i, places[j] * factor : places[j] * factor + reach]
             total = 0.0
@@ -152,7 +172,9 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
 
 
 def reach(rate: float, bandwidth: float) -> tuple[int, int]:
-    """Return decimation and half length of the low-pass for a bandwidth in Hz, samples; (1, 0) where none is needed."""
+    """Return decimation and half length of the low-pass for a bandwidth in Hz, samples; (1, 0)
+    where none is needed.
+    """
     if bandwidth >= 0.45 * rate:
         return 1, 0
     factor = max(1, round(rate / (2.5 * bandwidth)))
@@ -162,7 +184,8 @@ def reach(rate: float, bandwidth: float) -> tuple[int, int]:
 def decimator(rate: float, bandwidth: float) -> Decimator:
     """Design the low-pass for a bandwidth in Hz: -6 dB there, decimated to 2.5 times the bandwidth.
 
-    Where the bandwidth leaves nothing to remove (0.45 of the rate or more) the identity is returned.
+    Where the bandwidth leaves nothing to remove (0.45 of the rate or more) the identity is
+    returned.
     """
     factor, half = reach(rate, bandwidth)
     if half == 0:

@@ -40,11 +40,15 @@ def tracking_error(recording: Recording) -> Array:
 
 
 def resting(recording: Recording) -> Array:
-    """Return where the joint rests, 0 or 1, shape (n,): its mean speed about the sample is next to nothing."""
+    """Return where the joint rests, 0 or 1, shape (n,): its mean speed about the sample is next to
+    nothing.
+    """
     n = max(1, round(REST_SPAN_S / recording.period))
     angle = recording.channels["angle"]
     padded = np.pad(angle, (n // 2, n - n // 2), mode="edge")
-    return np.asarray(np.abs(padded[n:] - padded[:-n]) < REST_RAD_S * n * recording.period, dtype=np.float64)
+    return np.asarray(
+        np.abs(padded[n:] - padded[:-n]) < REST_RAD_S * n * recording.period, dtype=np.float64
+    )
 
 
 def track(recording: Recording, first: float = 0.0, last: float = np.inf) -> Tracking:

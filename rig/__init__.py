@@ -1,1 +1,3 @@
-"""The bench: configuration, sequences, safety, recorder, command line and reports, wired together here."""
+"""The bench: configuration, sequences, safety, recorder, command line and reports, wired together
+here.
+"""

@@ -1,4 +1,6 @@
-"""Shared by all tests: the leak check (threads, child processes, listening ports) and the real recordings."""
+"""Shared by all tests: the leak check (threads, child processes, listening ports) and the real
+recordings.
+"""
 
 from __future__ import annotations
 
@@ -15,8 +17,8 @@ from rig.common.allocation import keep_freed_memory
 
 _GRACE_S = 1.0
 
-# As the command line sets its own process up, before numpy is loaded: threads of the linear algebra would spin in the
-# way of the tests that run beside these.
+# As the command line sets its own process up, before numpy is loaded: threads of the linear algebra
+# would spin in the way of the tests that run beside these.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 keep_freed_memory()
 
@@ -34,7 +36,11 @@ def no_leaks() -> Iterator[None]:
     yield
     for thread in set(threading.enumerate()) - threads:
         thread.join(_GRACE_S)
-    leaked = [f"thread {thread.name}" for thread in set(threading.enumerate()) - threads if thread.is_alive()]
+    leaked = [
+        f"thread {thread.name}"
+        for thread in set(threading.enumerate()) - threads
+        if thread.is_alive()
+    ]
     _, alive = psutil.wait_procs(set(process.children()) - children, _GRACE_S)
     leaked += [f"process {child.pid}" for child in alive if not _is_resource_tracker(child)]
     leaked += [f"port {port}" for port in _listening(process) - ports]
@@ -43,7 +49,9 @@ def no_leaks() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def recordings() -> Path:
-    """Return where the shared real recordings are, beside the repository; without them a test skips, in CI it fails."""
+    """Return where the shared real recordings are, beside the repository; without them a test
+    skips, in CI it fails.
+    """
     folder = Path(__file__).resolve().parents[2] / "shared" / "recordings"
     if not folder.is_dir():
         message = f"the shared recordings are not at {folder}"

@@ -26,7 +26,8 @@ KINDS = frozenset({"console", "yaml", "python"})
 LINKED = ("rig", "drivers", "identification", "tests", "benchmarks", "docs")
 """Folders of the repository that a block finds where it runs."""
 _BLOCK = re.compile(
-    r"(?:^ *<!-- ((?:file|run|not run)\b[^\n]*?) -->\n+)?^( *)```(\w+)\n(.*?)^\2```$", re.MULTILINE | re.DOTALL
+    r"(?:^ *<!-- ((?:file|run|not run)\b[^\n]*?) -->\n+)?^( *)```(\w+)\n(.*?)^\2```$",
+    re.MULTILINE | re.DOTALL,
 )
 
 

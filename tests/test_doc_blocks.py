@@ -94,7 +94,12 @@ def test_every_key_stands_in_the_reference(page: str) -> None:
     from rig.config.faults import FaultSchedule
     from rig.config.sequence import Sequence
 
-    model = {"bench": Bench, "sequence": Sequence, "campaign": Campaign, "fault_schedule": FaultSchedule}[page]
+    model = {
+        "bench": Bench,
+        "sequence": Sequence,
+        "campaign": Campaign,
+        "fault_schedule": FaultSchedule,
+    }[page]
     text = (ROOT / "docs" / "reference" / f"{page}.md").read_text(encoding="utf-8")
     keys = keys_of(model.model_json_schema())
     assert len(keys) > 10
@@ -118,7 +123,9 @@ def test_every_command_and_option_stands_in_the_reference() -> None:
             assert [form for form in spelt if form.strip("[]") not in section] == [], name
 
 
-@pytest.mark.parametrize("field", ["parameters", "fit_by_recording", "noise_floor_rms", "alias_group", "confirmed_kg"])
+@pytest.mark.parametrize(
+    "field", ["parameters", "fit_by_recording", "noise_floor_rms", "alias_group", "confirmed_kg"]
+)
 def test_fields_of_results_stand_in_the_reference(field: str) -> None:
     assert field in (ROOT / "docs" / "reference" / "results.md").read_text(encoding="utf-8")
 
@@ -136,4 +143,6 @@ def test_the_effects_page_has_every_effect() -> None:
     for name, entry in ENTRIES.items():
         section = text.split(f"### {name}\n", 1)[1].split("\n### ", 1)[0]
         for quantity in entry.parameters:
-            assert f"| `{quantity.name}` | {quantity.unit}".rstrip() in section, json.dumps([name, quantity.name])
+            assert f"| `{quantity.name}` | {quantity.unit}".rstrip() in section, json.dumps(
+                [name, quantity.name]
+            )

@@ -59,7 +59,11 @@ def test_every_row_stands_there_once() -> None:
 
 def test_no_equation_figure_or_table_is_left_out() -> None:
     listed = Counter(number for item in ITEMS for number in numbers(item))
-    wanted = [f"eq. {n}" for n in range(1, 18)] + [f"Fig. {n}" for n in range(1, 14)] + ["Table 1", "Table 2"]
+    wanted = (
+        [f"eq. {n}" for n in range(1, 18)]
+        + [f"Fig. {n}" for n in range(1, 14)]
+        + ["Table 1", "Table 2"]
+    )
     assert listed == Counter([*wanted, "Sec. 4.1", "Sec. 4.2"])
 
 
@@ -76,4 +80,6 @@ def test_its_code_and_its_tests_exist(item: str) -> None:
         assert callable(found(name)), name
     for file, test in shown:
         tree = ast.parse((ROOT / file).read_text(encoding="utf-8"))
-        assert test in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}, test
+        assert test in {
+            node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)
+        }, test

@@ -40,30 +40,42 @@ def found(structure: ModuleType, root: Path) -> list[tuple[str, str]]:
 
 
 def test_a_tree_within_all_bounds(structure: ModuleType, tmp_path: Path) -> None:
-    root = tree(tmp_path, {"rig/a.py": "from drivers.b import f\n", "drivers/b.py": "def f(): pass\n"})
+    root = tree(
+        tmp_path, {"rig/a.py": "from drivers.b import f\n", "drivers/b.py": "def f(): pass\n"}
+    )
     assert found(structure, root) == []
 
 
 @pytest.mark.parametrize(("count", "broken"), [(20, []), (21, [("files", "drivers")])])
-def test_files_in_a_folder(structure: ModuleType, tmp_path: Path, count: int, broken: list[object]) -> None:
+def test_files_in_a_folder(
+    structure: ModuleType, tmp_path: Path, count: int, broken: list[object]
+) -> None:
     root = tree(tmp_path, {f"drivers/m{n}.py": "" for n in range(count)})
     assert found(structure, root) == broken
 
 
 @pytest.mark.parametrize(("count", "broken"), [(14, []), (15, [("entries", "rig")])])
-def test_entries_at_the_top_of_rig(structure: ModuleType, tmp_path: Path, count: int, broken: list[object]) -> None:
-    root = tree(tmp_path, {f"rig/room{n}/__init__.py": "" for n in range(count - 1)} | {"rig/a.py": ""})
+def test_entries_at_the_top_of_rig(
+    structure: ModuleType, tmp_path: Path, count: int, broken: list[object]
+) -> None:
+    root = tree(
+        tmp_path, {f"rig/room{n}/__init__.py": "" for n in range(count - 1)} | {"rig/a.py": ""}
+    )
     assert found(structure, root) == broken
 
 
 @pytest.mark.parametrize(("lines", "broken"), [(60, []), (61, [("long function", "rig.a:C.f")])])
-def test_length_of_a_function(structure: ModuleType, tmp_path: Path, lines: int, broken: list[object]) -> None:
+def test_length_of_a_function(
+    structure: ModuleType, tmp_path: Path, lines: int, broken: list[object]
+) -> None:
     body = "class C:\n    def f(self):\n" + "        x = 1\n" * (lines - 1)
     assert found(structure, tree(tmp_path, {"rig/a.py": body})) == broken
 
 
 @pytest.mark.parametrize(("count", "broken"), [(8, []), (9, [("arguments", "rig.a:C.f")])])
-def test_arguments_of_a_function(structure: ModuleType, tmp_path: Path, count: int, broken: list[object]) -> None:
+def test_arguments_of_a_function(
+    structure: ModuleType, tmp_path: Path, count: int, broken: list[object]
+) -> None:
     names = ", ".join(f"a{n}" for n in range(count - 1))
     text = f"class C:\n    def f(self, {names}, *, last): pass\n"
     assert found(structure, tree(tmp_path, {"rig/a.py": text})) == broken
@@ -72,7 +84,9 @@ def test_arguments_of_a_function(structure: ModuleType, tmp_path: Path, count: i
 
 
 @pytest.mark.parametrize(("lines", "broken"), [(400, []), (401, [("long module", "rig.a")])])
-def test_length_of_a_module(structure: ModuleType, tmp_path: Path, lines: int, broken: list[object]) -> None:
+def test_length_of_a_module(
+    structure: ModuleType, tmp_path: Path, lines: int, broken: list[object]
+) -> None:
     assert found(structure, tree(tmp_path, {"rig/a.py": "x = 1\n" * lines})) == broken
 
 
@@ -88,7 +102,12 @@ def test_length_of_a_module(structure: ModuleType, tmp_path: Path, lines: int, b
 def test_folders_that_import_one_another(structure: ModuleType, tmp_path: Path, text: str) -> None:
     root = tree(
         tmp_path,
-        {"rig/a/__init__.py": "", "rig/a/m.py": text, "rig/b/__init__.py": "x = 1\n", "rig/b/c.py": ""},
+        {
+            "rig/a/__init__.py": "",
+            "rig/a/m.py": text,
+            "rig/b/__init__.py": "x = 1\n",
+            "rig/b/c.py": "",
+        },
     )
     assert found(structure, root) == []
     (root / "rig/b/c.py").write_text("from rig.a import m\n")
@@ -96,17 +115,26 @@ def test_folders_that_import_one_another(structure: ModuleType, tmp_path: Path, 
     assert found(structure, root) == ties
 
 
-def test_a_package_that_gathers_names_from_its_folders_is_no_tie(structure: ModuleType, tmp_path: Path) -> None:
+def test_a_package_that_gathers_names_from_its_folders_is_no_tie(
+    structure: ModuleType, tmp_path: Path
+) -> None:
     files = {"rig/a/__init__.py": "from rig.a.b import x\n", "rig/a/b/__init__.py": "x = 1\n"}
-    root = tree(tmp_path, {**files, "rig/a/base.py": "", "rig/a/b/m.py": "from rig.a.base import y\n"})
+    root = tree(
+        tmp_path, {**files, "rig/a/base.py": "", "rig/a/b/m.py": "from rig.a.base import y\n"}
+    )
     assert found(structure, root) == []
     (root / "rig/a/user.py").write_text("from rig.a.b.m import z\n")
     assert found(structure, root) == [("two-way tie", "rig.a - rig.a.b")]
 
 
 def test_an_arrow_against_the_declared_order(structure: ModuleType, tmp_path: Path) -> None:
-    contract = '[[tool.importlinter.contracts]]\ntype = "layers"\nlayers = ["rig", "drivers | identification"]\n'
-    root = tree(tmp_path, {"pyproject.toml": contract, "rig/a.py": "import drivers.b\n", "drivers/b.py": ""})
+    contract = (
+        '[[tool.importlinter.contracts]]\ntype = "layers"\nlayers = ["rig", "drivers | '
+        'identification"]\n'
+    )
+    root = tree(
+        tmp_path, {"pyproject.toml": contract, "rig/a.py": "import drivers.b\n", "drivers/b.py": ""}
+    )
     assert found(structure, root) == []
     (root / "drivers/b.py").write_text("import identification\n")
     assert found(structure, root) == [("upward arrow", "drivers.b")]
@@ -115,7 +143,12 @@ def test_an_arrow_against_the_declared_order(structure: ModuleType, tmp_path: Pa
 
 
 def test_floors_are_the_longest_chain_of_a_folder(structure: ModuleType, tmp_path: Path) -> None:
-    files = {"rig/a.py": "import rig.b, rig.d\n", "rig/b.py": "import rig.c\n", "rig/c.py": "", "rig/d.py": ""}
+    files = {
+        "rig/a.py": "import rig.b, rig.d\n",
+        "rig/b.py": "import rig.c\n",
+        "rig/c.py": "",
+        "rig/d.py": "",
+    }
     lines, _ = structure.report(tree(tmp_path, files))
     row = next(line.split() for line in lines if line.startswith("rig "))
     assert row == ["rig", "4", "3", "1"]

@@ -1,7 +1,8 @@
-"""Holds the layout of the packages against its bounds: ``make structure``, or ``python tools/structure.py``.
+"""Holds the layout of the packages against its bounds: ``make structure``, or
+``python tools/structure.py``.
 
-Needs nothing but Python. Prints a line for each folder of drivers, identification and rig, then what
-breaks a bound, and ends with 1 where a break isn't argued in :data:`ARGUED`.
+Needs nothing but Python. Prints a line for each folder of drivers, identification and rig, then
+what breaks a bound, and ends with 1 where a break isn't argued in :data:`ARGUED`.
 
 Columns: ``files``; ``floors``, the longest chain of files of the folder that import one another, so
 that 1 is a folder whose files don't know each other; ``lines`` of its longest module.
@@ -23,7 +24,9 @@ PACKAGES = ("drivers", "identification", "rig")
 FOLDER_FILES = 20
 """Most files in a folder; ``__init__.py`` is not counted."""
 TOP_ENTRIES = 14
-"""Most entries, files and folders, at the top of rig/; ``__init__.py`` and ``py.typed`` are not counted."""
+"""Most entries, files and folders, at the top of rig/; ``__init__.py`` and ``py.typed`` are not
+counted.
+"""
 FUNCTION_LINES = 60
 ARGUMENTS = 8
 MODULE_LINES = 400
@@ -42,7 +45,10 @@ Commands are not counted under ``arguments``: theirs are their options, one for 
 """
 
 ARGUED: Mapping[tuple[str, str], str] = {}
-"""Bound and place, as they are printed, to why the break stays, in one line. A row that no break needs is an error."""
+"""Bound and place, as they are printed, to why the break stays, in one line.
+
+A row that no break needs is an error.
+"""
 
 
 class Break(NamedTuple):
@@ -94,7 +100,9 @@ def modules(root: Path, packages: tuple[str, ...] = PACKAGES) -> dict[str, Modul
 
 
 def imports(module: Module, known: Mapping[str, Module]) -> set[str]:
-    """Return the modules of the packages that a module imports anywhere, late imports and those for types included."""
+    """Return the modules of the packages that a module imports anywhere, late imports and those for
+    types included.
+    """
     found = set()
     for node in ast.walk(module.tree):
         names: list[str] = []
@@ -121,7 +129,9 @@ def _absolute(module: Module, node: ast.ImportFrom) -> str:
 
 
 def floors(names: set[str], arrows: Mapping[str, set[str]]) -> int:
-    """Return the number of modules in the longest chain of imports among some; modules in a ring count once each."""
+    """Return the number of modules in the longest chain of imports among some; modules in a ring
+    count once each.
+    """
     depth: dict[str, int] = {}
 
     def below(name: str, above: frozenset[str]) -> int:
@@ -134,7 +144,9 @@ def floors(names: set[str], arrows: Mapping[str, set[str]]) -> int:
 
 
 def layers(root: Path) -> list[list[list[str]]]:
-    """Return the declared orders of folders, each from top to bottom, from import-linter's contracts."""
+    """Return the declared orders of folders, each from top to bottom, from import-linter's
+    contracts.
+    """
     path = root / "pyproject.toml"
     contracts = []
     if path.is_file():
@@ -195,7 +207,9 @@ def ties(arrows: Mapping[str, set[str]], known: Mapping[str, Module]) -> Iterato
 def functions(module: Module) -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
     """Yield every function of a module with its qualified name."""
 
-    def inside(node: ast.AST, prefix: str) -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
+    def inside(
+        node: ast.AST, prefix: str
+    ) -> Iterator[tuple[str, ast.FunctionDef | ast.AsyncFunctionDef]]:
         for child in ast.iter_child_nodes(node):
             if isinstance(child, ast.FunctionDef | ast.AsyncFunctionDef):
                 yield f"{prefix}{child.name}", child
@@ -242,7 +256,9 @@ def report(root: Path) -> tuple[list[str], list[Break]]:
     breaks: list[Break] = []
     for folder in sorted({module.folder for module in known.values()}):
         inside = {
-            name for name, module in known.items() if module.folder == folder and module.path.name != "__init__.py"
+            name
+            for name, module in known.items()
+            if module.folder == folder and module.path.name != "__init__.py"
         }
         longest = max((known[name].lines for name in inside), default=0)
         place = folder.replace(".", "/")
@@ -251,13 +267,17 @@ def report(root: Path) -> tuple[list[str], list[Break]]:
             breaks.append(Break("files", place, f"{len(inside)} files, at most {FOLDER_FILES}"))
     top = entries(root)
     if len(top) > TOP_ENTRIES:
-        breaks.append(Break("entries", "rig", f"{len(top)} entries at the top, at most {TOP_ENTRIES}"))
+        breaks.append(
+            Break("entries", "rig", f"{len(top)} entries at the top, at most {TOP_ENTRIES}")
+        )
     breaks += upward(arrows, layers(root))
     breaks += ties(arrows, known)
     for module in known.values():
         breaks += long_and_wide(module)
         if module.lines > MODULE_LINES:
-            breaks.append(Break("long module", module.name, f"{module.lines} lines, at most {MODULE_LINES}"))
+            breaks.append(
+                Break("long module", module.name, f"{module.lines} lines, at most {MODULE_LINES}")
+            )
     return lines, breaks
 
 
@@ -268,7 +288,10 @@ def judge(breaks: list[Break], argued: Mapping[tuple[str, str], str]) -> tuple[l
         found = [item for item in breaks if item.bound == bound]
         open_ = [item for item in found if (item.bound, item.where) not in argued]
         good &= len(open_) <= allowed
-        lines.append(f"{bound}: {len(found)}, {len(found) - len(open_)} of them argued; allowed are {allowed} others")
+        lines.append(
+            f"{bound}: {len(found)}, {len(found) - len(open_)} of them argued; allowed are "
+            f"{allowed} others"
+        )
         for item in found:
             reason = argued.get((item.bound, item.where))
             lines.append(f"  {item.where}: {item.text}{f' ({reason})' if reason else ''}")

@@ -15,9 +15,16 @@ from rig.cli import entry as cli
 STATUSES = (
     (cli.DONE, "The work is done. All four verdicts of a diagnosis count as done."),
     (cli.BAD_VERDICT, "The work is done and its verdict is bad: a limit tripped, a check failed."),
-    (cli.BAD_INPUT, "Bad input: each error with `file:line:column: path: message (got VALUE)`, all at once."),
+    (
+        cli.BAD_INPUT,
+        "Bad input: each error with `file:line:column: path: message (got VALUE)`, all at once.",
+    ),
     (cli.STOPPED, "The operator stopped it."),
-    (cli.DEVICE_FAILED, "A device, the bus or the storage failed, or another program holds the bench or run folder."),
+    (
+        cli.DEVICE_FAILED,
+        "A device, the bus or the storage failed, or another program holds the bench or run "
+        "folder.",
+    ),
     (cli.CRASHED, "The program itself broke down."),
 )
 """Exit status to its meaning."""
@@ -52,8 +59,14 @@ def _section(name: str, command: click.Command) -> Iterator[str]:
     context = click.Context(command, info_name=f"rig {name}")
     usage = " ".join(command.collect_usage_pieces(context))
     yield f"<!-- not run: usage and examples of `rig {name} --help` -->"
-    yield f"```console\n$ rig {name} {usage}\n\n" + "\n".join(f"$ {line}" for line in example) + "\n```"
-    rows = [_option(option, context) for option in command.params if isinstance(option, click.Option)]
+    yield (
+        f"```console\n$ rig {name} {usage}\n\n"
+        + "\n".join(f"$ {line}" for line in example)
+        + "\n```"
+    )
+    rows = [
+        _option(option, context) for option in command.params if isinstance(option, click.Option)
+    ]
     if rows:
         yield table(("option", "value", "default", "meaning"), [row for row in rows if row])
 

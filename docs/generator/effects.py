@@ -1,4 +1,6 @@
-"""Page of the catalogue of effects: what a diagnosis can identify and a simulated bench can hide."""
+"""Page of the catalogue of effects: what a diagnosis can identify and a simulated bench can
+hide.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,10 @@ Each entry is one kind of physics that the nominal model leaves out. `rig diagno
 them; `rig effects NAME` prints one.
 
 On a simulated bench `mock.effects` of the bench file switches them on, for example
-`effects: {backlash: {gap_rad: 0.007}}`. *Plausible* is the range that a diagnosis accepts, *simulated*
-the range that a bench file accepts. A parameter without a plausible range is for the simulated bench
-only. Sizes are at the joint unless the name says otherwise; `recording` counts the power-ons of a
-simulated bench from 1."""
+`effects: {backlash: {gap_rad: 0.007}}`. *Plausible* is the range that a diagnosis accepts,
+*simulated* the range that a bench file accepts. A parameter without a plausible range is for the
+simulated bench only. Sizes are at the joint unless the name says otherwise; `recording` counts the
+power-ons of a simulated bench from 1."""
 
 
 def page() -> str:

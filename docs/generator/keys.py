@@ -70,7 +70,12 @@ def plain(value: Any) -> str:
 
 def page(title: str, intro: str, root: type, tail: str = "") -> str:
     """Return the page of one kind of file."""
-    parts = [f"# {title}", intro, *_sections(root, "", {root: "Top level"}), *([tail] if tail else [])]
+    parts = [
+        f"# {title}",
+        intro,
+        *_sections(root, "", {root: "Top level"}),
+        *([tail] if tail else []),
+    ]
     return "\n\n".join(part.strip() for part in parts) + "\n"
 
 
@@ -84,7 +89,9 @@ def _sections(record: type, path: str, titles: dict[type, str]) -> Iterator[str]
     """
     keys, known = list(fields(record)), meanings(record)
     if lacking := [key.name for key in keys if key.name not in known]:
-        raise KeyError(f"{record.__module__}.{record.__name__}: no description of {', '.join(lacking)}")
+        raise KeyError(
+            f"{record.__module__}.{record.__name__}: no description of {', '.join(lacking)}"
+        )
     rows = []
     deeper: list[tuple[str, type]] = []
     for key in keys:
@@ -96,10 +103,13 @@ def _sections(record: type, path: str, titles: dict[type, str]) -> Iterator[str]
                 titles[inside] = place + _variant(inside, key.shape)
                 deeper.append((place, inside))
             links.append(f"[{titles[inside]}](#{_anchor(titles[inside])})")
-        words = key.shape.words.replace("section", " or ".join(links), 1) if links else key.shape.words
+        words = (
+            key.shape.words.replace("section", " or ".join(links), 1) if links else key.shape.words
+        )
         rows.append((f"`{key.name}`", meaning.unit, words, key.default, meaning.text))
     about = re.sub(r":\w+:`~?([\w.]+)`", r"`\1`", summary(record).replace("``", "`"))
-    yield f"## {titles[record]}\n\n{about}\n\n{table(('key', 'unit', 'value', 'default', 'meaning'), rows)}"
+    keys = table(("key", "unit", "value", "default", "meaning"), rows)
+    yield f"## {titles[record]}\n\n{about}\n\n{keys}"
     for place, inside in deeper:
         yield from _sections(inside, place, titles)
 
@@ -111,7 +121,9 @@ def _variant(record: type, made: Shape) -> str:
     for name in ("kind", "interface"):
         key = next((k for k in fields(record) if k.name == name), None)
         if key is not None:
-            return f" ({name}: {key.shape.words.strip('`')})" if "`" in key.shape.words else " (CAN)"
+            return (
+                f" ({name}: {key.shape.words.strip('`')})" if "`" in key.shape.words else " (CAN)"
+            )
     return ""
 
 

@@ -12,29 +12,44 @@ from rig.runs.mcap import layout as mcap_layout
 from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT, Ending
 
 EVENTS: Mapping[str, tuple[str, str]] = {
-    "prompt": ("stage, index, weight_kg", "The operator is asked for the load of a stage; the drive is off."),
+    "prompt": (
+        "stage, index, weight_kg",
+        "The operator is asked for the load of a stage; the drive is off.",
+    ),
     "answer": ("stage, weight_kg", "The operator confirmed the load; the mass as it was typed."),
     "fault reset": ("stage", "A fault of the drive was cleared."),
     "ignition": ("stage", "The simulated gas generator was lit."),
     "stage start": ("stage", "The drive is about to be energised."),
     "first pass": ("stage, amplitude", "A first pass begins, at this share of the amplitude."),
-    "weight check": ("stage, verdict, measured_kg, message", "The weight was compared with the friction."),
-    "segment": ("number, and the segment as in `run.json`", "An excitation begins; its samples carry the number."),
+    "weight check": (
+        "stage, verdict, measured_kg, message",
+        "The weight was compared with the friction.",
+    ),
+    "segment": (
+        "number, and the segment as in `run.json`",
+        "An excitation begins; its samples carry the number.",
+    ),
     "stage end": ("stage", "The drive is off again, and its state was read back."),
     "repeat": ("stage", "The operator asked for the stage once more."),
     "paused": ("stage", "The run waits between stages; the drive is off."),
     "go on": ("stage", "The operator ended the pause."),
     "abort": ("stage", "The operator ended the run at a prompt."),
 }
-"""Event to its further keys and its meaning; beside these one of :class:`rig.runs.run_record.Ending` ends it."""
+"""Event to its further keys and its meaning; beside these one of
+:class:`rig.runs.run_record.Ending` ends it.
+"""
 ATTACHMENTS = (
     (
         BENCH_ATTACHMENT,
-        "The bench file. Of a simulated machine only what is known of a real one; its friction stays out.",
+        "The bench file. Of a simulated machine only what is known of a real one; its friction "
+        "stays out.",
     ),
     (SEQUENCE_ATTACHMENT, "The sequence file."),
     (FEEDFORWARD_INPUT, "The identification behind the feed-forward, where there was one."),
-    ("devices.json", "Identities of the devices, and the limits that the drive held before the run."),
+    (
+        "devices.json",
+        "Identities of the devices, and the limits that the drive held before the run.",
+    ),
     ("run.json", "The plan of the run, as the run folder's `run.json` was at the start."),
 )
 METADATA = (
@@ -51,14 +66,16 @@ the recording, stated as log time in nanoseconds.
 
 A file whose writer died lacks its index and perhaps its last second; `rig recover` mends it."""
 _SAMPLES = f"""\
-One message per control cycle, protobuf, schema `{mcap_layout.SAMPLE_SCHEMA}`. The schema is in the file. Every field
-is a 64-bit float. Angles, speeds and errors are at the joint, `motor_angle`, `current` and `voltage`
-at the motor. `current` and `voltage` are means over the cycle that ends at the sample.
+One message per control cycle, protobuf, schema `{mcap_layout.SAMPLE_SCHEMA}`. The schema is in the
+file. Every field is a 64-bit float. Angles, speeds and errors are at the joint, `motor_angle`,
+`current` and `voltage` at the motor. `current` and `voltage` are means over the cycle that ends at
+the sample.
 
 Fields are numbered in this order; recordings of earlier versions end earlier."""
 _FRAMES = f"""\
 One message per control cycle, and one for frames outside a cycle: every frame on the wire, packed
-without padding, little-endian, {mcap_layout.FRAME_BYTES} bytes each. Encoding: `{mcap_layout.FRAME_ENCODING}`."""
+without padding, little-endian, {mcap_layout.FRAME_BYTES} bytes each. Encoding:
+`{mcap_layout.FRAME_ENCODING}`."""
 
 
 def page() -> str:
@@ -74,7 +91,11 @@ def page() -> str:
     events += [(f"`{ending.value}`", "message, phase", "The run ended so.") for ending in Ending]
     frames = [
         ("0", "time", "ns, signed 64-bit, on the clock of the recording"),
-        ("8", "identifier", "unsigned 32-bit: CAN identifier, or the kind of message on a serial line"),
+        (
+            "8",
+            "identifier",
+            "unsigned 32-bit: CAN identifier, or the kind of message on a serial line",
+        ),
         ("12", "length", "unsigned 8-bit: bytes of data"),
         ("13", "data", "8 bytes, the rest zero"),
         ("21", "sent", "1 where the host sent it, 0 where it received it"),

@@ -1,4 +1,6 @@
-"""Page of the result files' fields: the table ``results.txt``, held against the code that writes them."""
+"""Page of the result files' fields: the table ``results.txt``, held against the code that writes
+them.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.transfer:_moved_record",
         "rig.results.comparison_table:comparison_record",
     ),
-    "rig identify --plan: plan file": ("rig.results.design.output:_record", "rig.results.design.output:_pinned_record"),
+    "rig identify --plan: plan file": (
+        "rig.results.design.output:_record",
+        "rig.results.design.output:_pinned_record",
+    ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.record:diagnosis_record",
         "rig.results.diagnose.record:effects_record",
@@ -54,11 +59,17 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.simulate.output:_sums_record",
         "rig.results.simulate.predict:error_record",
     ),
-    "rig check --json": ("rig.cli.commands.check:examine", "rig.config.calibration:calibration_records"),
+    "rig check --json": (
+        "rig.cli.commands.check:examine",
+        "rig.config.calibration:calibration_records",
+    ),
     "rig run --dry-run --json": ("rig.results.run.dry_run:dry_run_record",),
     "rig jog --json": ("rig.cli.commands.jog:_record",),
     "rig run --faults: faults.json": (),
-    "rig effects --json": ("rig.results.effects:effects_record", "rig.results.effects:_entry_record"),
+    "rig effects --json": (
+        "rig.results.effects:effects_record",
+        "rig.results.effects:_entry_record",
+    ),
     "rig paper: paper.json": ("rig.results.paper.output:record", "rig.results.paper.tables:_entry"),
     "rig prove: prove.json": (
         "rig.results.prove.score:score",
@@ -97,8 +108,8 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
 """Keys that are not written as literals in these functions."""
 _INTRO = """\
 Result files are JSON in SI units. `NAME` stands for a key that depends on the result, such as a
-parameter or a recording; `[]` for each item of a list. Values that JSON does not have (infinite, not
-a number) are `null`.
+parameter or a recording; `[]` for each item of a list. Values that JSON does not have (infinite,
+not a number) are `null`.
 
 On a linear bench read m for rad and N for N m."""
 
@@ -117,7 +128,9 @@ def sections() -> dict[str, list[tuple[str, str, str]]]:
 
 
 def written_keys(place: str) -> set[str]:
-    """Return the text keys of all dictionaries in a function, ``module:name`` or ``module:class.name``."""
+    """Return the text keys of all dictionaries in a function, ``module:name`` or
+    ``module:class.name``.
+    """
     module, _, name = place.partition(":")
     found: object = importlib.import_module(module)
     for part in name.split("."):
@@ -125,7 +138,12 @@ def written_keys(place: str) -> set[str]:
     assert callable(found)
     tree = ast.parse(textwrap.dedent(inspect.getsource(found)))
     dicts = [node for node in ast.walk(tree) if isinstance(node, ast.Dict)]
-    return {key.value for d in dicts for key in d.keys if isinstance(key, ast.Constant) and isinstance(key.value, str)}
+    return {
+        key.value
+        for d in dicts
+        for key in d.keys
+        if isinstance(key, ast.Constant) and isinstance(key.value, str)
+    }
 
 
 def problems() -> Iterator[str]:
@@ -134,7 +152,9 @@ def problems() -> Iterator[str]:
     common = written_keys(WRITERS[_PROVENANCE][0])
     for section, places in WRITERS.items():
         written = {key for place in places for key in written_keys(place)}
-        written |= {f.name for record in _RECORDS.get(section, ()) for f in dataclasses.fields(record)}
+        written |= {
+            f.name for record in _RECORDS.get(section, ()) for f in dataclasses.fields(record)
+        }
         described = {part for path, _, _ in table_of[section] for part in _parts(path)}
         skipped = set() if section == _PROVENANCE else common | {"file"}
         unknown = written - described - skipped - _INTERNAL
@@ -160,8 +180,16 @@ def page() -> str:
     parts = ["# Result files", _INTRO]
     for section, rows in sections().items():
         parts.append(f"## {section}")
-        parts.append(table(("field", "unit", "meaning"), [(f"`{p}`".replace(", ", "`, `"), u, t) for p, u, t in rows]))
-    parts += ["## rig run: run.json", "The state of a run; replaced as a whole whenever something changes."]
+        parts.append(
+            table(
+                ("field", "unit", "meaning"),
+                [(f"`{p}`".replace(", ", "`, `"), u, t) for p, u, t in rows],
+            )
+        )
+    parts += [
+        "## rig run: run.json",
+        "The state of a run; replaced as a whole whenever something changes.",
+    ]
     for record, path in (
         (RunRecord, ""),
         (StageRecord, "stages[]"),
@@ -170,7 +198,11 @@ def page() -> str:
     ):
         known = meanings(record)
         rows = [
-            (f"`{path + '.' if path else ''}{field.name}`", known[field.name].unit, known[field.name].text)
+            (
+                f"`{path + '.' if path else ''}{field.name}`",
+                known[field.name].unit,
+                known[field.name].text,
+            )
             for field in dataclasses.fields(record)
         ]
         parts.append(table(("field", "unit", "meaning"), rows))

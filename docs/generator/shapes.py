@@ -14,13 +14,20 @@ import annotated_types
 from pydantic import AfterValidator, BaseModel, Discriminator, Tag
 from pydantic.fields import FieldInfo
 
-_SCALARS = {float: "number", int: "whole number", str: "text", bool: "`true` or `false`", date: "date, YYYY-MM-DD"}
+_SCALARS = {
+    float: "number",
+    int: "whole number",
+    str: "text",
+    bool: "`true` or `false`",
+    date: "date, YYYY-MM-DD",
+}
 _VALIDATORS = {
     "_buildable": "> 1e-9, < 1e9",
     "_not_zero": "not 0",
     "_known_channel": "a [canonical channel](#channels)",
     "_known_parameter": "a [parameter](../glossary.md)",
-    "_known_friction": "one of `coulomb_viscous`, `stribeck`, `load_dependent`, `stribeck_load_dependent`",
+    "_known_friction": "one of `coulomb_viscous`, `stribeck`, `load_dependent`, "
+    "`stribeck_load_dependent`",
     "_known_term": "one of `offset`, `load_dependent_friction`",
 }
 """Function that checks a value to what it accepts."""
@@ -40,7 +47,9 @@ class Shape(NamedTuple):
 
 def is_record(kind: object) -> bool:
     """Whether a type is described field by field."""
-    return isinstance(kind, type) and (issubclass(kind, BaseModel) or dataclasses.is_dataclass(kind))
+    return isinstance(kind, type) and (
+        issubclass(kind, BaseModel) or dataclasses.is_dataclass(kind)
+    )
 
 
 def shape(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
@@ -59,12 +68,20 @@ def shape(annotation: Any, metadata: tuple[Any, ...] = ()) -> Shape:
         return Shape(_either([f"`{value}`" for value in arguments]))
     if origin is tuple:
         if arguments[-1] is not Ellipsis:
-            return Shape(f"list of {len(arguments)}: {'; '.join(shape(a).words for a in arguments)}")
+            return Shape(
+                f"list of {len(arguments)}: {'; '.join(shape(a).words for a in arguments)}"
+            )
         inner = shape(arguments[0])
-        return Shape(_joined(f"list of {inner.words}", limits), tuple(("[]" + at, r) for at, r in inner.records))
+        return Shape(
+            _joined(f"list of {inner.words}", limits),
+            tuple(("[]" + at, r) for at, r in inner.records),
+        )
     if origin in (dict, Mapping) or (isinstance(origin, type) and issubclass(origin, Mapping)):
         key, value = (shape(argument) for argument in arguments)
-        return Shape(f"mapping of {key.words} to {value.words}", tuple((".NAME" + at, r) for at, r in value.records))
+        return Shape(
+            f"mapping of {key.words} to {value.words}",
+            tuple((".NAME" + at, r) for at, r in value.records),
+        )
     if is_record(annotation):
         return Shape("section", (("", annotation),))
     if isinstance(annotation, type) and issubclass(annotation, Enum):
@@ -90,12 +107,16 @@ def _either(words: list[str]) -> str:
 def _limits(metadata: tuple[Any, ...]) -> Iterator[str]:
     """Yield the bounds that metadata states, in words."""
     items = list(_flat(metadata))
-    buildable = any(isinstance(item, AfterValidator) and item.func.__name__ == "_buildable" for item in items)
+    buildable = any(
+        isinstance(item, AfterValidator) and item.func.__name__ == "_buildable" for item in items
+    )
     for item in items:
         match item:
             case annotated_types.Gt(gt=0) if buildable:
                 pass
-            case annotated_types.MinLen(min_length=1) if any(isinstance(i, annotated_types.MaxLen) for i in items):
+            case annotated_types.MinLen(min_length=1) if any(
+                isinstance(i, annotated_types.MaxLen) for i in items
+            ):
                 pass
             case annotated_types.Gt(gt=bound):
                 yield f"> {bound:.10g}"
@@ -118,7 +139,9 @@ def _limits(metadata: tuple[Any, ...]) -> Iterator[str]:
             case _ if (pattern := getattr(item, "pattern", None)) is not None:
                 yield f"of `{pattern.strip('^$')}`"
             case _:
-                raise TypeError(f"docs/generator/shapes.py does not know the condition {item!r}; add it")
+                raise TypeError(
+                    f"docs/generator/shapes.py does not know the condition {item!r}; add it"
+                )
 
 
 def _flat(metadata: tuple[Any, ...]) -> Iterator[Any]:

@@ -1,7 +1,8 @@
-"""The AMT21 absolute encoder on RS-485: its two-byte answers, and a driver that does not believe every one of them.
+"""The AMT21 absolute encoder on RS-485: its two-byte answers, and a driver that does not believe
+every one of them.
 
-The check bits of an answer pass 46 % of double-bit errors and 25 % of random words, so every position must also be one
-that the joint can have reached (:class:`PlausibilityGate`).
+The check bits of an answer pass 46 % of double-bit errors and 25 % of random words, so every
+position must also be one that the joint can have reached (:class:`PlausibilityGate`).
 """
 
 from __future__ import annotations
@@ -34,7 +35,9 @@ _STILL_COUNTS: Final = 2
 
 
 def encode(value: int) -> bytes:
-    """Return the answer that carries a 14-bit value: check bit 15 over its odd bits, 14 over its even bits."""
+    """Return the answer that carries a 14-bit value: check bit 15 over its odd bits, 14 over its
+    even bits.
+    """
     value &= _VALUE
     odd = 1 - ((value & _ODD).bit_count() & 1)
     even = 1 - ((value & _EVEN).bit_count() & 1)
@@ -55,7 +58,8 @@ def near_zero(value: int) -> int:
 
 
 class PlausibilityGate:
-    """Follows positions modulo a turn and refuses those that the joint cannot have reached since the last good one.
+    """Follows positions modulo a turn and refuses those that the joint cannot have reached since
+    the last good one.
 
     Args:
         speed_counts_s: Greatest speed.
@@ -66,7 +70,9 @@ class PlausibilityGate:
     """What rounding to counts can do to a difference of two positions."""
     PATIENCE_S: Final = 0.02
     PATIENCE_PERIODS: Final = 3
-    """With nothing good for so long the joint can be anywhere, and nothing is believed until the next start."""
+    """With nothing good for so long the joint can be anywhere, and nothing is believed until the
+    next start.
+    """
 
     def __init__(self, speed_counts_s: float, acceleration_counts_s2: float) -> None:
         self._fastest = speed_counts_s
@@ -89,7 +95,9 @@ class PlausibilityGate:
         self._speed = 0.0
 
     def admit(self, value: int, time_ns: int) -> bool:
-        """Take a new value over into :attr:`position`, or refuse it and leave everything as it is."""
+        """Take a new value over into :attr:`position`, or refuse it and leave everything as it
+        is.
+        """
         elapsed_s = self._interval_s if self._seen_ns is None else (time_ns - self._seen_ns) / NS
         if not 0.0 < elapsed_s <= self._patience_s:
             return False
@@ -97,7 +105,8 @@ class PlausibilityGate:
         moved = (value - self.position + half) % COUNTS_PER_TURN - half
         if abs(moved) > self._fastest * elapsed_s + self.SLACK_COUNTS:
             return False
-        # The speed comes from two rounded positions; its error grows with the time over which it is carried on.
+        # The speed comes from two rounded positions; its error grows with the time over which it is
+        # carried on.
         slack = self.SLACK_COUNTS * (1.0 + elapsed_s / self._interval_s)
         if abs(moved - self._speed * elapsed_s) > self._strongest * elapsed_s * elapsed_s + slack:
             return False
@@ -115,7 +124,9 @@ class Gate:
 
 
 class Amt21Encoder(Encoder):
-    """The encoder on its line. A bad or implausible answer leaves the angle as it was, and the sample not fresh.
+    """The encoder on its line.
+
+    A bad or implausible answer leaves the angle as it was, and the sample not fresh.
 
     Args:
         line: Exchanged once a cycle by an :class:`~drivers.amt21.link.EncoderLink`.
@@ -126,12 +137,15 @@ class Amt21Encoder(Encoder):
     def __init__(self, line: Amt21Line, scales: EncoderScales, gate: Gate) -> None:
         if scales.counts_per_turn != COUNTS_PER_TURN:
             raise ConfigurationError(
-                f"an AMT21 has {COUNTS_PER_TURN} counts per turn, the bench file says {scales.counts_per_turn}"
+                f"an AMT21 has {COUNTS_PER_TURN} counts per turn, the bench file says "
+                f"{scales.counts_per_turn}"
             )
         self.line = line
         self._scales = scales
         per_rad = 1.0 / abs(scales.rad_per_count)
-        self._gate = PlausibilityGate(gate.speed_rad_s * per_rad, gate.acceleration_rad_s2 * per_rad)
+        self._gate = PlausibilityGate(
+            gate.speed_rad_s * per_rad, gate.acceleration_rad_s2 * per_rad
+        )
         self._asked_ns = 0
         self._fresh = False
 
@@ -169,7 +183,8 @@ class Amt21Encoder(Encoder):
         self._fresh = True
 
     def turns(self) -> int | None:
-        """Read the turn counter of a multi-turn version, as a signed number; None where the answer is bad.
+        """Read the turn counter of a multi-turn version, as a signed number; None where the answer
+        is bad.
 
         Raises:
             LinkError: The line is gone.
@@ -178,7 +193,8 @@ class Amt21Encoder(Encoder):
         return None if value is None else (value ^ 0x2000) - 0x2000
 
     def set_zero(self) -> None:
-        """Make the present position the zero of a single-turn version; it restarts, and must be prepared again.
+        """Make the present position the zero of a single-turn version; it restarts, and must be
+        prepared again.
 
         Raises:
             LinkError: The line is gone.
@@ -216,7 +232,9 @@ class Amt21Encoder(Encoder):
         self._fresh = value is not None and self._gate.admit(value, self._asked_ns)
 
     def sample(self) -> EncoderSample:
-        """Return the sample of the last exchange, stamped by the host: the encoder has no time of its own."""
+        """Return the sample of the last exchange, stamped by the host: the encoder has no time of
+        its own.
+        """
         return EncoderSample(self._asked_ns / NS, self._angle(self._gate.position), self._fresh)
 
     def _angle(self, counts: int) -> float:
@@ -231,7 +249,8 @@ class Amt21Encoder(Encoder):
         apart = max(((v - good[0] + 512) % COUNTS_PER_TURN - 512 for v in good), key=abs, default=0)
         if len(good) < _PROBES or abs(apart) > _STILL_COUNTS:
             raise ConfigurationError(
-                f"{line.name}: {_PROBES} answers at rest should agree to {_STILL_COUNTS} counts, got {values}; "
+                f"{line.name}: {_PROBES} answers at rest should agree to {_STILL_COUNTS} counts, "
+                f"got {values}; "
                 "check shielding and termination, and that the joint stands still"
             )
         return good[-1]

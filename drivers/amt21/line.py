@@ -35,7 +35,11 @@ class Amt21Line:
     """
 
     def __init__(
-        self, clock: Clock, connect: Callable[[], BytePort], name: str, address: int = DEFAULT_ADDRESS
+        self,
+        clock: Clock,
+        connect: Callable[[], BytePort],
+        name: str,
+        address: int = DEFAULT_ADDRESS,
     ) -> None:
         self.clock = clock
         self.address = address
@@ -61,7 +65,8 @@ class Amt21Line:
                 raise
             except Exception as error:
                 raise LinkError(
-                    f"{self.name} cannot be opened: {words(error)}; check the port and the rights to it"
+                    f"{self.name} cannot be opened: {words(error)}; check the port and the rights "
+                    f"to it"
                 ) from error
 
     def close(self) -> None:
@@ -88,7 +93,8 @@ class Amt21Line:
                 self._echo = sent
                 return
         raise LinkError(
-            f"{self.name}: no encoder answers at address {self.address:02X}h; check power, wiring, rate and address"
+            f"{self.name}: no encoder answers at address {self.address:02X}h; check power, "
+            f"wiring, rate and address"
         )
 
     def ask(self, offset: int = 0, *command: int) -> None:

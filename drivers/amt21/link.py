@@ -8,7 +8,8 @@ from drivers.port_errors import close_all
 
 
 class EncoderLink(Link):
-    """A servo's link with an encoder's own line beside it; the encoder is asked first and heard last.
+    """A servo's link with an encoder's own line beside it; the encoder is asked first and heard
+    last.
 
     Args:
         servo_link: The link of the servo, on the same clock.

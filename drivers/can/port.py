@@ -1,4 +1,6 @@
-"""How a link reaches a CAN bus: frames as plain tuples, over any python-can interface or on the simulated bus."""
+"""How a link reaches a CAN bus: frames as plain tuples, over any python-can interface or on the
+simulated bus.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ _HIGHEST_BASE: Final = 0x7FF
 _IDENTIFIER_BITS: Final = 0x1FFFFFFF
 _MAX_BYTES: Final = 8
 
-raw_frame: Final[Callable[[tuple[int, int, bytes, bool]], RawFrame]] = partial(tuple.__new__, RawFrame)
+raw_frame: Final[Callable[[tuple[int, int, bytes, bool]], RawFrame]] = partial(
+    tuple.__new__, RawFrame
+)
 """Makes a :class:`RawFrame` of a tuple in half the time its constructor takes; a cycle has six."""
 
 
@@ -46,7 +50,9 @@ class FramePort(Protocol):
         ...
 
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
-        """Return what has come in, oldest first; where there is nothing, wait for it. Empty after the time-out.
+        """Return what has come in, oldest first; where there is nothing, wait for it.
+
+        Empty after the time-out.
 
         Raises:
             OSError: The bus failed, or what came in is not of its protocol.
@@ -61,8 +67,9 @@ class FramePort(Protocol):
 class PythonCanPort:
     """A bus of python-can; frames are stamped when they are read.
 
-    A garbled message of an interface over a serial line or a socket is an error once, for python-can does not say how
-    much of it was read; the port stays usable. Frames of CAN FD do not belong on this bus and are passed over.
+    A garbled message of an interface over a serial line or a socket is an error once, for
+    python-can does not say how much of it was read; the port stays usable. Frames of CAN FD do not
+    belong on this bus and are passed over.
 
     Args:
         bus: The opened interface; closed by :meth:`shutdown`.
@@ -85,7 +92,9 @@ class PythonCanPort:
         try:
             self._bus.send(message, timeout=SEND_LIMIT_S)
         except BlockingIOError as error:
-            raise TimeoutError(f"the interface did not take a frame within {SEND_LIMIT_S:g} s") from error
+            raise TimeoutError(
+                f"the interface did not take a frame within {SEND_LIMIT_S:g} s"
+            ) from error
 
     @os_errors
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
@@ -111,7 +120,8 @@ class PythonCanPort:
 
 
 def _identifier(message: can.Message) -> int:
-    # A backend takes what an adapter says for an identifier; only one that exists may count as a base-format one.
+    # A backend takes what an adapter says for an identifier; only one that exists may count as a
+    # base-format one.
     found = message.arbitration_id
     identifier = found & _IDENTIFIER_BITS
     if message.is_extended_id or found != identifier or identifier > _HIGHEST_BASE:
@@ -124,7 +134,9 @@ def _identifier(message: can.Message) -> int:
 
 
 def _limit_sockets(bus: can.BusABC) -> None:
-    """Have the kernel end what blocks: interfaces over sockets do not all heed the time limit of a send."""
+    """Have the kernel end what blocks: interfaces over sockets do not all heed the time limit of a
+    send.
+    """
     limit = struct.pack("ll", 0, round(SEND_LIMIT_S * 1e6))
     for part in getattr(bus, "__dict__", {}).values():
         if isinstance(part, socket.socket):

@@ -31,7 +31,9 @@ SPEEDS: Final[Mapping[int, bytes]] = {
 """Bit rate to the command that sets it."""
 
 _END: Final = re.compile(rb"[\r\a]")
-_FRAME: Final = re.compile(rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])([0-9A-Fa-f]*)")
+_FRAME: Final = re.compile(
+    rb"(?:([tr])([0-7][0-9A-Fa-f]{2})|([TR])([01][0-9A-Fa-f]{7}))([0-8])([0-9A-Fa-f]*)"
+)
 _FLAGS: Final = {b"t": 0, b"T": EXTENDED_FLAG, b"r": REMOTE_FLAG, b"R": EXTENDED_FLAG | REMOTE_FLAG}
 _STAMP: Final = 4
 _ANSWERS: Final = frozenset({b"", b"z", b"Z"})
@@ -61,7 +63,9 @@ class LineDecoder:
         self._rest = bytearray()
 
     def feed(self, data: bytes) -> list[tuple[int, bytes]]:
-        """Return the frames that ``data`` completes, oldest first: identifier with flags, and data."""
+        """Return the frames that ``data`` completes, oldest first: identifier with flags, and
+        data.
+        """
         frames = []
         *ends, rest = _END.split(data)
         for end in ends:
@@ -96,4 +100,6 @@ def _parsed(line: bytes) -> tuple[int, bytes] | None:
     count = 2 * int(length) if kind in b"tT" else 0
     if len(digits) not in (count, count + _STAMP):
         return None
-    return int(base_identifier or extended_identifier, 16) | _FLAGS[kind], bytes.fromhex(digits[:count].decode())
+    return int(base_identifier or extended_identifier, 16) | _FLAGS[kind], bytes.fromhex(
+        digits[:count].decode()
+    )

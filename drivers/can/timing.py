@@ -6,14 +6,16 @@ from collections.abc import Iterable
 from typing import Final
 
 ANSWER_SHARE: Final = 0.8
-"""Share of a cycle in which its process data must be in; the rest is left to heartbeats, SDO and the host."""
+"""Share of a cycle in which its process data must be in; the rest is left to heartbeats, SDO and
+the host.
+"""
 
 
 def frame_bits(length: int) -> int:
     """Return the longest a base-format data frame of ``length`` bytes can be, in bit times.
 
-    34 + 8 n bits are subject to stuffing, one stuff bit after every four at worst; 13 bits (delimiters, acknowledge,
-    end of frame, intermission) are not.
+    34 + 8 n bits are subject to stuffing, one stuff bit after every four at worst; 13 bits
+    (delimiters, acknowledge, end of frame, intermission) are not.
     """
     stuffed = 34 + 8 * length
     return stuffed + (stuffed - 1) // 4 + 13

@@ -1,7 +1,8 @@
-"""CiA 402 power drive system as the host sees it: states, commands, and one table of what may be asked when.
+"""CiA 402 power drive system as the host sees it: states, commands, and one table of what may be
+asked when.
 
-States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords that lead toward
-power.
+States, transitions and bits are those of CiA 402-2. Only :attr:`Command.ENABLE` has controlwords
+that lead toward power.
 """
 
 from __future__ import annotations
@@ -70,7 +71,8 @@ STOPPED: Final = frozenset({S.QUICK_STOP_ACTIVE, S.SWITCH_ON_DISABLED, S.FAULT})
 
 _REMEDY: Final[Mapping[Command, str]] = {
     Command.ENABLE: "disable it, or reset its fault, first",
-    Command.RESET_FAULT: "disable it first; there is no fault to reset, or its reaction is not over",
+    Command.RESET_FAULT: "disable it first; there is no fault to reset, or its reaction is not "
+    "over",
 }
 
 
@@ -82,7 +84,10 @@ def decode_state(statusword: int) -> S:
     """
     state = _BY_BITS.get(statusword & 0x6F)
     if state is None:
-        raise StateError(f"statusword {statusword:04X}h shows no state of CiA 402: check the process data mapping")
+        raise StateError(
+            f"statusword {statusword:04X}h shows no state of CiA 402: check the process data "
+            f"mapping"
+        )
     return state
 
 
@@ -94,5 +99,7 @@ def controlword(state: S, command: Command) -> int:
     """
     word = CONTROLWORDS.get((state, command))
     if word is None:
-        raise StateError(f"'{command.value}' is not allowed in state '{state.value}': {_REMEDY[command]}")
+        raise StateError(
+            f"'{command.value}' is not allowed in state '{state.value}': {_REMEDY[command]}"
+        )
     return word

@@ -1,4 +1,6 @@
-"""A position servo behind the CiA 402 profile, in cyclic synchronous position mode, over any transport."""
+"""A position servo behind the CiA 402 profile, in cyclic synchronous position mode, over any
+transport.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,13 @@ from drivers.canopen import cia402
 from drivers.canopen.cia402 import Command, controlword, decode_state
 from drivers.canopen.emergency import explain
 from drivers.clock import NS
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, ObjectAccessError, StateError
+from drivers.errors import (
+    ConfigurationError,
+    DeviceError,
+    DriveFault,
+    ObjectAccessError,
+    StateError,
+)
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -23,7 +31,14 @@ from drivers.interfaces import (
     ServoSample,
     ServoState,
 )
-from drivers.objects import IDENTITY, ObjectAddress, PdoLayout, ProcessChannel, read_identity, refusal
+from drivers.objects import (
+    IDENTITY,
+    ObjectAddress,
+    PdoLayout,
+    ProcessChannel,
+    read_identity,
+    refusal,
+)
 from drivers.units import RATED, ServoScales, Unwrapper
 
 _OUTPUT: Final = 1
@@ -130,7 +145,8 @@ class Cia402Servo(Servo):
         """Read each value by itself; one that the drive does not have is NaN."""
         scales = self._scales
         counts, speed, current, supply, temperature = map(
-            self._read_or_nan, (_POSITION, _SPEED_ACTUAL, _CURRENT, _DC_LINK, scales.temperature_object)
+            self._read_or_nan,
+            (_POSITION, _SPEED_ACTUAL, _CURRENT, _DC_LINK, scales.temperature_object),
         )
         return ServoReadings(
             counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
@@ -152,7 +168,9 @@ class Cia402Servo(Servo):
         yield from refusal(self._channel.require_mappable, *self._layouts())
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield units that differ from the bench file, a cycle that cannot be set, and objects that are not there."""
+        """Yield units that differ from the bench file, a cycle that cannot be set, and objects that
+        are not there.
+        """
         yield from self._unit_refusals(cycle_s)
         channel = self._channel
         outputs, inputs = self._layouts()
@@ -164,17 +182,22 @@ class Cia402Servo(Servo):
                     yield from refusal(channel.read, *address)
 
     def prepare(self, cycle_s: float) -> None:
-        """Check units, map process data, set the cycle, and prove that the heartbeat watch can be set. No power.
+        """Check units, map process data, set the cycle, and prove that the heartbeat watch can be
+        set. No power.
 
-        The watch itself runs from :meth:`enable` to :meth:`disable`, so that the loop may pause in between.
+        The watch itself runs from :meth:`enable` to :meth:`disable`, so that the loop may pause in
+        between.
 
         Raises:
-            ConfigurationError: Scale or unit differ from the bench file, or the drive did not take a setting.
+            ConfigurationError: Scale or unit differ from the bench file, or the drive did not take
+            a setting.
             StateError: The drive is energised.
         """
         state = self.state()
         if state.energised:
-            raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
+            raise StateError(
+                f"the drive is in state '{state.value}': disable it before preparing it"
+            )
         self._word = cia402.DISABLE_VOLTAGE
         channel = self._channel
         for error in self._unit_refusals(cycle_s):
@@ -194,8 +217,8 @@ class Cia402Servo(Servo):
         """Energise and hold the present position, exchanging all the while.
 
         Raises:
-            StateError: Not prepared, not allowed in this state, or not reached in time; the drive is left
-                de-energised.
+            StateError: Not prepared, not allowed in this state, or not reached in time; the drive
+                is left de-energised.
             DriveFault: The drive is in fault.
         """
         if not self._cycle_ns:
@@ -237,7 +260,9 @@ class Cia402Servo(Servo):
             LinkError: The drive cannot be reached.
         """
         self._command(Command.QUICK_STOP)
-        self._await(lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault")
+        self._await(
+            lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault"
+        )
 
     def reset_fault(self) -> None:
         """Clear a fault. Ends in SWITCH ON DISABLED; never restarts motion.
@@ -260,22 +285,28 @@ class Cia402Servo(Servo):
         """
         counts = self._scales.counts(angle_rad)
         if counts not in _INT32:
-            raise ConfigurationError(f"target {angle_rad:g} rad is {counts} counts, beyond 32 bits: check the scales")
+            raise ConfigurationError(
+                f"target {angle_rad:g} rad is {counts} counts, beyond 32 bits: check the scales"
+            )
         self._stage(counts)
 
     def set_torque_offset(self, torque_N_m: float) -> None:
-        """Stage a joint torque that the drive adds to its own, to the nearest per mille of its rated torque (60B2h).
+        """Stage a joint torque that the drive adds to its own, to the nearest per mille of its
+        rated torque (60B2h).
 
         Zero is staged instead while the drive is not told to be in operation.
 
         Raises:
-            ConfigurationError: The drive was not prepared for it, or the torque is beyond what 60B2h can hold.
+            ConfigurationError: The drive was not prepared for it, or the torque is beyond what
+                60B2h can hold.
         """
         if not self._takes_offset:
             super().set_torque_offset(torque_N_m)
         units = round(self._scales.sign * torque_N_m / self._scales.joint_torque_unit_N_m)
         if units not in _INT16:
-            raise ConfigurationError(f"torque offset {torque_N_m:g} N m is {units} per mille of 6076h, beyond 16 bits")
+            raise ConfigurationError(
+                f"torque offset {torque_N_m:g} N m is {units} per mille of 6076h, beyond 16 bits"
+            )
         self._offset = units if self._word == cia402.ENABLE_OPERATION else 0
         self._stage(self._target)
 
@@ -288,7 +319,8 @@ class Cia402Servo(Servo):
         supply, temperature = channel.latest(_SUPPLY)
         following = 0.0
         if statusword & 0x6F == 0x27:
-            # What was sent with the exchange before is what the drive has interpolated up to this one's SYNC.
+            # What was sent with the exchange before is what the drive has interpolated up to this
+            # one's SYNC.
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) * scales.joint_rad_per_count
         return ServoSample(
@@ -319,7 +351,9 @@ class Cia402Servo(Servo):
         yield from self._scales.mismatches(self._channel)
         milliseconds = round(cycle_s * 1e3)
         if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
-            yield ConfigurationError(f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)")
+            yield ConfigurationError(
+                f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)"
+            )
         if self._takes_offset:
             yield from self._offset_refusals()
 
@@ -341,13 +375,17 @@ class Cia402Servo(Servo):
 
     def _offset_refusals(self) -> Iterator[ConfigurationError]:
         for error in refusal(self._channel.read, *TORQUE_OFFSET):
-            words = f"{self._channel.label} has no torque offset 60B2h ({error}): run without feed-forward"
+            words = (
+                f"{self._channel.label} has no torque offset 60B2h ({error}): run without "
+                f"feed-forward"
+            )
             offset_error = ConfigurationError(words)
             offset_error.__cause__ = error
             yield offset_error
 
     def _command(self, command: Command) -> None:
-        # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the command.
+        # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the
+        # command.
         self._word = cia402.CONTROLWORDS[ServoState.OPERATION_ENABLED, command]
         self._offset = 0
         if self._cycle_ns:
@@ -359,7 +397,8 @@ class Cia402Servo(Servo):
         while not reached(state := self.state()):
             if self._clock.now_ns() >= deadline:
                 raise StateError(
-                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, wanted {wanted}: "
+                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, "
+                    f"wanted {wanted}: "
                     "take its power away by hand"
                 )
 
@@ -380,7 +419,10 @@ class Cia402Servo(Servo):
             if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
                 return
             if not in_time:
-                raise StateError(f"mode of operation is {mode} (6061h), wanted 8: the drive does not offer CSP (6502h)")
+                raise StateError(
+                    f"mode of operation is {mode} (6061h), wanted 8: the drive does not offer CSP "
+                    f"(6502h)"
+                )
 
     def _walk(self) -> None:
         for in_time in self._cycles():
@@ -392,7 +434,8 @@ class Cia402Servo(Servo):
                 return
             if not in_time:
                 raise StateError(
-                    f"the drive is still in state '{state.value}' after {self._timeout_s:g} s of enabling: "
+                    f"the drive is still in state '{state.value}' after {self._timeout_s:g} s of "
+                    f"enabling: "
                     "check its supply and its enable input"
                 )
             if self._channel.fresh:

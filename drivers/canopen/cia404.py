@@ -21,13 +21,14 @@ _UNIT: Final = (0x6131, 1)
 _DIGITS: Final = (0x6132, 1)
 _STATUS: Final = (0x6150, 1)
 _VALUE: Final = (0x9130, 1)
-# A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the cycle is over;
-# pressure hardly changes meanwhile.
+# A controller sends in order, so that a heartbeat of lowest priority may hold a frame up until the
+# cycle is over; pressure hardly changes meanwhile.
 _INPUTS: Final = (PdoLayout(_PRESSURE, (_VALUE, _STATUS), slack=1),)
 
 
 class Cia404Transmitter(PressureTransmitter):
-    """A transmitter that answers every SYNC with process value (9130h) and status (6150h) of its first input.
+    """A transmitter that answers every SYNC with process value (9130h) and status (6150h) of its
+    first input.
 
     Args:
         channel: The device.
@@ -43,7 +44,9 @@ class Cia404Transmitter(PressureTransmitter):
         return read_identity(self._channel)
 
     def reading(self) -> float:
-        """Read the process value (9130h); NaN where the transmitter refuses it, or says that it is not valid."""
+        """Read the process value (9130h); NaN where the transmitter refuses it, or says that it is
+        not valid.
+        """
         try:
             status, value = self._channel.read(*_STATUS), self._channel.read(*_VALUE)
         except (ConfigurationError, ObjectAccessError):
@@ -57,7 +60,9 @@ class Cia404Transmitter(PressureTransmitter):
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a unit that differs from the bench file, a value that is not valid, and objects that are not there."""
+        """Yield a unit that differs from the bench file, a value that is not valid, and objects
+        that are not there.
+        """
         yield from refusal(self._require_unit)
         yield from refusal(self._require_valid)
         unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
@@ -69,15 +74,17 @@ class Cia404Transmitter(PressureTransmitter):
         """Hold the unit against 6131h and 6132h, check the status and map process data.
 
         Raises:
-            ConfigurationError: The unit is not that of the bench file or not one of pressure, or the device says that
-                its value is not valid.
+            ConfigurationError: The unit is not that of the bench file or not one of pressure, or
+                the device says that its value is not valid.
         """
         self._require_unit()
         self._require_valid()
         self._channel.map_process_data([], _INPUTS, cycle_s)
 
     def sample(self) -> PressureSample:
-        """Return the sample of the last exchange; one that the device calls invalid is not fresh."""
+        """Return the sample of the last exchange; one that the device calls invalid is not
+        fresh.
+        """
         value, status = self._channel.latest(_PRESSURE)
         return PressureSample(value * self._unit_Pa, self._channel.fresh and status == 0)
 
@@ -87,19 +94,23 @@ class Cia404Transmitter(PressureTransmitter):
         found = unit_of(code, channel.read(*_DIGITS))
         if found is None:
             raise ConfigurationError(
-                f"{channel.label}: 6131h says {code:08X}h, which is no unit of pressure known here; "
+                f"{channel.label}: 6131h says {code:08X}h, which is no unit of pressure known "
+                f"here; "
                 "set the transmitter to bar or Pa"
             )
         if abs(found - self._unit_Pa) > _UNIT_TOLERANCE * self._unit_Pa:
             raise ConfigurationError(
-                f"{channel.label}: 6131h and 6132h make {found:g} Pa a unit, the bench file {self._unit_Pa:g} Pa; "
+                f"{channel.label}: 6131h and 6132h make {found:g} Pa a unit, the bench file "
+                f"{self._unit_Pa:g} Pa; "
                 "correct unit_Pa, or check that this is the right transmitter"
             )
 
     def _require_valid(self) -> None:
         if status := self._channel.read(*_STATUS):
             label = self._channel.label
-            raise ConfigurationError(f"{label}: {status_words(status)} (6150h); check the sensor and its range")
+            raise ConfigurationError(
+                f"{label}: {status_words(status)} (6150h); check the sensor and its range"
+            )
 
 
 def unit_of(code: int, digits: int) -> float | None:

@@ -43,7 +43,9 @@ class Cia406Encoder(Encoder):
     def reading(self) -> float:
         """Read the position (6004h); NaN where the encoder refuses it."""
         try:
-            counts = Unwrapper(self._channel.read(*_RANGE), signed=True).update(self._channel.read(*_VALUE))
+            counts = Unwrapper(self._channel.read(*_RANGE), signed=True).update(
+                self._channel.read(*_VALUE)
+            )
         except (ConfigurationError, ObjectAccessError):
             return math.nan
         return counts * self._scales.rad_per_count + self._scales.offset_rad
@@ -55,7 +57,9 @@ class Cia406Encoder(Encoder):
         yield from refusal(self._channel.require_mappable, (), _INPUTS)
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a resolution that differs from the bench file, alarms, and objects that are not there."""
+        """Yield a resolution that differs from the bench file, alarms, and objects that are not
+        there.
+        """
         yield from refusal(self._require_resolution)
         yield from refusal(self._require_no_alarm)
         unmappable = list(refusal(self._channel.require_mappable, (), _INPUTS))
@@ -80,7 +84,9 @@ class Cia406Encoder(Encoder):
     def sample(self) -> EncoderSample:
         """Return the sample of the last exchange."""
         position, time_us = self._channel.latest(_POSITION)
-        angle = self._counter.update(position) * self._scales.rad_per_count + self._scales.offset_rad
+        angle = (
+            self._counter.update(position) * self._scales.rad_per_count + self._scales.offset_rad
+        )
         return EncoderSample(self._time.update(time_us) * _US, angle, self._channel.fresh)
 
     def _require_resolution(self) -> None:
@@ -88,11 +94,13 @@ class Cia406Encoder(Encoder):
         if counts != self._scales.counts_per_turn:
             raise ConfigurationError(
                 f"{self._channel.label}: 6001h says {counts} counts per turn, the bench file "
-                f"{self._scales.counts_per_turn}; correct the bench file, or check that this is the right encoder"
+                f"{self._scales.counts_per_turn}; correct the bench file, or check that this is "
+                f"the right encoder"
             )
 
     def _require_no_alarm(self) -> None:
         if alarms := self._channel.read(*_ALARMS):
             raise ConfigurationError(
-                f"{self._channel.label} reports alarms {alarms:04X}h (6503h); see the encoder's manual"
+                f"{self._channel.label} reports alarms {alarms:04X}h (6503h); see the encoder's "
+                f"manual"
             )

@@ -42,8 +42,11 @@ def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
     except _UNREADABLE as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(
-            f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the device's own EDS file"
+            f"EDS file {eds} of node {node_id} cannot be read: {reason}; use the device's own EDS "
+            f"file"
         ) from error
     if not len(dictionary):
-        raise ConfigurationError(f"EDS file {eds} of node {node_id} describes no object; use the device's own EDS file")
+        raise ConfigurationError(
+            f"EDS file {eds} of node {node_id} describes no object; use the device's own EDS file"
+        )
     return dictionary

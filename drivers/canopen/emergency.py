@@ -14,9 +14,12 @@ _MEANINGS: Final[Mapping[int, str]] = {
     0x4310: "drive over-temperature: let it cool, check the ventilation",
     0x7320: "position sensor: check the encoder and its cable",
     0x8100: "communication lost: the drive was told to stop, or the bus failed",
-    0x8130: "heartbeat lost: the control loop stopped or the bus is overloaded; find out why before enabling again",
-    0x8210: "process data frame too short: the mapping in the device is not the one configured; prepare it again",
-    0x8611: "following error: the axis did not keep up with the target; check for a jam and the limits, then reset",
+    0x8130: "heartbeat lost: the control loop stopped or the bus is overloaded; find out why "
+    "before enabling again",
+    0x8210: "process data frame too short: the mapping in the device is not the one configured; "
+    "prepare it again",
+    0x8611: "following error: the axis did not keep up with the target; check for a jam and the "
+    "limits, then reset",
 }
 _CLASSES: Final[Mapping[int, str]] = {
     0x1: "generic error",

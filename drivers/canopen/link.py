@@ -1,4 +1,6 @@
-"""CANopen over any python-can interface, without threads: the link owns the receive loop and is pumped by its user."""
+"""CANopen over any python-can interface, without threads: the link owns the receive loop and is
+pumped by its user.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,14 @@ from drivers.can.slcan_port import open_slcan
 from drivers.can.timing import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
 from drivers.canopen.emergency import explain
-from drivers.canopen.node import HEARTBEAT_S, HEARTBEATS_MISSED, INITIALISING, NMT_NAMES, OPERATIONAL, CanopenNode
+from drivers.canopen.node import (
+    HEARTBEAT_S,
+    HEARTBEATS_MISSED,
+    INITIALISING,
+    NMT_NAMES,
+    OPERATIONAL,
+    CanopenNode,
+)
 from drivers.clock import NS, Clock
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError
 from drivers.interfaces import Link, RawFrame
@@ -95,17 +104,20 @@ class CanopenLink(Link):
         bus_options: Mapping[str, Any] | None = None,
         sdo_timeout_s: float = 0.3,
     ) -> Self:
-        """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``, ``pcan``...).
+        """Return a link over a python-can interface chosen by name (``socketcan``, ``slcan``,
+        ``pcan``...).
 
-        ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can. ``slcan`` is a
-        port of this package, see :class:`~drivers.can.slcan_port.SlcanPort`.
+        ``bus_options`` are what this interface takes beyond channel and bit rate; see python-can.
+        ``slcan`` is a port of this package, see :class:`~drivers.can.slcan_port.SlcanPort`.
         """
         options = dict(bus_options or {})
 
         def connect() -> FramePort:
             if interface == "slcan":
                 return open_slcan(channel, clock, bitrate, **options)
-            return PythonCanPort(can.Bus(channel=channel, interface=interface, bitrate=bitrate, **options), clock)
+            return PythonCanPort(
+                can.Bus(channel=channel, interface=interface, bitrate=bitrate, **options), clock
+            )
 
         name = f"{interface} {channel} at {bitrate} bit/s"
         return cls(clock, connect, name, sdo_timeout_s=sdo_timeout_s)
@@ -117,7 +129,9 @@ class CanopenLink(Link):
             ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
         """
         if not 1 <= node_id <= 127 or node_id == self.master_id or node_id in self._nodes:
-            raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
+            raise ConfigurationError(
+                f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file"
+            )
         dictionary = read_eds(eds, node_id)
         node = CanopenNode(node_id, dictionary, self)
         self._network.add_node(node.remote)
@@ -155,7 +169,9 @@ class CanopenLink(Link):
             ConfigurationError: Another device has another one.
         """
         if self._cycle_s is not None and self._cycle_s != cycle_s:
-            raise ConfigurationError(f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s")
+            raise ConfigurationError(
+                f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s"
+            )
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
         self._heartbeat_every = max(1, int(_MASTER_HEARTBEAT_S / cycle_s))
@@ -163,8 +179,9 @@ class CanopenLink(Link):
     def exchange(self) -> None:
         """Send every device's outputs and SYNC, and collect what it brings.
 
-        The master's heartbeat goes out here and nowhere else (but for the one that starts a device's watch), so it
-        stops when the control loop does. Waits for process data at most 80 % of the cycle.
+        The master's heartbeat goes out here and nowhere else (but for the one that starts a
+        device's watch), so it stops when the control loop does. Waits for process data at most 80 %
+        of the cycle.
 
         Raises:
             LinkError: The bus failed, or a device was lost, stopped or restarted.
@@ -208,7 +225,8 @@ class CanopenLink(Link):
             port.transmit(identifier, data)
         except Exception as error:
             raise LinkError(
-                f"{self._name} cannot send: {words(error)}; check cabling, termination, and that a device is powered"
+                f"{self._name} cannot send: {words(error)}; check cabling, termination, and that "
+                f"a device is powered"
             ) from error
         self._frames.append(raw_frame((self.clock.now_ns(), identifier, data, True)))
 
@@ -251,7 +269,10 @@ class CanopenLink(Link):
         time_ns, identifier, data, _ = frame
         if identifier > _HIGHEST_ID:
             if identifier & ERROR_FLAG:
-                text = f"{self._name}: error frame; check termination (120 ohm at both ends), cabling and bit rate"
+                text = (
+                    f"{self._name}: error frame; check termination (120 ohm at both ends), "
+                    f"cabling and bit rate"
+                )
                 self._troubles.append((0, LinkError(text)))
             return
         self._frames.append(frame)
@@ -274,8 +295,9 @@ class CanopenLink(Link):
         elif function == 0x700 and len(data) == 1:
             self._heard(node, data[0] & 0x7F, time_ns)
         elif function == _SDO_ANSWER and len(data) == 8:
-            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks raise. One that a
-            # callback cannot take counts as lost: who waits for the answer has a time limit.
+            # The only frames canopen's dispatcher is needed for; on shorter ones its callbacks
+            # raise. One that a callback cannot take counts as lost: who waits for the answer has a
+            # time limit.
             with suppress(Exception):
                 self._network.notify(identifier, bytearray(data), time_ns / NS)
 
@@ -296,7 +318,11 @@ class CanopenLink(Link):
         node.heard_ns = time_ns
         node.nmt_state = state
         if node.monitored and state != OPERATIONAL:
-            what = "restarted" if state == INITIALISING else f"left OPERATIONAL for {NMT_NAMES.get(state, state)}"
+            what = (
+                "restarted"
+                if state == INITIALISING
+                else f"left OPERATIONAL for {NMT_NAMES.get(state, state)}"
+            )
             lost = LinkError(f"{node.label} {what}; check its supply, then prepare it again")
             self._troubles.append((node.node_id, lost))
 

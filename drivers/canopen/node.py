@@ -1,4 +1,6 @@
-"""One CANopen device on a link: objects over SDO, process data packed by struct as the mapping was configured."""
+"""One CANopen device on a link: objects over SDO, process data packed by struct as the mapping was
+configured.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,8 @@ NMT_NAMES: Final = {
 
 
 class CanopenNode:
-    """A device behind a :class:`~drivers.canopen.link.CanopenLink`; a :class:`~drivers.objects.ProcessChannel`.
+    """A device behind a :class:`~drivers.canopen.link.CanopenLink`; a
+    :class:`~drivers.objects.ProcessChannel`.
 
     Attributes:
         node_id: 1 to 127.
@@ -80,7 +83,8 @@ class CanopenNode:
         """Read an integer object.
 
         Raises:
-            ConfigurationError: The EDS has no such object, or the device answers with another length.
+            ConfigurationError: The EDS has no such object, or the device answers with another
+            length.
             ObjectAccessError: The device refuses.
             LinkError: No answer.
         """
@@ -110,25 +114,37 @@ class CanopenNode:
             self.remote.sdo.download(index, subindex, data)
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`. Sends nothing."""
+        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
+
+        Sends nothing.
+        """
         self._packed(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object; an SDO request goes out before its answer is waited for. Raises as :meth:`write`."""
+        """Write an integer object; an SDO request goes out before its answer is waited for.
+
+        Raises as :meth:`write`.
+        """
         self.write(index, subindex, value)
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check what :meth:`map_process_data` checks before it writes; raises as that. Sends nothing."""
+        """Check what :meth:`map_process_data` checks before it writes; raises as that.
+
+        Sends nothing.
+        """
         for maps, layouts in ((self.remote.rpdo, outputs), (self.remote.tpdo, inputs)):
             plan(self.remote, maps, layouts)
 
-    def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
+    def map_process_data(
+        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
+    ) -> None:
         """Configure PDOs and heartbeat by SDO in PRE-OPERATIONAL, then start the node.
 
         Inputs start out with values read by SDO.
 
         Raises:
-            ConfigurationError: Another device has another cycle, an object is not in the EDS, or a PDO is too long.
+            ConfigurationError: Another device has another cycle, an object is not in the EDS, or a
+            PDO is too long.
             ObjectAccessError: The device refuses the mapping.
             LinkError: No answer.
         """
@@ -143,7 +159,9 @@ class CanopenNode:
             self.outputs[identifier] = bytes(packing.size)
             self._staged[layout.number] = (identifier, packing)
         self.inputs, self._numbered, self._slow = {}, {}, []
-        for layout, (identifier, packing) in zip(inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True):
+        for layout, (identifier, packing) in zip(
+            inputs, configure(self.remote, self.remote.tpdo, inputs), strict=True
+        ):
             slot = Input(packing, layout.every, layout.slack)
             slot.values = tuple(self.read(*address) for address in layout.objects)
             if slot.slack:
@@ -174,7 +192,8 @@ class CanopenNode:
         found = self.read(0x1016, 1)
         if found != setting:
             raise ConfigurationError(
-                f"{self.label}: heartbeat watch 1016h:01h reads {found:08X}h after writing {setting:08X}h; "
+                f"{self.label}: heartbeat watch 1016h:01h reads {found:08X}h after writing "
+                f"{setting:08X}h; "
                 "the drive would not notice a stopped control loop"
             )
 
@@ -188,7 +207,8 @@ class CanopenNode:
             return bytes(item.STRUCT_TYPES[item.data_type].pack(value))
         except (KeyError, struct.error) as error:
             raise ConfigurationError(
-                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({item.name})"
+                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h "
+                f"({item.name})"
             ) from error
 
     def _upload(self, index: int, subindex: int) -> bytes:
@@ -202,8 +222,13 @@ class CanopenNode:
         self.nmt_state = None
         self._command(0x01)
         if not self._wire.pump(lambda: self.nmt_state == OPERATIONAL, _BOOT_TIMEOUT_S):
-            state = "none" if self.nmt_state is None else NMT_NAMES.get(self.nmt_state, f"{self.nmt_state}")
+            state = (
+                "none"
+                if self.nmt_state is None
+                else NMT_NAMES.get(self.nmt_state, f"{self.nmt_state}")
+            )
             raise LinkError(
-                f"{self.label} did not report OPERATIONAL within {_BOOT_TIMEOUT_S:g} s (heartbeat: {state})"
+                f"{self.label} did not report OPERATIONAL within {_BOOT_TIMEOUT_S:g} s "
+                f"(heartbeat: {state})"
             )
         self.monitored = True

@@ -38,7 +38,8 @@ class Input:
     def __init__(self, layout: struct.Struct, every: int, slack: int = 0) -> None:
         self.layout = layout
         self.size = layout.size
-        # A slow PDO's phase against the exchange is the device's own, so one period more is allowed.
+        # A slow PDO's phase against the exchange is the device's own, so one period more is
+        # allowed.
         self.slack = slack if every == 1 else 2 * every
         self.values: tuple[int, ...] = layout.unpack(bytes(layout.size))
         self.cycle = -1
@@ -48,33 +49,45 @@ def packing(dictionary: ObjectDictionary, layout: PdoLayout) -> struct.Struct:
     """Return how the values of a PDO are packed, by the types in the device's EDS.
 
     Raises:
-        ConfigurationError: An object is not in the EDS or not an integer, or the PDO exceeds 8 bytes.
+        ConfigurationError: An object is not in the EDS or not an integer, or the PDO exceeds 8
+            bytes.
     """
     codes = "<"
     for index, subindex in layout.objects:
         item = variable(dictionary, index, subindex)
         if item.data_type not in _CODES:
             raise ConfigurationError(
-                f"object {index:04X}h:{subindex:02X}h ({item.name}) is no integer of at most 32 bits: leave it out"
+                f"object {index:04X}h:{subindex:02X}h ({item.name}) is no integer of at most 32 "
+                f"bits: leave it out"
             )
         codes += _CODES[item.data_type]
     packed = struct.Struct(codes)
     if packed.size > _MAX_BYTES:
-        raise ConfigurationError(f"PDO {layout.number} would have {packed.size} bytes, limit {_MAX_BYTES}: split it")
+        raise ConfigurationError(
+            f"PDO {layout.number} would have {packed.size} bytes, limit {_MAX_BYTES}: split it"
+        )
     return packed
 
 
 def plan(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> dict[int, struct.Struct]:
-    """Return how the PDOs of one direction are packed, by number; sends nothing. Raises as :func:`configure`."""
+    """Return how the PDOs of one direction are packed, by number; sends nothing.
+
+    Raises as :func:`configure`.
+    """
     missing = {layout.number for layout in layouts} - set(maps)
     if missing:
         node_id = int(remote.id or 0)
-        raise ConfigurationError(f"node {node_id} has no PDO {min(missing)} in its EDS; use the device's own EDS file")
+        raise ConfigurationError(
+            f"node {node_id} has no PDO {min(missing)} in its EDS; use the device's own EDS file"
+        )
     return {layout.number: packing(remote.object_dictionary, layout) for layout in layouts}
 
 
-def configure(remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]) -> list[tuple[int, struct.Struct]]:
-    """Write the mapping of every PDO of one direction into a device; PDOs not asked for are switched off.
+def configure(
+    remote: PumpedNode, maps: Any, layouts: Sequence[PdoLayout]
+) -> list[tuple[int, struct.Struct]]:
+    """Write the mapping of every PDO of one direction into a device; PDOs not asked for are
+    switched off.
 
     Args:
         remote: The device.

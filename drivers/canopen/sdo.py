@@ -1,4 +1,6 @@
-"""SDO access without threads: canopen's client, with the bus pumped by whoever waits for the answer."""
+"""SDO access without threads: canopen's client, with the bus pumped by whoever waits for the
+answer.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,9 @@ class Wire(Protocol):
 
 
 class PumpedSdoClient(SdoClient):
-    """SDO client that pumps the link while it waits, so that simulated and real time run the same code."""
+    """SDO client that pumps the link while it waits, so that simulated and real time run the same
+    code.
+    """
 
     def __init__(self, rx_cobid: int, tx_cobid: int, od: ObjectDictionary, wire: Wire) -> None:
         super().__init__(rx_cobid, tx_cobid, od)  # type: ignore[no-untyped-call]
@@ -71,13 +75,21 @@ class PumpedSdoClient(SdoClient):
         """
         for _ in range(_LATE_ANSWERS):
             if not self._wire.pump(lambda: not self.responses.empty(), self._wire.sdo_timeout_s):
-                raise SdoCommunicationError(f"no SDO response within {self._wire.sdo_timeout_s:g} s")
+                raise SdoCommunicationError(
+                    f"no SDO response within {self._wire.sdo_timeout_s:g} s"
+                )
             response: bytes = self.responses.get_nowait()
-            if self._asked is None or response[1:4] == self._asked or response[:4] == _ABORTED_SOMETHING:
+            if (
+                self._asked is None
+                or response[1:4] == self._asked
+                or response[:4] == _ABORTED_SOMETHING
+            ):
                 if response[0] == _ABORTED:
                     raise SdoAbortedError(struct.unpack_from("<I", response, 4)[0])
                 return response
-        raise SdoCommunicationError(f"{_LATE_ANSWERS} SDO responses to other requests, none to this one")
+        raise SdoCommunicationError(
+            f"{_LATE_ANSWERS} SDO responses to other requests, none to this one"
+        )
 
 
 class PumpedNode(canopen.RemoteNode):
@@ -108,7 +120,9 @@ def translated(node_id: int, index: int, subindex: int) -> Iterator[None]:
         yield
     except SdoAbortedError as error:
         reason = SdoAbortedError.CODES.get(error.code, "unknown reason")
-        raise ObjectAccessError(index, subindex, error.code, f"node {node_id} refuses: {reason}") from error
+        raise ObjectAccessError(
+            index, subindex, error.code, f"node {node_id} refuses: {reason}"
+        ) from error
     except SdoCommunicationError as error:
         raise LinkError(
             f"node {node_id}, object {index:04X}h:{subindex:02X}h: {error}; "

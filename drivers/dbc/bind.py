@@ -1,4 +1,6 @@
-"""Binds a map to a DBC: every name looked up once, every problem found at once, every layout ready for the hot path."""
+"""Binds a map to a DBC: every name looked up once, every problem found at once, every layout ready
+for the hot path.
+"""
 
 from __future__ import annotations
 
@@ -29,14 +31,17 @@ class DbcMapError(Exception):
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
-        super().__init__("; ".join(f"{'.'.join(map(str, place))}: {text}" for place, text in self.problems))
+        super().__init__(
+            "; ".join(f"{'.'.join(map(str, place))}: {text}" for place, text in self.problems)
+        )
 
 
 def bind(spec: DbcMap, layouts: Mapping[str, Layout]) -> Wiring:
     """Bind a map to the messages of a DBC.
 
     Raises:
-        DbcMapError: Names that are not there, with the nearest that are; values that do not fit; what is missing.
+        DbcMapError: Names that are not there, with the nearest that are; values that do not fit;
+            what is missing.
     """
     return _Binder(spec, layouts).bind()
 
@@ -77,7 +82,8 @@ class _Binder:
             raise DbcMapError(dict.fromkeys(self._problems))
         return Wiring(
             received=received,
-            sampled=frozenset(q.message for name, q in inputs.items() if name not in _NOT_SAMPLED) | {status[0].name},
+            sampled=frozenset(q.message for name, q in inputs.items() if name not in _NOT_SAMPLED)
+            | {status[0].name},
             sent=sent,
             settings=settings,
             inputs=inputs,
@@ -106,7 +112,9 @@ class _Binder:
 
     def _require_whole(self, place: Place, signal: Signal) -> None:
         if signal.real:
-            self._problems.append((place, f"signal {signal.name!r} is floating-point; use one of whole numbers"))
+            self._problems.append(
+                (place, f"signal {signal.name!r} is floating-point; use one of whole numbers")
+            )
 
     def _limits(self) -> dict[str, BoundLimit]:
         bound: dict[str, BoundLimit] = {}
@@ -131,7 +139,9 @@ class _Binder:
 
     def _quantity(self, place: Place, quantity: Quantity, used: set[str]) -> BoundQuantity | None:
         if not (math.isfinite(quantity.scale) and quantity.scale > 0):
-            self._problems.append(((*place, "scale"), f"must be more than zero, not {quantity.scale:g}; use sign"))
+            self._problems.append(
+                ((*place, "scale"), f"must be more than zero, not {quantity.scale:g}; use sign")
+            )
             return None
         found = self._signal((*place, "signal"), quantity.signal, used)
         if found is None:
@@ -150,7 +160,9 @@ class _Binder:
         if layout is None:
             return None
         if signal not in layout.signals:
-            text = f"message {message!r} has no signal {signal!r}; {nearest(signal, layout.signals)}"
+            text = (
+                f"message {message!r} has no signal {signal!r}; {nearest(signal, layout.signals)}"
+            )
             self._problems.append((place, text))
             return None
         used.add(message)
@@ -159,7 +171,9 @@ class _Binder:
     def _layout(self, place: Place, message: str) -> Layout | None:
         layout = self._layouts.get(message)
         if layout is None:
-            self._problems.append((place, f"the DBC has no message {message!r}; {nearest(message, self._layouts)}"))
+            self._problems.append(
+                (place, f"the DBC has no message {message!r}; {nearest(message, self._layouts)}")
+            )
         elif layout.obstacle:
             self._problems.append((place, f"message {message!r} {layout.obstacle}"))
             return None
@@ -173,8 +187,14 @@ class _Binder:
                 place = ("status", "states", name, number)
                 raw = self._raw(place, signal, value)
                 if raw is not None and states.setdefault(raw, STATES[name]) is not STATES[name]:
-                    self._problems.append((place, f"value {value!r} already means another state; name it once"))
-        for needed in (ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED, ServoState.FAULT):
+                    self._problems.append(
+                        (place, f"value {value!r} already means another state; name it once")
+                    )
+        for needed in (
+            ServoState.SWITCH_ON_DISABLED,
+            ServoState.OPERATION_ENABLED,
+            ServoState.FAULT,
+        ):
             if needed not in states.values():
                 word = next(word for word, state in STATES.items() if state is needed)
                 self._problems.append((("status", "states"), f"no value means {word!r}; name one"))
@@ -187,20 +207,29 @@ class _Binder:
             if raw is None:
                 known = signal.labels.values()
                 self._problems.append(
-                    (place, f"signal {signal.name!r} has no value {value!r}; {nearest(value, known)}")
+                    (
+                        place,
+                        f"signal {signal.name!r} has no value {value!r}; {nearest(value, known)}",
+                    )
                 )
             return raw
         if signal.real:
-            self._problems.append((place, f"signal {signal.name!r} is floating-point; use one of whole numbers"))
+            self._problems.append(
+                (place, f"signal {signal.name!r} is floating-point; use one of whole numbers")
+            )
             return None
         low, high = signal.range
         if low <= value <= high:
             return value
-        self._problems.append((place, f"{value} is outside {low} to {high}, what {signal.name!r} can hold"))
+        self._problems.append(
+            (place, f"{value} is outside {low} to {high}, what {signal.name!r} can hold")
+        )
         return None
 
     def _images(self, place: Place, values: Assignments) -> dict[str, bytes]:
-        """Return the frames of an order: every message that any order uses, with the values given."""
+        """Return the frames of an order: every message that any order uses, with the values
+        given.
+        """
         images = {name: bytes(self._layouts[name].size) for name in self._sent}
         for name, value in values.items():
             message, _, signal_name = name.partition(".")
@@ -223,7 +252,10 @@ class _Binder:
             place = ("stop_frame", "signals", name)
             signal = layout.signals.get(name)
             if signal is None:
-                text = f"message {stop.message!r} has no signal {name!r}; {nearest(name, layout.signals)}"
+                text = (
+                    f"message {stop.message!r} has no signal {name!r}; "
+                    f"{nearest(name, layout.signals)}"
+                )
                 self._problems.append((place, text))
                 continue
             raw = self._raw(place, signal, value)
@@ -254,10 +286,14 @@ class _Binder:
         place = ("messages", layout.name, role)
         signal = layout.signals.get(name)
         if signal is None:
-            text = f"message {layout.name!r} has no signal {name!r}; {nearest(name, layout.signals)}"
+            text = (
+                f"message {layout.name!r} has no signal {name!r}; {nearest(name, layout.signals)}"
+            )
             self._problems.append((place, text))
         elif role == "checksum" and signal.width != 8:
-            self._problems.append((place, f"signal {name!r} has {signal.width} bits; a checksum has 8"))
+            self._problems.append(
+                (place, f"signal {name!r} has {signal.width} bits; a checksum has 8")
+            )
         return signal
 
     def _check_whole(self) -> None:
@@ -265,27 +301,39 @@ class _Binder:
         if (spec.inputs.current is None) == (spec.inputs.torque is None):
             self._problems.append((("inputs",), "give one of current and torque"))
         if "disabled" not in spec.orders.enable:
-            self._problems.append((("orders", "enable"), "has no order for a drive that is 'disabled'; add one"))
+            self._problems.append(
+                (("orders", "enable"), "has no order for a drive that is 'disabled'; add one")
+            )
         if "running" not in spec.orders.enable:
-            self._problems.append((("orders", "enable"), "has no order that keeps a 'running' drive running; add one"))
+            self._problems.append(
+                (("orders", "enable"), "has no order that keeps a 'running' drive running; add one")
+            )
         for name, guard in spec.messages.items():
             place: Place = ("messages", name)
             used = self._received | self._sent | self._settings
             if self._layout(place, name) is not None and name not in used:
-                self._problems.append((place, f"message {name!r} carries nothing in this map; remove it"))
+                self._problems.append(
+                    (place, f"message {name!r} carries nothing in this map; remove it")
+                )
             if guard.period_ms is not None and guard.period_ms < 0:
                 self._problems.append(((*place, "period_ms"), "must be zero or more"))
         both = self._received & (self._sent | self._settings) | self._sent & self._settings
         if both:
             self._problems.append(
-                (("inputs",), f"message {min(both)!r} has two uses (input, command or setting); it may have one")
+                (
+                    ("inputs",),
+                    f"message {min(both)!r} has two uses (input, command or setting); it may have "
+                    f"one",
+                )
             )
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
     """Suggest the names closest to a mistyped one, or list them all."""
     names = sorted(known)
-    close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(name, names, n=3)
+    close = [k for k in names if k.casefold() == name.casefold()] or difflib.get_close_matches(
+        name, names, n=3
+    )
     if close:
         return f"did you mean {' or '.join(repr(k) for k in close)}?"
     return f"known are {', '.join(names)}" if names else "none is known"

@@ -1,4 +1,6 @@
-"""One drive with its own CAN frames: what it said last, what it is told next, with counters and checksums. No I/O."""
+"""One drive with its own CAN frames: what it said last, what it is told next, with counters and
+checksums. No I/O.
+"""
 
 from __future__ import annotations
 
@@ -17,8 +19,9 @@ PERIODS_KEPT: Final = 2.5
 class Slot:
     """The last good frame of one message.
 
-    A frame of the wrong length, with a wrong checksum, or with a life counter that stood still or ran backwards updates
-    nothing. After a counter that ran backwards the next frame is taken again, as after a restart of the drive.
+    A frame of the wrong length, with a wrong checksum, or with a life counter that stood still or
+    ran backwards updates nothing. After a counter that ran backwards the next frame is taken again,
+    as after a restart of the drive.
 
     Attributes:
         message: Which.
@@ -55,7 +58,9 @@ class Slot:
         if len(data) != self.message.size:
             return False
         checksum = self._checksum
-        if checksum is not None and self.message.algorithm(checksum.insert(data, 0)) != checksum.bits(data):
+        if checksum is not None and self.message.algorithm(
+            checksum.insert(data, 0)
+        ) != checksum.bits(data):
             return False
         counter = self._counter
         if counter is None:
@@ -66,7 +71,9 @@ class Slot:
 
 
 class _Output:
-    """One message of the host: the order in force, the target where it carries it, life counter, checksum."""
+    """One message of the host: the order in force, the target where it carries it, life counter,
+    checksum.
+    """
 
     def __init__(self, message: BoundMessage) -> None:
         self.message = message
@@ -96,7 +103,8 @@ class DbcChannel:
         slots: Its messages by CAN identifier.
         cycle: Number of exchanges so far.
         heard: Frames of it so far, good or not.
-        commanded: Whether it has been sent anything; a bus that was only listened to is left as it was found.
+        commanded: Whether it has been sent anything; a bus that was only listened to is left as it
+            was found.
     """
 
     def __init__(self, wiring: Wiring, label: str) -> None:
@@ -114,7 +122,10 @@ class DbcChannel:
         self._outputs = {name: _Output(message) for name, message in wiring.sent.items()}
         self._settings = {name: _Output(message) for name, message in wiring.settings.items()}
         self._pinned: dict[str, float] = {}
-        self._limit_slots = [by_name[name] for name in sorted({limit.held.message for limit in wiring.limits.values()})]
+        self._limit_slots = [
+            by_name[name]
+            for name in sorted({limit.held.message for limit in wiring.limits.values()})
+        ]
         self._limits_heard = 0
         self._target_bits = 0
         self._holding = False
@@ -137,7 +148,8 @@ class DbcChannel:
 
         Args:
             images: The order's frames.
-            hold: The drive is running and is to stay so; the order falls back to disable when it stops by itself.
+            hold: The drive is running and is to stay so; the order falls back to disable when it
+                stops by itself.
         """
         for name, image in images.items():
             self._outputs[name].image = image
@@ -165,9 +177,14 @@ class DbcChannel:
         return [(output.message.identifier, output.frame()) for output in self._settings.values()]
 
     def limits(self) -> dict[str, float]:
-        """Return the limits in the last good frames that carry them, by the name they have in the map."""
+        """Return the limits in the last good frames that carry them, by the name they have in the
+        map.
+        """
         held = {name: limit.held for name, limit in self.wiring.limits.items()}
-        return {name: quantity.read(self._by_name[quantity.message].data) for name, quantity in held.items()}
+        return {
+            name: quantity.read(self._by_name[quantity.message].data)
+            for name, quantity in held.items()
+        }
 
     def pin(self, limits: dict[str, float]) -> None:
         """Expect the drive to go on holding these limits; none to expect nothing."""
@@ -191,10 +208,15 @@ class DbcChannel:
 
     @property
     def fresh(self) -> bool:
-        """Whether every message of a sample came whole and in time, those on their own period included."""
+        """Whether every message of a sample came whole and in time, those on their own period
+        included.
+        """
         begun = self._begun_ns
         return self.answered and all(
-            [slot.count and begun - slot.time_ns <= PERIODS_KEPT * slot.message.period_s * NS for slot in self._timed]
+            [
+                slot.count and begun - slot.time_ns <= PERIODS_KEPT * slot.message.period_s * NS
+                for slot in self._timed
+            ]
         )
 
     @property
@@ -222,16 +244,27 @@ class DbcChannel:
         if heard == self._limits_heard:
             return
         self._limits_heard = heard
-        changed = [name for name, value in self.limits().items() if self._pinned.get(name, value) != value]
+        changed = [
+            name for name, value in self.limits().items() if self._pinned.get(name, value) != value
+        ]
         if changed:
             self._pinned = {}
             raise StateError(
-                f"{self.label} no longer holds the limits written into it ({', '.join(changed)}): it has restarted, "
-                "or something else has written into it; check its supply and what else is on the bus"
+                f"{self.label} no longer holds the limits written into it ({', '.join(changed)}): "
+                f"it has restarted, "
+                "or something else has written into it; check its supply and what else is on the "
+                "bus"
             )
 
     def fault(self) -> DriveFault:
         """Return the fault that the drive reports."""
         quantity = self.wiring.inputs.get("fault_code")
-        code = round(quantity.read(self._by_name[quantity.message].data)) if quantity is not None else 0
-        return DriveFault(code, f"{self.label} is in fault: see its manual for the code, remove the cause, then reset")
+        code = (
+            round(quantity.read(self._by_name[quantity.message].data))
+            if quantity is not None
+            else 0
+        )
+        return DriveFault(
+            code,
+            f"{self.label} is in fault: see its manual for the code, remove the cause, then reset",
+        )

@@ -1,4 +1,7 @@
-"""Signals in and out of CAN frames by shifts, from a layout worked out once; checksums. Pure functions of bytes."""
+"""Signals in and out of CAN frames by shifts, from a layout worked out once; checksums.
+
+Pure functions of bytes.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,8 @@ _FLOATS: Final = {32: ("<f", "<I"), 64: ("<d", "<Q")}
 class Signal:
     """Where one signal of a DBC lies in its frame, and what its bits mean.
 
-    A frame is taken as one integer, most significant byte first where ``motorola``, else least significant first; the
-    signal is ``width`` bits of it, ``shift`` bits up.
+    A frame is taken as one integer, most significant byte first where ``motorola``, else least
+    significant first; the signal is ``width`` bits of it, ``shift`` bits up.
 
     Attributes:
         name: Name in the DBC.
@@ -79,7 +82,9 @@ class Signal:
         if not self.signed:
             return lambda data: (int.from_bytes(data, order) >> shift & mask) * gain + bias
         half = self._half
-        return lambda data: ((int.from_bytes(data, order) >> shift & mask ^ half) - half) * gain + bias
+        return lambda data: (
+            ((int.from_bytes(data, order) >> shift & mask ^ half) - half) * gain + bias
+        )
 
     def pack(self, raw: float) -> int:
         """Return the bits of a raw value, to the nearest step.
@@ -92,14 +97,19 @@ class Signal:
             try:
                 packed = struct.pack(code, raw)
             except OverflowError:
-                raise ValueError(f"{self.name}: {raw:g} does not fit {self.width} bits of floating point") from None
+                raise ValueError(
+                    f"{self.name}: {raw:g} does not fit {self.width} bits of floating point"
+                ) from None
             return int(struct.unpack(unsigned, packed)[0])
         low, high = self.range
         whole = round(raw) if math.isfinite(raw) else None
         if whole is None or not low <= whole <= high:
             ends = sorted((low * self.factor + self.offset, high * self.factor + self.offset))
             found = raw * self.factor + self.offset
-            raise ValueError(f"{self.name} = {found:g} is outside {ends[0]:g} to {ends[1]:g}, what its bits can hold")
+            raise ValueError(
+                f"{self.name} = {found:g} is outside {ends[0]:g} to {ends[1]:g}, what its bits "
+                f"can hold"
+            )
         return whole & self.mask
 
     @cached_property
@@ -114,7 +124,9 @@ class Signal:
 
 
 def motorola_shift(start: int, width: int, size: int) -> int:
-    """Return the shift of a big-endian signal whose most significant bit a DBC numbers ``start``."""
+    """Return the shift of a big-endian signal whose most significant bit a DBC numbers
+    ``start``.
+    """
     from_left = start // 8 * 8 + 7 - start % 8
     return 8 * size - from_left - width
 

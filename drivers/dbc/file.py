@@ -55,13 +55,19 @@ def read_dbc(path: Path) -> dict[str, Layout]:
         # The encoding of DBC files, as the editors write them.
         text = path.read_text(encoding="cp1252")
     except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}; name the drive's DBC file") from error
+        raise ConfigurationError(
+            f"{path}: cannot be read: {error.strerror}; name the drive's DBC file"
+        ) from error
     except UnicodeDecodeError as error:
-        raise ConfigurationError(f"{path}: is not a text file: byte {error.start} is not cp1252") from error
+        raise ConfigurationError(
+            f"{path}: is not a text file: byte {error.start} is not cp1252"
+        ) from error
     try:
         database = cantools.database.load_string(text, database_format="dbc")
     except DbcError as error:
-        raise ConfigurationError(f"{path}{_explain(str(error))}; correct it with a DBC editor") from error
+        raise ConfigurationError(
+            f"{path}{_explain(str(error))}; correct it with a DBC editor"
+        ) from error
     assert isinstance(database, Database)
     return {message.name: _layout(message) for message in database.messages}
 

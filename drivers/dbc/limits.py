@@ -1,4 +1,6 @@
-"""Limits of a drive with its own CAN frames: those it can be told, and those set with its maker's tool."""
+"""Limits of a drive with its own CAN frames: those it can be told, and those set with its maker's
+tool.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,15 @@ class DbcDrive:
     """What the bench file says about the drive beside its signals.
 
     Attributes:
-        identity: Who it is; ``serial_number`` and ``revision`` are overridden by signals where the map names them.
-        held: Limits set in the drive with its maker's tool; those it says over the bus are asked for instead.
+        identity: Who it is; ``serial_number`` and ``revision`` are overridden by signals where the
+        map names them.
+        held: Limits set in the drive with its maker's tool; those it says over the bus are asked
+        for instead.
         gear_ratio: Motor turns per joint turn.
         torque_constant_N_m_A: Turns a torque signal into a current.
         offset_rad: Joint angle at position 0.
-        watchdog_s: The drive stops by itself when no command comes for this long; None if it never does.
+        watchdog_s: The drive stops by itself when no command comes for this long; None if it never
+            does.
     """
 
     identity: Identity
@@ -37,7 +42,9 @@ class DbcDrive:
 
 
 def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
-    """Return limits in the map's terms: angles, speed and following error at the motor, the torque's as a current."""
+    """Return limits in the map's terms: angles, speed and following error at the motor, the
+    torque's as a current.
+    """
     gear = drive.gear_ratio
     window = limits.following_error_rad
     return {
@@ -50,7 +57,9 @@ def encode(limits: ServoLimits, drive: DbcDrive) -> dict[str, float]:
 
 
 def decode(told: Mapping[str, float], drive: DbcDrive) -> ServoLimits:
-    """Return what the drive holds at the joint: what it told, and what it cannot tell as the bench file says."""
+    """Return what the drive holds at the joint: what it told, and what it cannot tell as the bench
+    file says.
+    """
     gear, limits = drive.gear_ratio, drive.held
     if "angle_min" in told:
         limits = replace(limits, angle_min_rad=told["angle_min"] / gear + drive.offset_rad)
@@ -72,7 +81,9 @@ def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
     Zero for what the drive does not say, and for a floating-point signal.
     """
     held = {name: limit.held for name, limit in wiring.limits.items()}
-    units = {name: 0.0 if quantity.signal.real else abs(quantity.gain) for name, quantity in held.items()}
+    units = {
+        name: 0.0 if quantity.signal.real else abs(quantity.gain) for name, quantity in held.items()
+    }
     gear = drive.gear_ratio
     current = units.get("current", 0.0)
     return LimitSteps(
@@ -86,7 +97,8 @@ def steps(wiring: Wiring, drive: DbcDrive) -> LimitSteps:
 
 
 def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
-    """Return the frames that carry the limits, each rounded to the drive's unit and never to a wider limit.
+    """Return the frames that carry the limits, each rounded to the drive's unit and never to a
+    wider limit.
 
     Raises:
         ConfigurationError: One does not fit its signal.
@@ -97,7 +109,9 @@ def images(wiring: Wiring, wanted: Mapping[str, float]) -> Images:
         try:
             bits = quantity.signal.pack(_tighter(name, quantity, wanted[name]))
         except (ValueError, OverflowError) as error:
-            raise ConfigurationError(f"limit {name}: {error}; tighten it in the bench file") from error
+            raise ConfigurationError(
+                f"limit {name}: {error}; tighten it in the bench file"
+            ) from error
         frames[quantity.message] = quantity.signal.insert(frames[quantity.message], bits)
     return frames
 
@@ -110,7 +124,12 @@ def _tighter(name: str, quantity: BoundQuantity, value: float) -> float:
     return math.floor(raw + _ROUNDING)
 
 
-def verify(wanted: Mapping[str, float], held: Mapping[str, float], limits: Mapping[str, BoundLimit], who: str) -> None:
+def verify(
+    wanted: Mapping[str, float],
+    held: Mapping[str, float],
+    limits: Mapping[str, BoundLimit],
+    who: str,
+) -> None:
     """Check that the drive holds what was written, to two of its own units, and nothing wider.
 
     Raises:
@@ -129,11 +148,14 @@ def verify(wanted: Mapping[str, float], held: Mapping[str, float], limits: Mappi
         )
 
 
-def require_room(limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str) -> None:
+def require_room(
+    limits: ServoLimits, held: ServoLimits, settable: Mapping[str, BoundLimit], who: str
+) -> None:
     """Check that limits which can only be set with the maker's tool leave room for the bench's.
 
     Raises:
-        ConfigurationError: Names each that is tighter than the bench's, so that the drive would stop first.
+        ConfigurationError: Names each that is tighter than the bench's, so that the drive would
+            stop first.
     """
     rows = (
         ("angle_min", -limits.angle_min_rad, -held.angle_min_rad, "rad below zero"),
@@ -148,6 +170,7 @@ def require_room(limits: ServoLimits, held: ServoLimits, settable: Mapping[str, 
     ]
     if tight:
         raise ConfigurationError(
-            f"limits looser than those set in {who}: {', '.join(tight)}; lower them in the bench file, or raise the "
+            f"limits looser than those set in {who}: {', '.join(tight)}; lower them in the bench "
+            f"file, or raise the "
             "drive's with its maker's tool and write them under servo.held"
         )

@@ -1,4 +1,6 @@
-"""A CAN bus with drives that speak frames of their own, described by DBC files, beside CANopen devices."""
+"""A CAN bus with drives that speak frames of their own, described by DBC files, beside CANopen
+devices.
+"""
 
 from __future__ import annotations
 
@@ -22,8 +24,8 @@ _BACKLOG_READS: Final = 64
 class DbcLink(CanopenLink):
     """A bus as of :class:`CanopenLink`, with drives of the other kind on it as well.
 
-    The commands go out first in every exchange, then SYNC, so that drive and encoder sample within one frame time.
-    Closing the link sends every drive that was commanded its stop frame.
+    The commands go out first in every exchange, then SYNC, so that drive and encoder sample within
+    one frame time. Closing the link sends every drive that was commanded its stop frame.
     """
 
     _channels: tuple[DbcChannel, ...] = ()
@@ -45,21 +47,30 @@ class DbcLink(CanopenLink):
         for conflict in self.conflicts():
             raise ConfigurationError(conflict)
         routes = {
-            identifier: (channel, slot) for channel in self._channels for identifier, slot in channel.slots.items()
+            identifier: (channel, slot)
+            for channel in self._channels
+            for identifier, slot in channel.slots.items()
         }
         self._routes = routes
         super().open()
 
     def conflicts(self) -> Iterator[str]:
-        """Yield in words each CAN identifier of a drive that something else on this bus uses as well."""
+        """Yield in words each CAN identifier of a drive that something else on this bus uses as
+        well.
+        """
         taken: set[int] = set()
         for channel in self._channels:
             wiring = channel.wiring
             sent = (*wiring.sent.values(), *wiring.settings.values())
-            for identifier in dict.fromkeys((wiring.stop_frame[0], *(m.identifier for m in sent), *channel.slots)):
+            for identifier in dict.fromkeys(
+                (wiring.stop_frame[0], *(m.identifier for m in sent), *channel.slots)
+            ):
                 if identifier in taken or (owner := self._canopen_owner(identifier)):
                     who = "another drive" if identifier in taken else owner
-                    yield f"identifier {identifier:03X}h of {channel.label} is also that of {who}: change one of them"
+                    yield (
+                        f"identifier {identifier:03X}h of {channel.label} is also that of "
+                        f"{who}: change one of them"
+                    )
             taken.update(channel.slots)
 
     def _canopen_owner(self, identifier: int) -> str:
@@ -73,16 +84,22 @@ class DbcLink(CanopenLink):
 
         Safe to call twice and after a failure. Raises nothing.
         """
-        commanded = [channel for channel in self._channels if channel.commanded] if self._port is not None else []
+        commanded = (
+            [channel for channel in self._channels if channel.commanded]
+            if self._port is not None
+            else []
+        )
         stops = [partial(self.send, *channel.wiring.stop_frame) for channel in commanded]
         close_all(*stops, super().close)
 
     def exchange(self) -> None:
-        """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the cycle.
+        """Send every command, then SYNC, and collect what they bring; waits at most 80 % of the
+        cycle.
 
         Raises:
             LinkError: The bus failed, or a CANopen device was lost, stopped or restarted.
-            DriveFault: A device sent an emergency message, or a drive went into fault while it was running.
+            DriveFault: A device sent an emergency message, or a drive went into fault while it was
+                running.
         """
         self._receive(0.0)
         now = self.clock.now_ns()

@@ -1,7 +1,8 @@
 """What a bench file says about a drive that speaks its own CAN frames: which signal means what.
 
-Signals are named ``Message.Signal`` as in the DBC. Units are those of the DBC (its factor and offset applied), brought
-to SI by ``scale`` and ``sign``; position, velocity, torque and target are at the motor then.
+Signals are named ``Message.Signal`` as in the DBC. Units are those of the DBC (its factor and
+offset applied), brought to SI by ``scale`` and ``sign``; position, velocity, torque and target are
+at the motor then.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import Final, Literal
 from drivers.dbc.codec import ChecksumKind
 from drivers.interfaces import ServoState
 
-StateName = Literal["starting", "disabled", "ready", "standby", "running", "stopping", "fault reaction", "fault"]
+StateName = Literal[
+    "starting", "disabled", "ready", "standby", "running", "stopping", "fault reaction", "fault"
+]
 STATES: Final[Mapping[StateName, ServoState]] = {
     "starting": ServoState.NOT_READY,
     "disabled": ServoState.SWITCH_ON_DISABLED,

@@ -1,4 +1,6 @@
-"""A position servo that speaks CAN frames of its own, by its DBC file and a map from signals to verbs."""
+"""A position servo that speaks CAN frames of its own, by its DBC file and a map from signals to
+verbs.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,15 @@ from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
 from drivers.dbc.wiring import Images
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
-from drivers.interfaces import Identity, LimitSteps, Servo, ServoLimits, ServoReadings, ServoSample, ServoState
+from drivers.interfaces import (
+    Identity,
+    LimitSteps,
+    Servo,
+    ServoLimits,
+    ServoReadings,
+    ServoSample,
+    ServoState,
+)
 from drivers.objects import refusal
 from drivers.units import Unwrapper
 
@@ -36,7 +46,9 @@ class DbcServo(Servo):
         state_timeout_s: How long it may take to reach a state.
     """
 
-    def __init__(self, link: DbcLink, channel: DbcChannel, drive: DbcDrive, state_timeout_s: float = 1.0) -> None:
+    def __init__(
+        self, link: DbcLink, channel: DbcChannel, drive: DbcDrive, state_timeout_s: float = 1.0
+    ) -> None:
         self._link = link
         self._clock = link.clock
         self._channel = channel
@@ -44,7 +56,10 @@ class DbcServo(Servo):
         self._drive = drive
         self._timeout_s = state_timeout_s
         self._inputs = inputs = wiring.inputs
-        self._reads = {name: (channel.slot(quantity.message), quantity.read) for name, quantity in inputs.items()}
+        self._reads = {
+            name: (channel.slot(quantity.message), quantity.read)
+            for name, quantity in inputs.items()
+        }
         self._effort = "current" if "current" in inputs else "torque"
         self._effort_per_A = 1.0 if "current" in inputs else drive.torque_constant_N_m_A
         self._status = channel.slot(wiring.status_message)
@@ -82,11 +97,14 @@ class DbcServo(Servo):
         state = self._channel.state
         if state is None:
             raw = self._wiring.status.raw(self._status.data)
-            raise StateError(f"{self._channel.label} reports status {raw:g}, which the map does not name: add it")
+            raise StateError(
+                f"{self._channel.label} reports status {raw:g}, which the map does not name: add it"
+            )
         return state
 
     def read_limits(self) -> ServoLimits:
-        """Return the limits that the drive holds: what it says, else what the bench file says was set in it.
+        """Return the limits that the drive holds: what it says, else what the bench file says was
+        set in it.
 
         Raises:
             LinkError: The drive is silent.
@@ -98,17 +116,22 @@ class DbcServo(Servo):
         return dbc_limits.steps(self._wiring, self._drive)
 
     def limit_refusals(self, limits: ServoLimits) -> Iterator[DeviceError]:
-        """Yield what does not fit its signal, and what is looser than limits set with the maker's tool."""
+        """Yield what does not fit its signal, and what is looser than limits set with the maker's
+        tool.
+        """
         wiring, drive = self._wiring, self._drive
         yield from refusal(dbc_limits.images, wiring, dbc_limits.encode(limits, drive))
-        yield from refusal(dbc_limits.require_room, limits, drive.held, wiring.limits, self._channel.label)
+        yield from refusal(
+            dbc_limits.require_room, limits, drive.held, wiring.limits, self._channel.label
+        )
 
     def write_limits(self, limits: ServoLimits) -> None:
-        """Write the limits that the drive can be told, and check that all it holds are kept by these.
+        """Write the limits that the drive can be told, and check that all it holds are kept by
+        these.
 
         Raises:
-            ConfigurationError: The drive holds another value than the one written, or one that was set with its
-                maker's tool is tighter, so that the drive would stop first.
+            ConfigurationError: The drive holds another value than the one written, or one that was
+                set with its maker's tool is tighter, so that the drive would stop first.
             LinkError: The drive is silent.
         """
         wanted = dbc_limits.encode(limits, self._drive)
@@ -130,14 +153,17 @@ class DbcServo(Servo):
         position, velocity, effort, supply, temperature = self._unasked(*names)
         gear = self._drive.gear_ratio
         angle = position + self._drive.offset_rad * gear
-        return ServoReadings(angle, velocity / gear, effort / self._effort_per_A, supply, temperature)
+        return ServoReadings(
+            angle, velocity / gear, effort / self._effort_per_A, supply, temperature
+        )
 
     def fault(self) -> DriveFault:
         """Return the fault that the drive reports."""
         return self._channel.fault()
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield a cycle too slow for the drive's watchdog, and a position that does not fit the target signal.
+        """Yield a cycle too slow for the drive's watchdog, and a position that does not fit the
+        target signal.
 
         A message that only comes as an answer to a command is not waited for.
         """
@@ -150,14 +176,16 @@ class DbcServo(Servo):
         """Set the cycle, and see every message of the drive come in whole. No power.
 
         Raises:
-            ConfigurationError: The cycle is too slow for the drive's watchdog, another device has another one, or the
-                drive's position does not fit the target signal.
+            ConfigurationError: The cycle is too slow for the drive's watchdog, another device has
+                another one, or the drive's position does not fit the target signal.
             StateError: The drive is energised.
             LinkError: A message does not come, or never whole.
         """
         state = self.state()
         if state.energised:
-            raise StateError(f"the drive is in state '{state.value}': disable it before preparing it")
+            raise StateError(
+                f"the drive is in state '{state.value}': disable it before preparing it"
+            )
         self._require_watchdog(cycle_s)
         channel = self._channel
         self._link.set_cycle(cycle_s, channel.label)
@@ -173,8 +201,8 @@ class DbcServo(Servo):
         """Energise and hold the present position, exchanging all the while.
 
         Raises:
-            StateError: Not prepared, not allowed in this state, or not reached in time; the drive is left
-                de-energised.
+            StateError: Not prepared, not allowed in this state, or not reached in time; the drive
+                is left de-energised.
             DriveFault: The drive is in fault.
         """
         if not self._cycle_ns:
@@ -192,7 +220,8 @@ class DbcServo(Servo):
             raise
 
     def disable(self) -> None:
-        """Take the power off, send the stop frame, and verify by the drive's own status that it is off.
+        """Take the power off, send the stop frame, and verify by the drive's own status that it is
+        off.
 
         Raises:
             StateError: The drive still reports an energised state.
@@ -209,12 +238,15 @@ class DbcServo(Servo):
             StateError: The drive neither stops nor is it stopped.
             LinkError: The drive cannot be reached.
         """
-        # The order for the cyclic exchange changes first: whatever happens next, it cannot undo the stop.
+        # The order for the cyclic exchange changes first: whatever happens next, it cannot undo the
+        # stop.
         self._channel.order(self._wiring.stop)
         self._link.send(*self._wiring.stop_frame)
         self._command(self._wiring.stop)
         self._await(
-            lambda state: state in cia402.STOPPED, "quick stop active, switch on disabled or fault", self._wiring.stop
+            lambda state: state in cia402.STOPPED,
+            "quick stop active, switch on disabled or fault",
+            self._wiring.stop,
         )
 
     def reset_fault(self) -> None:
@@ -229,7 +261,9 @@ class DbcServo(Servo):
         # Drives act on the edge of a reset, so each one lies between two orders to stay off.
         orders = (disable, reset, disable) if word == cia402.FAULT_RESET else (disable,)
         self._command(*orders)
-        self._await(lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled", *orders)
+        self._await(
+            lambda state: state is ServoState.SWITCH_ON_DISABLED, "switch on disabled", *orders
+        )
 
     def set_target(self, angle_rad: float) -> None:
         """Stage the joint angle that the next exchange sends.
@@ -240,13 +274,16 @@ class DbcServo(Servo):
         self._stage((angle_rad - self._drive.offset_rad) * self._drive.gear_ratio)
 
     def sample(self) -> ServoSample:
-        """Return the sample of the last exchange; ``statusword`` is what a CiA 402 drive would show in this state."""
+        """Return the sample of the last exchange; ``statusword`` is what a CiA 402 drive would show
+        in this state.
+        """
         channel, drive = self._channel, self._drive
         state = channel.state
         position = self._value("position")
         following = 0.0
         if state is ServoState.OPERATION_ENABLED:
-            # What was sent with the exchange before is what the drive has interpolated up to this one.
+            # What was sent with the exchange before is what the drive has interpolated up to this
+            # one.
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) / drive.gear_ratio
         return ServoSample(
@@ -266,19 +303,25 @@ class DbcServo(Servo):
         slowest, watchdog_s = max(cycle_s, self._command_period_s), self._drive.watchdog_s
         if watchdog_s is not None and slowest > watchdog_s / 2:
             raise ConfigurationError(
-                f"commands go every {slowest * 1e3:g} ms, the drive stops after {watchdog_s * 1e3:g} ms without one: "
+                f"commands go every {slowest * 1e3:g} ms, the drive stops after "
+                f"{watchdog_s * 1e3:g} ms without one: "
                 "at most half of that; raise cycle_Hz"
             )
 
     def _unasked(self, *names: str) -> list[float]:
-        """Return quantities in the next good frames that carry them; NaN where none comes without a command."""
+        """Return quantities in the next good frames that carry them; NaN where none comes without a
+        command.
+        """
         slots = {name: self._reads[name][0] for name in names}
         messages = {slot.message.name: slot for slot in slots.values()}
         heard = {
             message: self._link.await_frame(self._channel, slot, _patience_s(slot))
             for message, slot in messages.items()
         }
-        return [self._value(name) if heard[slot.message.name] else math.nan for name, slot in slots.items()]
+        return [
+            self._value(name) if heard[slot.message.name] else math.nan
+            for name, slot in slots.items()
+        ]
 
     def _held(self) -> dict[str, float]:
         """Return the limits that the drive says it holds, as it says them next."""
@@ -328,7 +371,11 @@ class DbcServo(Servo):
 
     def _silent(self, slot: Slot, refused: int) -> LinkError:
         bad = slot.refused - refused
-        why = f"{bad} came with a bad length, checksum or counter: check the map" if bad else "check its supply and bus"
+        why = (
+            f"{bad} came with a bad length, checksum or counter: check the map"
+            if bad
+            else "check its supply and bus"
+        )
         message = slot.message
         return LinkError(
             f"{self._channel.label} sent no good {message.name} ({message.identifier:03X}h) "
@@ -348,7 +395,9 @@ class DbcServo(Servo):
         try:
             return self._wiring.target.bits(motor_rad)
         except ValueError as error:
-            raise ConfigurationError(f"target {motor_rad:g} rad at the motor: {error}; check the scales") from error
+            raise ConfigurationError(
+                f"target {motor_rad:g} rad at the motor: {error}; check the scales"
+            ) from error
 
     def _command(self, *orders: Images) -> None:
         for order in orders:
@@ -361,7 +410,8 @@ class DbcServo(Servo):
         while not reached(state := self.state()):
             if self._clock.now_ns() >= deadline:
                 raise StateError(
-                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, wanted {wanted}: "
+                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, "
+                    f"wanted {wanted}: "
                     "take its power away by hand"
                 )
             self._command(*orders)
@@ -379,7 +429,8 @@ class DbcServo(Servo):
             if not in_time:
                 shown = "unknown" if state is None else state.value
                 raise StateError(
-                    f"the drive is still in state '{shown}' after {self._timeout_s:g} s of enabling: "
+                    f"the drive is still in state '{shown}' after {self._timeout_s:g} s of "
+                    f"enabling: "
                     "check its supply and its enable input"
                 )
             if channel.fresh and state is not None and state in wiring.enable:

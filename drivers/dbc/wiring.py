@@ -1,4 +1,6 @@
-"""A map bound to its DBC: every layout ready for the hot path, no names left to look up in a file."""
+"""A map bound to its DBC: every layout ready for the hot path, no names left to look up in a
+file.
+"""
 
 from __future__ import annotations
 

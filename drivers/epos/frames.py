@@ -1,7 +1,8 @@
 """Frames of the maxon EPOS4 over RS-232 and USB, both ways, and the services they carry. No I/O.
 
-A frame is ``90 02 opcode length data CRC``: length in 16-bit words, everything little-endian, every 90h after the start
-pair doubled, the CRC included (EPOS4 Communication Guide, "USB & RS232 Communication").
+A frame is ``90 02 opcode length data CRC``: length in 16-bit words, everything little-endian, every
+90h after the start pair doubled, the CRC included (EPOS4 Communication Guide, "USB & RS232
+Communication").
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ SEGMENT_BYTES: Final = 255
 
 WRITE_BYTES: Final = 30
 READ_BYTES: Final = 32
-"""Bytes on the line of one WriteObject and one ReadObject with its answer, at their longest: all that can be 90h is."""
+"""Bytes on the line of one WriteObject and one ReadObject with its answer, at their longest: all
+that can be 90h is.
+"""
 _BITS_PER_BYTE: Final = 10
 
 
@@ -62,7 +65,9 @@ LAST: Final = 0x02
 
 
 def crc(words: bytes) -> int:
-    """Return the CRC-16 (polynomial 1021h, start 0) over 16-bit words, from opcode and length on."""
+    """Return the CRC-16 (polynomial 1021h, start 0) over 16-bit words, from opcode and length
+    on.
+    """
     swapped = bytearray(len(words))
     swapped[0::2], swapped[1::2] = words[1::2], words[0::2]
     return binascii.crc_hqx(swapped, 0)
@@ -78,7 +83,9 @@ def encode(opcode: int, data: bytes) -> bytes:
         data += b"\0"
     count = len(data) // 2
     if count > MAX_WORDS:
-        raise ValueError(f"{len(data)} bytes do not fit a frame, limit {2 * MAX_WORDS}: send segments")
+        raise ValueError(
+            f"{len(data)} bytes do not fit a frame, limit {2 * MAX_WORDS}: send segments"
+        )
     body = bytes([opcode, count]) + data
     body += crc(body).to_bytes(2, "little")
     return _START + body.replace(_DLE, _STUFFED)
@@ -87,8 +94,8 @@ def encode(opcode: int, data: bytes) -> bytes:
 class FrameDecoder:
     """Takes bytes as they come and gives whole frames; never raises.
 
-    A frame with a wrong CRC or broken stuffing is dropped, and the search goes on right after its start, so that a good
-    frame behind or inside the damage is found.
+    A frame with a wrong CRC or broken stuffing is dropped, and the search goes on right after its
+    start, so that a good frame behind or inside the damage is found.
 
     Attributes:
         bad: Frames dropped so far.
@@ -127,7 +134,9 @@ class FrameDecoder:
 
 
 def _parse(buffer: bytearray, start: int) -> tuple[int, Frame | None]:
-    """Read the frame whose opcode is at ``start``; returns its end (0: not all there yet) and it, or None if bad."""
+    """Read the frame whose opcode is at ``start``; returns its end (0: not all there yet) and it,
+    or None if bad.
+    """
     wanted = _HEAD + _CRC
     if len(buffer) - start >= _HEAD:
         wanted += 2 * buffer[start + 1]

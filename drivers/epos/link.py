@@ -1,4 +1,6 @@
-"""EPOS4 drives on a serial line, strictly half duplex: one request, one answer, and nothing else in flight."""
+"""EPOS4 drives on a serial line, strictly half duplex: one request, one answer, and nothing else in
+flight.
+"""
 
 from __future__ import annotations
 
@@ -31,11 +33,12 @@ _SUBINDICES: Final = (1, 2, 3, 4)
 class EposSerialLink(Link):
     """A serial line with this program as its only master.
 
-    An answer does not say what it answers: after one was lost, a late one could be taken for the next. The line counts
-    as out of step then, and before anything else is believed a part of the drive's identity is asked for, and what
-    comes before it is dropped.
+    An answer does not say what it answers: after one was lost, a late one could be taken for the
+    next. The line counts as out of step then, and before anything else is believed a part of the
+    drive's identity is asked for, and what comes before it is dropped.
 
-    The protocol has no watchdog in the drive: when the control loop stops, the drive goes on holding its last target.
+    The protocol has no watchdog in the drive: when the control loop stops, the drive goes on
+    holding its last target.
 
     Args:
         clock: Real or simulated; goes with the port.
@@ -85,7 +88,9 @@ class EposSerialLink(Link):
             ConfigurationError: The identifier is out of range or taken, or the EDS cannot be read.
         """
         if not 1 <= node_id <= 127 or node_id in self._nodes:
-            raise ConfigurationError(f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file")
+            raise ConfigurationError(
+                f"node identifier {node_id} is out of 1 to 127, or taken: correct the bench file"
+            )
         dictionary = read_eds(eds, node_id)
         node = self._nodes[node_id] = EposSerialNode(node_id, dictionary, self)
         return node
@@ -104,7 +109,8 @@ class EposSerialLink(Link):
             raise
         except Exception as error:
             raise LinkError(
-                f"{self._name} cannot be opened: {words(error)}; check the port, the adapter and the rights to use it"
+                f"{self._name} cannot be opened: {words(error)}; check the port, the adapter and "
+                f"the rights to use it"
             ) from error
         self._in_step = False
         self._marks.clear()
@@ -123,7 +129,9 @@ class EposSerialLink(Link):
             LinkError: No answer.
         """
         if self._cycle_s is not None and self._cycle_s != cycle_s:
-            raise ConfigurationError(f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s")
+            raise ConfigurationError(
+                f"{who} asks for a cycle of {cycle_s:g} s, the link runs at {self._cycle_s:g} s"
+            )
         self._cycle_s = cycle_s
         self._answer_ns = round(ANSWER_SHARE * cycle_s * NS)
         self._learn_marks()
@@ -155,12 +163,16 @@ class EposSerialLink(Link):
             )
 
     def take_frames(self) -> list[RawFrame]:
-        """Return what has gone over the line since the last call, oldest first, eight bytes to a frame."""
+        """Return what has gone over the line since the last call, oldest first, eight bytes to a
+        frame.
+        """
         frames = list(self._frames)
         self._frames.clear()
         return frames
 
-    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
+    def request(
+        self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False
+    ) -> bytes:
         """Send one request and return the data of its answer, outside the cycle.
 
         Args:
@@ -168,7 +180,8 @@ class EposSerialLink(Link):
             data: Its fields.
             what: What to call it in messages.
             repeat: Try again where the answer is lost; for what may be done twice.
-            insist: Send it even while the line is out of step, as what can't be heard may still hear: for stops.
+            insist: Send it even while the line is out of step, as what can't be heard may still
+                hear: for stops.
 
         Raises:
             LinkError: No good answer.
@@ -183,17 +196,24 @@ class EposSerialLink(Link):
             if answer is not None:
                 return answer
         raise LinkError(
-            f"{self._name}, {what}: no good answer within {attempts * self._answer_wait_ns / NS:g} s; "
+            f"{self._name}, {what}: no good answer within "
+            f"{attempts * self._answer_wait_ns / NS:g} s; "
             "check power, cable, rate and node identifier"
         )
 
     def _ask(self, frame: bytes, deadline_ns: int) -> bytes | None:
-        """Send a frame and return the data of its answer; None where none came in time that can be believed."""
+        """Send a frame and return the data of its answer; None where none came in time that can be
+        believed.
+        """
         if not self._in_step and not self._find_step(deadline_ns):
             return None
         self._send(frame)
         found = self._receive(min(deadline_ns, self.clock.now_ns() + self._answer_wait_ns))
-        if len(found) == 1 and found[0].opcode == Opcode.ANSWER and len(found[0].data) >= ERROR.size:
+        if (
+            len(found) == 1
+            and found[0].opcode == Opcode.ANSWER
+            and len(found[0].data) >= ERROR.size
+        ):
             return found[0].data
         self._in_step = False
         self.lost += 1

@@ -1,4 +1,6 @@
-"""One EPOS4 on a serial line: its objects by ReadObject and WriteObject, and its share of the cycle."""
+"""One EPOS4 on a serial line: its objects by ReadObject and WriteObject, and its share of the
+cycle.
+"""
 
 from __future__ import annotations
 
@@ -15,14 +17,27 @@ from drivers.canopen.cia402 import CONTROLWORD
 from drivers.canopen.pdo import packing
 from drivers.canopen.sdo import variable
 from drivers.clock import Clock
-from drivers.epos.frames import ERROR, LAST, NMT, OBJECT, SEGMENT_BYTES, TOGGLE, TOTAL, Opcode, encode, segment
+from drivers.epos.frames import (
+    ERROR,
+    LAST,
+    NMT,
+    OBJECT,
+    SEGMENT_BYTES,
+    TOGGLE,
+    TOTAL,
+    Opcode,
+    encode,
+    segment,
+)
 from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
 from drivers.objects import ObjectAddress, PdoLayout
 
 IDENTITY: Final = 0x1018
 CYCLE_WRITES: Final = 1
 CYCLE_READS: Final = 4
-"""Objects of a control cycle of a servo: its target; state, position, current and one of the others in turn."""
+"""Objects of a control cycle of a servo: its target; state, position, current and one of the others
+in turn.
+"""
 
 _HOST_TIME: Final = (0x1013, 0)
 _POSITION: Final = (0x6064, 0)
@@ -43,7 +58,9 @@ _REASONS: Final = {
 
 
 class Guard(Protocol):
-    """Whoever takes the power off when this program dies or hangs; the drive has no such watch of its own."""
+    """Whoever takes the power off when this program dies or hangs; the drive has no such watch of
+    its own.
+    """
 
     def arm(self, limit_s: float) -> None:
         """Stand by from now on; act where nobody feeds for this long, s.
@@ -54,7 +71,9 @@ class Guard(Protocol):
         ...
 
     def feed(self) -> None:
-        """Show that the control loop is alive; called before every request. Cheap, and nothing unless armed.
+        """Show that the control loop is alive; called before every request.
+
+        Cheap, and nothing unless armed.
 
         Raises:
             LinkError: It has taken over, or is gone: the line must not be used.
@@ -73,8 +92,12 @@ class Line(Protocol):
     clock: Clock
     guard: Guard | None
 
-    def request(self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False) -> bytes:
-        """Send one request and return the data of its answer; :class:`LinkError` where there is none."""
+    def request(
+        self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False
+    ) -> bytes:
+        """Send one request and return the data of its answer; :class:`LinkError` where there is
+        none.
+        """
         ...
 
     def set_cycle(self, cycle_s: float, who: str) -> None:
@@ -95,7 +118,9 @@ class _Output:
 
     def request(self) -> bytes:
         """Return the frame that writes it."""
-        return encode(Opcode.WRITE_OBJECT, self.head + self.layout.pack(self.value).ljust(_VALUE_BYTES, b"\0"))
+        return encode(
+            Opcode.WRITE_OBJECT, self.head + self.layout.pack(self.value).ljust(_VALUE_BYTES, b"\0")
+        )
 
 
 class _Input:
@@ -118,15 +143,18 @@ class _Input:
 
 
 class EposSerialNode:
-    """A drive behind an :class:`~drivers.epos.link.EposSerialLink`; a :class:`~drivers.objects.ProcessChannel`.
+    """A drive behind an :class:`~drivers.epos.link.EposSerialLink`; a
+    :class:`~drivers.objects.ProcessChannel`.
 
-    There is no SYNC: objects are sampled one after another. Every cycle writes the outputs (the controlword only when
-    it has changed) and reads the first input layout; the objects of the others take turns, one a cycle, the slower ones
-    in every other turn. The time stamp 1013h is not read: the host's time at the cycle's first request takes its place.
+    There is no SYNC: objects are sampled one after another. Every cycle writes the outputs (the
+    controlword only when it has changed) and reads the first input layout; the objects of the
+    others take turns, one a cycle, the slower ones in every other turn. The time stamp 1013h is not
+    read: the host's time at the cycle's first request takes its place.
 
-    The position is read one object before the current, whose mean so ends too late. It is replaced by the mean that
-    ends with the position, taking the current as constant within a cycle. The position itself is left as read, after
-    the time stamp by as much in every cycle, but for doubled bytes.
+    The position is read one object before the current, whose mean so ends too late. It is replaced
+    by the mean that ends with the position, taking the current as constant within a cycle. The
+    position itself is left as read, after the time stamp by as much in every cycle, but for doubled
+    bytes.
 
     Attributes:
         node_id: 1 to 127.
@@ -172,7 +200,9 @@ class EposSerialNode:
             LinkError: No answer.
         """
         layout = self._packing(index, subindex)
-        answer = self._request(Opcode.READ_OBJECT, OBJECT.pack(self.node_id, index, subindex), index, subindex)
+        answer = self._request(
+            Opcode.READ_OBJECT, OBJECT.pack(self.node_id, index, subindex), index, subindex
+        )
         if len(answer) != _VALUE_BYTES:
             raise self._malformed(index, subindex, len(answer))
         return int(layout.unpack_from(answer)[0])
@@ -189,7 +219,9 @@ class EposSerialNode:
         toggle = 0
         while len(data) < total:
             # A segment asked for twice would be skipped once.
-            answer = self._request(Opcode.SEGMENT_READ, bytes([toggle, 0]), index, subindex, repeat=False)
+            answer = self._request(
+                Opcode.SEGMENT_READ, bytes([toggle, 0]), index, subindex, repeat=False
+            )
             if len(answer) < 3 or not answer[0] or answer[1] & TOGGLE != toggle:
                 raise self._malformed(index, subindex, len(answer))
             data += answer[2:][: answer[0]]
@@ -215,12 +247,19 @@ class EposSerialNode:
         self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
 
     def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`. Sends nothing."""
+        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
+
+        Sends nothing.
+        """
         self._written(index, subindex, value)
 
     def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object, sending it even while the line is out of step; raises as :meth:`write`."""
-        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True)
+        """Write an integer object, sending it even while the line is out of step; raises as
+        :meth:`write`.
+        """
+        self._request(
+            Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
+        )
 
     def _written(self, index: int, subindex: int, value: int) -> bytes:
         try:
@@ -246,18 +285,24 @@ class EposSerialNode:
             toggle ^= TOGGLE
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
-        """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`. Sends nothing."""
+        """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`.
+
+        Sends nothing.
+        """
         for address in chain.from_iterable(layout.objects for layout in (*outputs, *inputs)):
             if address != _HOST_TIME:
                 self._packing(*address)
 
-    def map_process_data(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float) -> None:
+    def map_process_data(
+        self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout], cycle_s: float
+    ) -> None:
         """Start the node, and list what every cycle writes and reads.
 
         Inputs start out with values read here.
 
         Raises:
-            ConfigurationError: Another device has another cycle, or an object is not in the EDS or no integer.
+            ConfigurationError: Another device has another cycle, or an object is not in the EDS or
+            no integer.
             ObjectAccessError: The device refuses one.
             LinkError: No answer.
         """
@@ -266,13 +311,19 @@ class EposSerialNode:
         self._cycle_s = cycle_s
         self._request(Opcode.SEND_NMT, NMT.pack(self.node_id, _START), 0, 0)
         self._outputs = {
-            layout.number: tuple(_Output(self.node_id, address, self._packing(*address)) for address in layout.objects)
+            layout.number: tuple(
+                _Output(self.node_id, address, self._packing(*address))
+                for address in layout.objects
+            )
             for layout in outputs
         }
         self._word = None
         self._layouts = {layout.number: layout.objects for layout in inputs}
         self._values = {
-            address: self._input(address) for layout in inputs for address in layout.objects if address != _HOST_TIME
+            address: self._input(address)
+            for layout in inputs
+            for address in layout.objects
+            if address != _HOST_TIME
         }
         self._every = inputs[0].objects if inputs else ()
         self._turns = endless(_turns(inputs[1:]))
@@ -288,15 +339,17 @@ class EposSerialNode:
     def latest(self, number: int) -> tuple[int, ...]:
         """Return the last good values of input ``number``."""
         return tuple(
-            self._time_us if address == _HOST_TIME else self._values[address].value for address in self._layouts[number]
+            self._time_us if address == _HOST_TIME else self._values[address].value
+            for address in self._layouts[number]
         )
 
     def watch(self, limit_s: float) -> None:
-        """Have the link's guard stand by; the protocol has no watch of its own, which :attr:`Link.has_watchdog` says.
+        """Have the link's guard stand by; the protocol has no watch of its own, which
+        :attr:`Link.has_watchdog` says.
 
         Args:
-            limit_s: Asked for. A process on a computer is not as punctual as a drive: the guard acts after twice that,
-                and after no less than three cycles.
+            limit_s: Asked for. A process on a computer is not as punctual as a drive: the guard
+                acts after twice that, and after no less than three cycles.
 
         Raises:
             LinkError: There should be a guard, and is none.
@@ -362,7 +415,13 @@ class EposSerialNode:
         return packing(self._dictionary, PdoLayout(0, ((index, subindex),)))
 
     def _request(
-        self, opcode: Opcode, fields: bytes, index: int, subindex: int, repeat: bool = True, insist: bool = False
+        self,
+        opcode: Opcode,
+        fields: bytes,
+        index: int,
+        subindex: int,
+        repeat: bool = True,
+        insist: bool = False,
     ) -> bytes:
         what = f"{self.label}, object {index:04X}h:{subindex:02X}h" if index else self.label
         answer = self._line.request(opcode, fields, what, repeat, insist)
@@ -374,14 +433,19 @@ class EposSerialNode:
 
     def _malformed(self, index: int, subindex: int, length: int) -> LinkError:
         return LinkError(
-            f"{self.label}, object {index:04X}h:{subindex:02X}h: an answer of {length} bytes does not belong to the "
+            f"{self.label}, object {index:04X}h:{subindex:02X}h: an answer of {length} bytes does "
+            f"not belong to the "
             "request; check that nothing else uses the line"
         )
 
 
 def _turns(layouts: Sequence[PdoLayout]) -> list[ObjectAddress]:
-    """Return the order in which objects take turns: those of every cycle, then one of the slower ones, and again."""
-    quick = [a for layout in layouts if layout.every == 1 for a in layout.objects if a != _HOST_TIME]
+    """Return the order in which objects take turns: those of every cycle, then one of the slower
+    ones, and again.
+    """
+    quick = [
+        a for layout in layouts if layout.every == 1 for a in layout.objects if a != _HOST_TIME
+    ]
     slow = [a for layout in layouts if layout.every > 1 for a in layout.objects]
     if not slow:
         return quick

@@ -15,7 +15,9 @@ RESTART_S: Final = 0.2
 
 
 class SimulatedAmt21:
-    """A multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`. Deaf for 0.2 s after reset and zero.
+    """A multi-turn encoder; a :class:`~drivers.mock.wires.serial_line.Station`.
+
+    Deaf for 0.2 s after reset and zero.
 
     Args:
         clock: Simulated time.
@@ -28,7 +30,9 @@ class SimulatedAmt21:
 
     counts_per_turn: Final = COUNTS_PER_TURN
 
-    def __init__(self, clock: SimulatedClock, sampler: Sampler, address: int = DEFAULT_ADDRESS) -> None:
+    def __init__(
+        self, clock: SimulatedClock, sampler: Sampler, address: int = DEFAULT_ADDRESS
+    ) -> None:
         self.distort: Callable[[int], int] | None = None
         self._clock = clock
         self._sampler = sampler

@@ -1,4 +1,6 @@
-"""A whole simulated bench: clock, bus, machine, drive and joint encoder, wired together and booted."""
+"""A whole simulated bench: clock, bus, machine, drive and joint encoder, wired together and
+booted.
+"""
 
 from __future__ import annotations
 
@@ -26,8 +28,8 @@ TRANSMITTER_NODE: Final = 4
 class SimulatedBench:
     """The parts of one simulated bench.
 
-    ``lines`` are the serial lines of ``drive`` and ``encoder``, where it has any; ``transmitter`` measures the chamber
-    pressure, where one is fitted.
+    ``lines`` are the serial lines of ``drive`` and ``encoder``, where it has any; ``transmitter``
+    measures the chamber pressure, where one is fitted.
     """
 
     clock: SimulatedClock
@@ -61,7 +63,8 @@ def simulated_bench(
         rating: What the drive is rated at; 15 A unless given.
 
     Returns:
-        The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up frames have gone.
+        The bench, at rest at angle 0, power off, all devices in PRE-OPERATIONAL once their boot-up
+        frames have gone.
     """
     noise, offsets, pressure = np.random.default_rng(seed).spawn(3)
     clock = SimulatedClock()

@@ -1,4 +1,6 @@
-"""A simulated bench whose drive speaks its own CAN frames, with the CANopen joint encoder on the same wire."""
+"""A simulated bench whose drive speaks its own CAN frames, with the CANopen joint encoder on the
+same wire.
+"""
 
 from __future__ import annotations
 
@@ -28,9 +30,14 @@ class SimulatedDbcBench:
 
 
 def simulated_dbc_bench(
-    machine: constants.Machine, seed: int, bitrate: int = 1_000_000, encoder_node: int = ENCODER_NODE
+    machine: constants.Machine,
+    seed: int,
+    bitrate: int = 1_000_000,
+    encoder_node: int = ENCODER_NODE,
 ) -> SimulatedDbcBench:
-    """Build and boot a bench. The same seed gives the same bytes on the bus, and the noise of the CANopen bench.
+    """Build and boot a bench.
+
+    The same seed gives the same bytes on the bus, and the noise of the CANopen bench.
 
     Args:
         machine: Constants of the machine.

@@ -1,6 +1,8 @@
-"""Simulated servo drive with CAN frames of its own (``dbc_drive.dbc``): no CANopen, its own states and watchdog.
+"""Simulated servo drive with CAN frames of its own (``dbc_drive.dbc``): no CANopen, its own states
+and watchdog.
 
-Frames are packed here by hand and not by the codec under test, so that an error in that cannot cancel itself.
+Frames are packed here by hand and not by the codec under test, so that an error in that cannot
+cancel itself.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ WATCHDOG_NS: Final = 100_000_000
 DECELERATION_RAD_S2: Final = math.radians(2000.0)
 
 COMMISSIONED: Final = struct.pack("<hhI", -900, 900, 2400 | 840 << 12 | 600 << 22)
-"""Limits after power-on as in ``DRV_Limits``: 9 motor turns, 240 rad/s, 25.2 A, 0.6 turns of following error."""
+"""Limits after power-on as in ``DRV_Limits``: 9 motor turns, 240 rad/s, 25.2 A, 0.6 turns of
+following error.
+"""
 
 _LIMIT_TURNS: Final = 0.01
 _LIMIT_SPEED_RAD_S: Final = 0.1
@@ -107,7 +111,9 @@ class DbcDrive:
         counting: Whether its life counters go on.
     """
 
-    def __init__(self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler, clock_offset_us: int = 0) -> None:
+    def __init__(
+        self, bus: SimulatedBus, clock: SimulatedClock, sampler: Sampler, clock_offset_us: int = 0
+    ) -> None:
         self.state = State.OFF
         self.fault_code = 0
         self.entered: list[Callable[[State], None]] = []
@@ -172,7 +178,8 @@ class DbcDrive:
             return
         self._heard_life = life
         now = self._clock.now_ns()
-        # In whole milliseconds, so that a command that waits for another frame does not make the motion uneven.
+        # In whole milliseconds, so that a command that waits for another frame does not make the
+        # motion uneven.
         step_ns = min(max(round((now - self._commanded_ns) / _MS), 1) * _MS, _LONGEST_STEP_NS)
         self._commanded_ns = now
         self._reading = self._sampler.latch(now)
@@ -238,9 +245,13 @@ class DbcDrive:
 
     def _brake(self) -> None:
         now = self._clock.now_ns()
-        joint_rad_s = self._sampler.peek(now).motor_velocity_rad_s / self._machine.constants.motor.gear_ratio
+        joint_rad_s = (
+            self._sampler.peek(now).motor_velocity_rad_s / self._machine.constants.motor.gear_ratio
+        )
         self._machine.brake(DECELERATION_RAD_S2)
-        self._ramp.start(now + round(abs(joint_rad_s) / DECELERATION_RAD_S2 * 1e9) + _RAMP_SETTLE_NS)
+        self._ramp.start(
+            now + round(abs(joint_rad_s) / DECELERATION_RAD_S2 * 1e9) + _RAMP_SETTLE_NS
+        )
 
     def _ramp_done(self) -> None:
         self._enter(State.FAULT if self.state is State.BRAKING else State.OFF)
@@ -281,7 +292,9 @@ class DbcDrive:
         velocity = _int16(reading.motor_velocity_rad_s / _VELOCITY_RAD_S)
         voltage = _int16(reading.voltage_V / _VOLTAGE_V)
         time = (self._sampler.time_ns // 1000 + self._clock_offset_us) // 10 & 0xFFFFFF
-        self._port.send(POWER, struct.pack(">hhI", velocity, voltage, time << 8 | self._next_life(POWER) << 4))
+        self._port.send(
+            POWER, struct.pack(">hhI", velocity, voltage, time << 8 | self._next_life(POWER) << 4)
+        )
 
     def _tell_when_idle(self) -> None:
         now = self._clock.now_ns()
@@ -299,7 +312,9 @@ class DbcDrive:
         self._info.start(self._clock.now_ns() + _INFO_NS)
 
     def _in_turn(self, send: Callable[[], None]) -> None:
-        """Send at once, or after the next answer while commands come: the wire is free for long enough then."""
+        """Send at once, or after the next answer while commands come: the wire is free for long
+        enough then.
+        """
         if self._clock.now_ns() - self._commanded_ns < _IDLE_NS:
             self._waiting.append(send)
         else:
@@ -308,7 +323,9 @@ class DbcDrive:
     def _send_status(self) -> None:
         supply = round(self._reading.supply_V * 1e2)
         temperature = round((self._reading.temperature_C - _COLDEST_C) / _TEMPERATURE_C)
-        body = struct.pack(">HBBBx", supply, temperature, self.fault_code, self._next_life(STATUS) << 4)
+        body = struct.pack(
+            ">HBBBx", supply, temperature, self.fault_code, self._next_life(STATUS) << 4
+        )
         self._port.send(STATUS, body[:5] + bytes([crc8_j1850(body)]))
 
     def _send_info(self) -> None:

@@ -1,7 +1,8 @@
 """Recordings of the simulated bench without its bus: the same samples, two hundred times sooner.
 
-The bus adds nothing to a good recording but its timing, the same in every cycle: at a SYNC both devices latch, and
-the target that came with it is reached by interpolation one cycle later. What is left of the devices is their units.
+The bus adds nothing to a good recording but its timing, the same in every cycle: at a SYNC both
+devices latch, and the target that came with it is reached by interpolation one cycle later. What is
+left of the devices is their units.
 """
 
 from __future__ import annotations
@@ -16,7 +17,9 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.transmitter import PRESSURE_UNIT_PA, transmitted
 
 SLOW_EVERY = 10
-"""Cycles between two frames that carry supply voltage and temperature, as the host asks of the drive."""
+"""Cycles between two frames that carry supply voltage and temperature, as the host asks of the
+drive.
+"""
 
 Channel = NDArray[np.float64]
 
@@ -24,9 +27,9 @@ Channel = NDArray[np.float64]
 class Samples(NamedTuple):
     """A recording as the host's drivers would give it, SI units, arrays of shape (n,).
 
-    ``velocity`` is the drive's estimate at the joint; ``angle`` is the joint encoder's, ``motor_angle`` the motor's.
-    ``current`` and ``voltage`` are means over the cycle that ends at the sample. ``pressure`` is that beyond the valve
-    while no gas generator burns.
+    ``velocity`` is the drive's estimate at the joint; ``angle`` is the joint encoder's,
+    ``motor_angle`` the motor's. ``current`` and ``voltage`` are means over the cycle that ends at
+    the sample. ``pressure`` is that beyond the valve while no gas generator burns.
     """
 
     time: Channel
@@ -78,7 +81,8 @@ def record(
         _int16(latches.voltage_V * 1e2) * 0.01,
         np.rint(latches.supply_V * 1e3)[held] * 1e-3,
         np.rint(machine.temperature(latches.run_s) * 1e1)[held] * 0.1,
-        transmitted(machine.constants.gas.transmitter, latches.pressure_Pa, pressure_rng)[0] * PRESSURE_UNIT_PA,
+        transmitted(machine.constants.gas.transmitter, latches.pressure_Pa, pressure_rng)[0]
+        * PRESSURE_UNIT_PA,
     )
 
 

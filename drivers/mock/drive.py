@@ -87,10 +87,10 @@ class QuickStop(IntEnum):
 class SimulatedDrive(SimulatedNode):
     """A position servo in cyclic synchronous position mode.
 
-    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared); 6078h is the mean
-    current since the last SYNC, per mille of 6075h. The torque offset 60B2h, per mille of 6076h, is added to what the
-    position loop asks for while targets are followed, and to no ramp. The power stage is on only in the states of
-    :data:`POWERED`.
+    Positions are motor encoder counts; 606Ch, 607Fh, 6084h and 6085h count per second (squared);
+    6078h is the mean current since the last SYNC, per mille of 6075h. The torque offset 60B2h, per
+    mille of 6076h, is added to what the position loop asks for while targets are followed, and to
+    no ramp. The power stage is on only in the states of :data:`POWERED`.
 
     Attributes:
         power_state: State of the power drive system.
@@ -132,7 +132,9 @@ class SimulatedDrive(SimulatedNode):
         objects.checks[0x60C2] = self._check_disabled
         objects.written[0x6060] = lambda _sub, value: self._values.__setitem__(_MODE_DISPLAY, value)
         objects.written[0x60C2] = lambda _sub, _value: self._read_period()
-        objects.written[0x6072] = objects.written[0x6073] = lambda _sub, _value: self._limit_current()
+        objects.written[0x6072] = objects.written[0x6073] = lambda _sub, _value: (
+            self._limit_current()
+        )
         objects.written[0x6040] = lambda _sub, _value: self._outputs()
         self.restore()
 
@@ -192,7 +194,9 @@ class SimulatedDrive(SimulatedNode):
         self._show_status()
 
     def connection_lost(self, code: int) -> None:
-        """React to the loss of the master as 6007h says; nothing is to be done where no power can come."""
+        """React to the loss of the master as 6007h says; nothing is to be done where no power can
+        come.
+        """
         if self.power_state in (State.SWITCH_ON_DISABLED, State.FAULT_REACTION, State.FAULT):
             return
         match self.objects.integer(0x6007):
@@ -230,7 +234,9 @@ class SimulatedDrive(SimulatedNode):
         following = TRANSITIONS.get((self.power_state, order))
         if following is None:
             return
-        leaves_stop = self.power_state is State.QUICK_STOP_ACTIVE and order is Command.ENABLE_OPERATION
+        leaves_stop = (
+            self.power_state is State.QUICK_STOP_ACTIVE and order is Command.ENABLE_OPERATION
+        )
         # Transition 16 exists only where the drive stays in QUICK STOP ACTIVE after the ramp.
         if not leaves_stop or self.objects.integer(0x605A) >= QuickStop.SLOW_DOWN_AND_STAY:
             self._enter(following)
@@ -298,7 +304,10 @@ class SimulatedDrive(SimulatedNode):
         step = target - self._demand
         if step > reach or step < -reach:
             target = self._demand + math.copysign(reach, step)
-        if target != wanted or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit * self._per_mille_A:
+        if (
+            target != wanted
+            or abs(values[_CURRENT]) >= _AT_LIMIT * self._current_limit * self._per_mille_A
+        ):
             self._flags |= _INTERNAL_LIMIT
         else:
             self._flags &= ~_INTERNAL_LIMIT
@@ -336,7 +345,8 @@ class SimulatedDrive(SimulatedNode):
 def encoder_resolution(machine: constants.Machine) -> tuple[int, int]:
     """Return motor encoder increments and the motor turns they make (608Fh).
 
-    With an exact sensor the machine counts microradians of the joint; 100 turns keep that ratio to 1e-9 or so.
+    With an exact sensor the machine counts microradians of the joint; 100 turns keep that ratio to
+    1e-9 or so.
     """
     counts = machine.sensing.motor_counts_per_turn
     if counts:

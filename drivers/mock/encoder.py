@@ -25,14 +25,20 @@ _TURNS: Final = 4096
 
 
 class SimulatedEncoder(SimulatedNode):
-    """A multi-turn encoder: 6004h = (direction x joint counts, scaled, + preset offset) modulo 6002h.
+    """A multi-turn encoder: 6004h = (direction x joint counts, scaled, + preset offset) modulo
+    6002h.
 
     Attributes:
         distort: What a faulty sensor makes of the joint counts; None for a good one.
     """
 
     def __init__(
-        self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, sampler: Sampler, clock_offset_us: int = 0
+        self,
+        bus: SimulatedBus,
+        clock: SimulatedClock,
+        node_id: int,
+        sampler: Sampler,
+        clock_offset_us: int = 0,
     ) -> None:
         super().__init__(bus, clock, node_id, ENCODER_EDS, clock_offset_us)
         self._sampler = sampler
@@ -88,7 +94,9 @@ class SimulatedEncoder(SimulatedNode):
         self._before = None
 
     def _position(self, counts: int) -> int:
-        return (self._factor * counts * self._units // self._resolution + self._offset) % self._range
+        return (
+            self._factor * counts * self._units // self._resolution + self._offset
+        ) % self._range
 
     def _preset(self, value: int) -> None:
         self._offset = 0

@@ -39,11 +39,12 @@ _SEGMENT: Final = struct.Struct("BB")
 
 
 class SimulatedEposPort:
-    """Answers requests out of the drive's dictionary; a :class:`~drivers.mock.wires.serial_line.Station`.
+    """Answers requests out of the drive's dictionary; a
+    :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Without SYNC a target acts when it is written, values are those of the instant at which they are read, and the drive
-    watches its following error by itself every millisecond. Current and voltage are means from one reading of the
-    current to the next.
+    Without SYNC a target acts when it is written, values are those of the instant at which they are
+    read, and the drive watches its following error by itself every millisecond. Current and voltage
+    are means from one reading of the current to the next.
 
     Args:
         bus: The drive's CAN side, where NMT services go.
@@ -75,7 +76,9 @@ class SimulatedEposPort:
 
     def receive(self, data: bytes) -> bytes:
         """Return the answers to the whole frames that end in ``data``; bad ones get none."""
-        return b"".join(encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data))
+        return b"".join(
+            encode(Opcode.ANSWER, self._answer(*frame)) for frame in self._decoder.feed(data)
+        )
 
     def _answer(self, opcode: int, fields: bytes) -> bytes:
         service = self._services.get(opcode)

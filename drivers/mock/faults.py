@@ -32,10 +32,13 @@ class _Rule:
 
 
 class WireFaults:
-    """Loses, repeats, delays and spoils frames on a simulated bus. Several faults may be active at once.
+    """Loses, repeats, delays and spoils frames on a simulated bus.
 
-    ``count`` is the number of frames that a fault meets, :data:`FOR_GOOD` for all from now on. A frame that a check sum
-    catches does not exist for its receivers (CAN repeats it); what is spoiled here is what got past it.
+    Several faults may be active at once.
+
+    ``count`` is the number of frames that a fault meets, :data:`FOR_GOOD` for all from now on. A
+    frame that a check sum catches does not exist for its receivers (CAN repeats it); what is
+    spoiled here is what got past it.
 
     Args:
         bus: The wire; its ``frame_filters`` and ``down`` are used.
@@ -94,7 +97,9 @@ class WireFaults:
             answer = bytes([_SDO_ABORT]) + data[1:4] + struct.pack("<I", code)
             self._ghost.send(_SDO_ANSWER + node_id, answer)
 
-        self._add(lambda identifier, host: host and identifier == _SDO_REQUEST + node_id, count, change)
+        self._add(
+            lambda identifier, host: host and identifier == _SDO_REQUEST + node_id, count, change
+        )
 
     def bus_off(self, for_s: float | None) -> None:
         """Take the host's controller off the bus, for a time or for good."""
@@ -111,7 +116,9 @@ class WireFaults:
         """Make a node boot again, as after a dip of its supply."""
         self._ghost.send(0x000, bytes([129, node_id]))
 
-    def _add(self, match: Match, count: int, change: Callable[[int, bytes, bool], Frame | None]) -> None:
+    def _add(
+        self, match: Match, count: int, change: Callable[[int, bytes, bool], Frame | None]
+    ) -> None:
         self._rules.append(_Rule(match, count or None, change))
 
     def _recover(self) -> None:

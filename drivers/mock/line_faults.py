@@ -1,4 +1,6 @@
-"""Faults of a serial line: what bad wiring does to messages between the simulated device and the host."""
+"""Faults of a serial line: what bad wiring does to messages between the simulated device and the
+host.
+"""
 
 from __future__ import annotations
 
@@ -23,10 +25,12 @@ class _Rule:
 
 
 class LineFaults:
-    """Loses, spoils, delays and repeats messages on a simulated line. Several faults may be active at once.
+    """Loses, spoils, delays and repeats messages on a simulated line.
 
-    ``from_host`` chooses requests (True), answers (False) or both (None); ``count`` is the number of messages that a
-    fault meets, 0 for all from now on.
+    Several faults may be active at once.
+
+    ``from_host`` chooses requests (True), answers (False) or both (None); ``count`` is the number
+    of messages that a fault meets, 0 for all from now on.
 
     Args:
         line: The line; its ``filters`` and ``cut`` are used.
@@ -54,7 +58,9 @@ class LineFaults:
         self._add(from_host, count, change)
 
     def flip(self, from_host: bool | None, count: int, bit: int) -> None:
-        """Invert one bit, counted from the first byte's lowest; in shorter messages one of the last byte."""
+        """Invert one bit, counted from the first byte's lowest; in shorter messages one of the last
+        byte.
+        """
 
         def change(data: bytes, _host: bool) -> bytes:
             spoiled = bytearray(data)
@@ -65,11 +71,19 @@ class LineFaults:
 
     def break_stuffing(self, from_host: bool | None, count: int) -> None:
         """Put a 90h that is not doubled behind opcode and length."""
-        self._add(from_host, count, lambda data, _host: data[:_HEAD] + _BROKEN_STUFFING + data[_HEAD:])
+        self._add(
+            from_host, count, lambda data, _host: data[:_HEAD] + _BROKEN_STUFFING + data[_HEAD:]
+        )
 
     def delay(self, from_host: bool | None, count: int, by_s: float) -> None:
-        """Deliver messages ``by_s`` late; those behind them wait, as bytes cannot overtake each other on a line."""
-        self._add(from_host, count, lambda data, host: self._hold(data, host, self._clock.now_ns() + round(by_s * 1e9)))
+        """Deliver messages ``by_s`` late; those behind them wait, as bytes cannot overtake each
+        other on a line.
+        """
+        self._add(
+            from_host,
+            count,
+            lambda data, host: self._hold(data, host, self._clock.now_ns() + round(by_s * 1e9)),
+        )
 
     def repeat(self, from_host: bool | None, count: int) -> None:
         """Deliver messages twice, one right behind the other."""
@@ -98,7 +112,9 @@ class LineFaults:
     def _mend(self) -> None:
         self._line.cut = False
 
-    def _add(self, from_host: bool | None, count: int, change: Callable[[bytes, bool], bytes]) -> None:
+    def _add(
+        self, from_host: bool | None, count: int, change: Callable[[bytes, bool], bytes]
+    ) -> None:
         self._rules.append(_Rule(from_host, count or None, change))
 
     def _filter(self, now: int, data: bytes, host: bool) -> bytes:

@@ -1,4 +1,6 @@
-"""The power drive system state machine as the simulated drive runs it (CiA 402-2, figure "FSA" and its transitions)."""
+"""The power drive system state machine as the simulated drive runs it (CiA 402-2, figure "FSA" and
+its transitions).
+"""
 
 from __future__ import annotations
 
@@ -9,7 +11,9 @@ from typing import Final
 
 @unique
 class State(IntEnum):
-    """States; the value is what the statusword shows under mask 6Fh (4Fh where bit 5 does not matter)."""
+    """States; the value is what the statusword shows under mask 6Fh (4Fh where bit 5 does not
+    matter).
+    """
 
     NOT_READY = 0x00
     SWITCH_ON_DISABLED = 0x40
@@ -54,7 +58,10 @@ TRANSITIONS: Final[Mapping[tuple[State, Command], State]] = {
     (_S.SWITCHED_ON, _C.QUICK_STOP): _S.SWITCH_ON_DISABLED,  # 10
     (_S.OPERATION_ENABLED, _C.QUICK_STOP): _S.QUICK_STOP_ACTIVE,  # 11
     (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 12
-    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16, only with 605Ah = 5 or 6
+    (
+        _S.QUICK_STOP_ACTIVE,
+        _C.ENABLE_OPERATION,
+    ): _S.OPERATION_ENABLED,  # 16, only with 605Ah = 5 or 6
 }
 
 

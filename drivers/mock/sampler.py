@@ -1,4 +1,6 @@
-"""Shared access of the simulated devices to the one machine: integrate up to now, latch once per instant."""
+"""Shared access of the simulated devices to the one machine: integrate up to now, latch once per
+instant.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,8 @@ from drivers.mock.plant.machine import Reading, SimulatedMachine
 class Sampler:
     """Keeps the machine in step with simulated time.
 
-    The machine moves in whole loop periods, so what is latched belongs to :attr:`time_ns`, at most one period ago.
+    The machine moves in whole loop periods, so what is latched belongs to :attr:`time_ns`, at most
+    one period ago.
 
     Attributes:
         machine: The machine; commands to it take effect after :meth:`advance`.
@@ -50,11 +53,15 @@ class Sampler:
         return reading
 
     def latch(self, now_ns: int) -> Reading:
-        """Return the reading at ``now_ns``, current and voltage averaged since the last call, and start new means."""
+        """Return the reading at ``now_ns``, current and voltage averaged since the last call, and
+        start new means.
+        """
         reading = self.peek(now_ns)
         span = self._pending_ns
         if self._parts > 1 and span:
-            reading = reading._replace(current_A=self._pending_current / span, voltage_V=self._pending_voltage / span)
+            reading = reading._replace(
+                current_A=self._pending_current / span, voltage_V=self._pending_voltage / span
+            )
         self._parts = self._pending_ns = 0
         self._pending_current = self._pending_voltage = 0.0
         return reading

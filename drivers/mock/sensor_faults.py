@@ -1,4 +1,6 @@
-"""Faults of the joint encoder, and of the drive's mode of operation: what they make of good values."""
+"""Faults of the joint encoder, and of the drive's mode of operation: what they make of good
+values.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,9 @@ _MODE_DISPLAY = key(0x6061)
 
 
 class Sensor(Protocol):
-    """A simulated encoder of any kind; ``distort`` is what a fault makes of its counts, None for a good one."""
+    """A simulated encoder of any kind; ``distort`` is what a fault makes of its counts, None for a
+    good one.
+    """
 
     distort: Callable[[int], int] | None
 

@@ -25,10 +25,17 @@ _OVERLOAD: Final = 0x02
 
 
 class SimulatedTransmitter(SimulatedNode):
-    """9130h is the pressure at the last SYNC, with noise; 6150h says where it is beyond the range."""
+    """9130h is the pressure at the last SYNC, with noise; 6150h says where it is beyond the
+    range.
+    """
 
     def __init__(
-        self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, sampler: Sampler, rng: np.random.Generator
+        self,
+        bus: SimulatedBus,
+        clock: SimulatedClock,
+        node_id: int,
+        sampler: Sampler,
+        rng: np.random.Generator,
     ) -> None:
         super().__init__(bus, clock, node_id, TRANSMITTER_EDS, 0)
         self._sampler = sampler
@@ -54,7 +61,8 @@ def transmitted(
     """Return what a transmitter makes of exact pressures, shape (n,).
 
     Returns:
-        The reading in whole units of :data:`PRESSURE_UNIT_PA`, and whether it is held at the end of the range.
+        The reading in whole units of :data:`PRESSURE_UNIT_PA`, and whether it is held at the end of
+        the range.
     """
     noise = 0.0 if rng is None else transmitter.noise_Pa * rng.standard_normal(len(pressure_Pa))
     reading = pressure_Pa + noise

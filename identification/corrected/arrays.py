@@ -1,4 +1,6 @@
-"""The signals of a motion from plain arrays, for the model that is exported as a file of its own."""
+"""The signals of a motion from plain arrays, for the model that is exported as a file of its
+own.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ def signals(
     run_start: float = 0.0,
     number: int = 1,
 ) -> dict[str, Any]:
-    """Return the signals of one recording; arrays of shape (n,), SI, at the joint but for current and voltage.
+    """Return the signals of one recording; arrays of shape (n,), SI, at the joint but for current
+    and voltage.
 
     Args:
         m: Numbers of the model.

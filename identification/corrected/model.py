@@ -1,4 +1,6 @@
-"""The corrected model as a whole: nominal parameters, effects, and the curve of what has no name."""
+"""The corrected model as a whole: nominal parameters, effects, and the curve of what has no
+name.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,20 @@ from identification.numerics.arrays import Array
 from identification.recording import Recording
 
 Signals = Mapping[str, object]
-PARAMETERS = ("J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2", "mu_gc", "mu_gs", "offset")
+PARAMETERS = (
+    "J",
+    "Mc",
+    "Ms",
+    "omega_sf",
+    "sigma_2",
+    "mu_c",
+    "mu_s",
+    "omega_sL",
+    "mu_2",
+    "mu_gc",
+    "mu_gs",
+    "offset",
+)
 COORDINATES = {"angle": "angle", "speed": "velocity", "time": "time"}
 """Coordinates over which a curve can be carried, and the signal each is."""
 
@@ -38,7 +53,9 @@ class CorrectedModel:
     curve: Curve | None = None
 
     def numbers(self, recording: Recording) -> dict[str, float]:
-        """Return the nominal parameters and a bench's constants, as the functions take them; unknown ones are 0."""
+        """Return the nominal parameters and a bench's constants, as the functions take them;
+        unknown ones are 0.
+        """
         bench = recording.bench
         known = {name: float(self.parameters.get(name, 0.0)) for name in PARAMETERS}
         constants = {
@@ -53,9 +70,16 @@ class CorrectedModel:
         return {**known, **self._load(), "alpha": self.alpha, **given}
 
     def _load(self) -> dict[str, float]:
-        """Return the torque that turns with the joint and was found: coefficients of sin, cos, the angle and 1."""
-        torque, zero = (self.effects.get("gravity_imbalance", {}).get(n, 0.0) for n in ("torque_Nm", "zero_rad"))
-        slope, rest = (self.effects.get("return_spring", {}).get(n, 0.0) for n in ("stiffness_Nm_rad", "rest_rad"))
+        """Return the torque that turns with the joint and was found: coefficients of sin, cos, the
+        angle and 1.
+        """
+        torque, zero = (
+            self.effects.get("gravity_imbalance", {}).get(n, 0.0) for n in ("torque_Nm", "zero_rad")
+        )
+        slope, rest = (
+            self.effects.get("return_spring", {}).get(n, 0.0)
+            for n in ("stiffness_Nm_rad", "rest_rad")
+        )
         return {
             "load_sine": torque * math.cos(zero),
             "load_cosine": -torque * math.sin(zero),
@@ -78,7 +102,9 @@ class CorrectedModel:
 
     def voltage(self, s: Signals, m: Mapping[str, float]) -> Array:
         """Return what the logged current asks of the supply, V, shape (n,)."""
-        return nominal_voltage(s, m) + self._added(VOLTAGE, s, m) + carried(self.curve, "voltage", s)
+        return (
+            nominal_voltage(s, m) + self._added(VOLTAGE, s, m) + carried(self.curve, "voltage", s)
+        )
 
     def _added(self, table: Mapping[str, object], s: Signals, m: Mapping[str, float]) -> Array:
         total = np.zeros(len(np.asarray(s["time"])))
@@ -90,7 +116,9 @@ class CorrectedModel:
 
 
 def carried(curve: Curve | None, equation: str, s: Signals) -> Array:
-    """Return the empirical curve of one equation at the signals, shape (n,); 0 where there is none for it."""
+    """Return the empirical curve of one equation at the signals, shape (n,); 0 where there is none
+    for it.
+    """
     n = len(np.asarray(s["time"]))
     if curve is None or curve.equation != equation or curve.coordinate not in COORDINATES:
         return np.zeros(n)

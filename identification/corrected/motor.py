@@ -1,4 +1,6 @@
-"""What the logged current gives at the joint and asks of the supply (eq. 1), and what each effect adds to that."""
+"""What the logged current gives at the joint and asks of the supply (eq. 1), and what each effect
+adds to that.
+"""
 
 from __future__ import annotations
 
@@ -22,14 +24,19 @@ def cogging(s: Any, m: Any, torque_Nm: float, per_motor_turn: float, phase_rad: 
     return np.asarray(torque_Nm * np.sin(per_motor_turn * s["motor_angle"] + phase_rad))
 
 
-def torque_ripple(s: Any, m: Any, fraction: float, per_motor_turn: float, phase_rad: float) -> Array:
+def torque_ripple(
+    s: Any, m: Any, fraction: float, per_motor_turn: float, phase_rad: float
+) -> Array:
     """Km swings with the motor's angle."""
     return np.asarray(s["drive"] * fraction * np.sin(per_motor_turn * s["motor_angle"] + phase_rad))
 
 
 def torque_saturation(s: Any, m: Any, knee_A: float) -> Array:
     """I_k tanh(I / I_k) in place of I."""
-    return np.asarray(m["ampere_torque"] * knee_A * np.tanh(s["drive"] / (m["ampere_torque"] * knee_A)) - s["drive"])
+    return np.asarray(
+        m["ampere_torque"] * knee_A * np.tanh(s["drive"] / (m["ampere_torque"] * knee_A))
+        - s["drive"]
+    )
 
 
 def current_loop_lag(s: Any, m: Any, time_s: float) -> Array:
@@ -48,9 +55,13 @@ def transmission_efficiency(s: Any, m: Any, efficiency: float) -> Array:
     return np.asarray(s["drive"] * (np.where(driving, efficiency, 1.0 / efficiency) - 1.0))
 
 
-def gear_mesh_ripple_drive(s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float) -> Array:
+def gear_mesh_ripple_drive(
+    s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
+) -> Array:
     """Where the teeth make the motor run ahead its torque counts for more: power passes whole."""
-    return np.asarray(s["drive"] * amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad))
+    return np.asarray(
+        s["drive"] * amplitude_rad * per_turn * np.cos(per_turn * s["angle"] + phase_rad)
+    )
 
 
 def time_skew(s: Any, m: Any, time_s: float) -> Array:
@@ -81,11 +92,15 @@ def brush_drop_voltage(s: Any, m: Any, voltage_V: float, current_A: float) -> Ar
 def winding_heating_voltage(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:
     """R rises and Ke falls with the winding's temperature."""
     rise = winding_rise(s, m, rise_K_per_W, time_s)
-    return np.asarray(rise * (0.00393 * m["R"] * s["current"] - 0.001 * m["Ke"] * m["i"] * s["velocity"]))
+    return np.asarray(
+        rise * (0.00393 * m["R"] * s["current"] - 0.001 * m["Ke"] * m["i"] * s["velocity"])
+    )
 
 
 def supply_sag_voltage(s: Any, m: Any, resistance_ohm: float) -> Array:
-    """The logged voltage is duty times the nominal supply; the supply gives duty times the current."""
+    """The logged voltage is duty times the nominal supply; the supply gives duty times the
+    current.
+    """
     return np.asarray(resistance_ohm * s["current"] * (s["voltage"] / s["supply"]) ** 2)
 
 

@@ -1,7 +1,9 @@
-"""The nominal parameters again, by the default estimator, on recordings from which the effects are taken out.
+"""The nominal parameters again, by the default estimator, on recordings from which the effects are
+taken out.
 
-The search works on equation errors, which cannot see friction's falling branch under load; the default estimator
-refines by prediction errors, but only where nothing is missing. Taking out what was found lets it do so.
+The search works on equation errors, which cannot see friction's falling branch under load; the
+default estimator refines by prediction errors, but only where nothing is missing. Taking out what
+was found lets it do so.
 """
 
 from __future__ import annotations
@@ -21,18 +23,24 @@ from identification.result import Identification
 _REPLACED = ("current", "voltage", "torque")
 
 
-def without_effects(recordings: Sequence[Recording], model: CorrectedModel, bandwidth_Hz: float) -> list[Recording]:
-    """Return recordings whose torque channel is what the drive would have given without the effects.
+def without_effects(
+    recordings: Sequence[Recording], model: CorrectedModel, bandwidth_Hz: float
+) -> list[Recording]:
+    """Return recordings whose torque channel is what the drive would have given without the
+    effects.
 
     Raises:
         RecordingError: A recording that has no torque, or cannot be brought to this bandwidth.
     """
     seen = views(recordings, bandwidth_Hz)
-    return [_without(recording, view, model) for recording, view in zip(recordings, seen, strict=True)]
+    return [
+        _without(recording, view, model) for recording, view in zip(recordings, seen, strict=True)
+    ]
 
 
 def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
-    """Return the nominal model of a dataset without its effects, with intervals, and None where nothing pins it.
+    """Return the nominal model of a dataset without its effects, with intervals, and None where
+    nothing pins it.
 
     Raises:
         RecordingError: The recordings cannot pin the model.
@@ -48,7 +56,8 @@ def _without(recording: Recording, view: View, model: CorrectedModel) -> Recordi
     measured = recording.channels
     if "torque" not in measured and "current" not in measured:
         raise RecordingError(
-            f"{recording.name}: effects are taken out of a torque or current, and neither was measured"
+            f"{recording.name}: effects are taken out of a torque or current, and neither was "
+            f"measured"
         )
     raw = measured["torque"] if "torque" in measured else m["ampere_torque"] * measured["current"]
     averaged = recording.averaged & {"torque", "current"}

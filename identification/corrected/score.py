@@ -26,7 +26,8 @@ class Predicted:
         recording: Name.
         role: ``fit`` or ``validate``.
         time: s, shape (n,).
-        measured: In the equation's unit, shape (n,); NaN where it does not apply (at rest, or unpowered).
+        measured: In the equation's unit, shape (n,); NaN where it does not apply (at rest, or
+        unpowered).
         model: Shape (n,), likewise.
     """
 
@@ -47,14 +48,19 @@ class Predicted:
 def predictions(view: View, model: CorrectedModel) -> tuple[Predicted, ...]:
     """Return every equation that a recording bears, measured and predicted.
 
-    The zero of motor against joint angle is the recording's own, so that ``transmission`` is free of a constant.
+    The zero of motor against joint angle is the recording's own, so that ``transmission`` is free
+    of a constant.
     """
     s, m, recording = signals_of(view), model.numbers(view.recording), view.recording
     found = [_one(view, "torque", model.drive(s, m), model.torque(s, m), ~view.moving)]
     if view.lag is not None:
         lag, twist = view.low_pass(view.lag), view.low_pass(model.twist(s, m))
         zero = float(np.median(lag - twist))
-        found.append(Predicted("transmission", recording.name, recording.role, view.kept_times, lag - zero, twist))
+        found.append(
+            Predicted(
+                "transmission", recording.name, recording.role, view.kept_times, lag - zero, twist
+            )
+        )
     known = recording.bench.resistance is not None and recording.bench.back_emf_constant is not None
     if view.voltage is not None and view.current is not None and known:
         dark = ~view.low_pass.untouched(np.isnan(view.voltage))
@@ -69,6 +75,8 @@ def rms(parts: Iterable[Predicted]) -> float | None:
     return math.sqrt(sum(float(e @ e) for e in errors) / count) if count else None
 
 
-def _one(view: View, equation: str, measured: Array, model: Array, left_out: np.ndarray) -> Predicted:
+def _one(
+    view: View, equation: str, measured: Array, model: Array, left_out: np.ndarray
+) -> Predicted:
     series = (np.where(left_out, np.nan, view.low_pass(side)) for side in (measured, model))
     return Predicted(equation, view.recording.name, view.recording.role, view.kept_times, *series)

@@ -13,7 +13,8 @@ from identification.diagnosis.view import View
 def signals_of(view: View) -> dict[str, Any]:
     """Return the full-rate signals of a view, SI, at the joint unless said; arrays of shape (m,).
 
-    ``drive`` is what the current gives nominally, known loads not taken off; ``number`` counts recordings from 1.
+    ``drive`` is what the current gives nominally, known loads not taken off; ``number`` counts
+    recordings from 1.
     """
     nothing = np.zeros(len(view.time))
     return {

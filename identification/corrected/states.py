@@ -10,7 +10,9 @@ from identification.numerics.arrays import Array
 
 
 def lagged(series: Array, time: Array, time_s: float) -> Array:
-    """Return a series through a first-order lag that starts settled, straight from sample to sample, shape (n,)."""
+    """Return a series through a first-order lag that starts settled, straight from sample to
+    sample, shape (n,).
+    """
     out = np.array(series, dtype=float)
     steps = np.diff(time)
     share = 1.0 - np.exp(-steps / time_s) if time_s > 0.0 else np.ones(len(out) - 1)
@@ -27,7 +29,8 @@ def advanced(series: Array, time: Array, time_s: float) -> Array:
 
 
 def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
-    """Return friction that turns over a small travel, dF = k (1 - F sgn(dtheta) / level) dtheta, N m, shape (n,).
+    """Return friction that turns over a small travel, dF = k (1 - F sgn(dtheta) / level) dtheta, N
+    m, shape (n,).
 
     ``start`` is the friction at the first sample.
     """
@@ -43,7 +46,9 @@ def dahl_friction(angle: Array, level: Array, stiffness: float, start: float = 0
 
 
 def play(angle: Array, gap: float) -> Array:
-    """Return how far the driving side of a gap leads the driven one, within +- gap/2, rad, shape (n,)."""
+    """Return how far the driving side of a gap leads the driven one, within +- gap/2, rad, shape
+    (n,).
+    """
     out = np.zeros(len(angle))
     for k in range(1, len(angle)):
         out[k] = min(max(out[k - 1] + angle[k] - angle[k - 1], -0.5 * gap), 0.5 * gap)
@@ -51,9 +56,11 @@ def play(angle: Array, gap: float) -> Array:
 
 
 def mean_step(current: Array, knee: float) -> Array:
-    """Return the mean of tanh(I / knee) over each sample's period, the current going straight through it, shape (n,).
+    """Return the mean of tanh(I / knee) over each sample's period, the current going straight
+    through it, shape (n,).
 
-    A knee of 0 is a sharp step. Around a reversal the current changes by more than the knee within one period.
+    A knee of 0 is a sharp step. Around a reversal the current changes by more than the knee within
+    one period.
     """
     ends = 0.5 * (current[1:] + current[:-1])
     before, after = np.concatenate((current[:1], ends)), np.concatenate((ends, current[-1:]))
@@ -69,7 +76,9 @@ def mean_step(current: Array, knee: float) -> Array:
 
 
 def winding_rise(s: Any, m: Any, rise_K_per_W: float, time_s: float) -> Array:
-    """Return the winding's temperature rise, K, shape (n,); before the recording it was warmed as in its mean."""
+    """Return the winding's temperature rise, K, shape (n,); before the recording it was warmed as
+    in its mean.
+    """
     loss = m["R"] * s["current"] ** 2
     before = float(np.mean(loss)) * (1.0 - np.exp(-s["run_time"][0] / time_s))
     series = np.concatenate(([before], loss[1:]))

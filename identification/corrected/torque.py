@@ -18,26 +18,36 @@ def friction_level(speed: Array, m: Any, alpha: float) -> Array:
 
 
 def load_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return the magnitude of eq. 12's bracket without its viscous part; times F_P L1 it is a torque."""
+    """Return the magnitude of eq. 12's bracket without its viscous part; times F_P L1 it is a
+    torque.
+    """
     fall = np.exp(-(np.abs(speed / m["omega_sL"]) ** alpha)) if m["omega_sL"] > 0.0 else 0.0
     return np.asarray(m["mu_c"] + (m["mu_s"] - m["mu_c"]) * fall + np.zeros_like(speed))
 
 
 def gear_level(speed: Array, m: Any, alpha: float) -> Array:
-    """Return what multiplies a declared weight's torque where load-dependent friction is declared."""
+    """Return what multiplies a declared weight's torque where load-dependent friction is
+    declared.
+    """
     fall = np.exp(-(np.abs(speed / m["omega_sf"]) ** alpha)) if m["omega_sf"] > 0.0 else 0.0
     return np.asarray(m["mu_gc"] + (m["mu_gs"] - m["mu_gc"]) * fall + np.zeros_like(speed))
 
 
 def borne(s: Any, m: Any) -> Array:
-    """Return the magnitude of the torque that turns with the joint, declared and found, N m: the gear bears it."""
+    """Return the magnitude of the torque that turns with the joint, declared and found, N m: the
+    gear bears it.
+    """
     found = m["load_sine"] * np.sin(s["angle"]) + m["load_cosine"] * np.cos(s["angle"])
-    return np.asarray(np.abs(s["hanging"] - found - m["load_slope"] * s["angle"] - m["load_constant"]))
+    return np.asarray(
+        np.abs(s["hanging"] - found - m["load_slope"] * s["angle"] - m["load_constant"])
+    )
 
 
 def dry_level(s: Any, m: Any, alpha: float) -> Array:
     """Return all friction but the viscous, without its sign, N m."""
-    system = friction_level(s["velocity"], m, alpha) + borne(s, m) * gear_level(s["velocity"], m, alpha)
+    system = friction_level(s["velocity"], m, alpha) + borne(s, m) * gear_level(
+        s["velocity"], m, alpha
+    )
     return np.asarray(system + s["moment"] * load_level(s["velocity"], m, alpha))
 
 
@@ -49,7 +59,9 @@ def load_torque(s: Any, m: Any) -> Array:
 
 def nominal_torque(s: Any, m: Any) -> Array:
     """Return J domega/dt + M_f + M_L, N m at the joint (eq. 15)."""
-    level = friction_level(s["velocity"], m, m["alpha"]) + borne(s, m) * gear_level(s["velocity"], m, m["alpha"])
+    level = friction_level(s["velocity"], m, m["alpha"]) + borne(s, m) * gear_level(
+        s["velocity"], m, m["alpha"]
+    )
     system = s["sense"] * level + m["sigma_2"] * s["velocity"]
     return np.asarray(m["J"] * s["acceleration"] + system + load_torque(s, m) + m["offset"])
 
@@ -81,29 +93,43 @@ def friction_memory(s: Any, m: Any, time_s: float) -> Array:
 
 
 def dwell_static_friction(s: Any, m: Any, growth_Nm: float, time_s: float) -> Array:
-    """Ms grows with the time at rest; a little sliding wears it off, so that motion has none of it."""
+    """Ms grows with the time at rest; a little sliding wears it off, so that motion has none of
+    it.
+    """
     still = np.asarray(s["still"])
     ends = np.concatenate(([False], still[:-1] & ~still[1:]))
-    return np.asarray(s["sense"] * growth_Nm * (1.0 - np.exp(-s["rest_time"] / time_s)) * (still | ends))
+    return np.asarray(
+        s["sense"] * growth_Nm * (1.0 - np.exp(-s["rest_time"] / time_s)) * (still | ends)
+    )
 
 
 def presliding(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
-    """Dahl's friction in place of a sign, which begins as the drive's torque over the first 20 ms says."""
+    """Dahl's friction in place of a sign, which begins as the drive's torque over the first 20 ms
+    says.
+    """
     level = dry_level(s, m, m["alpha"])
     begin = slice(0, max(2, round(0.02 / (s["time"][1] - s["time"][0]))))
     borne = (s["drive"] + s["known"] - m["J"] * s["acceleration"])[begin]
     start = float(np.polyval(np.polyfit(np.arange(len(borne)), borne, 1), 0.0))
-    return np.asarray(dahl_friction(s["angle"], level, stiffness_Nm_rad, start) - s["sense"] * level)
+    return np.asarray(
+        dahl_friction(s["angle"], level, stiffness_Nm_rad, start) - s["sense"] * level
+    )
 
 
-def position_dependent_friction(s: Any, m: Any, torque_Nm: float, center_rad: float, width_rad: float) -> Array:
+def position_dependent_friction(
+    s: Any, m: Any, torque_Nm: float, center_rad: float, width_rad: float
+) -> Array:
     """A worn patch."""
-    return np.asarray(s["sense"] * torque_Nm * np.exp(-0.5 * ((s["angle"] - center_rad) / width_rad) ** 2))
+    return np.asarray(
+        s["sense"] * torque_Nm * np.exp(-0.5 * ((s["angle"] - center_rad) / width_rad) ** 2)
+    )
 
 
 def viscous_thermal_drift(s: Any, m: Any, fraction: float, time_s: float) -> Array:
     """sigma_2 falls with running time."""
-    return np.asarray(-m["sigma_2"] * fraction * (1.0 - np.exp(-s["run_time"] / time_s)) * s["velocity"])
+    return np.asarray(
+        -m["sigma_2"] * fraction * (1.0 - np.exp(-s["run_time"] / time_s)) * s["velocity"]
+    )
 
 
 def coulomb_drift(s: Any, m: Any, rate_Nm_s: float) -> Array:
@@ -142,14 +168,18 @@ def wrong_weight(s: Any, m: Any, mass_kg: float, recording: float) -> Array:
     """Another mass than the label's on one recording, counted from 1."""
     if s["number"] != round(recording) or s["mass"] <= 0.0:
         return np.zeros_like(s["time"])
-    turning = s["sense"] * np.abs(s["hanging"]) * gear_level(s["velocity"], m, m["alpha"]) - s["known"]
+    turning = (
+        s["sense"] * np.abs(s["hanging"]) * gear_level(s["velocity"], m, m["alpha"]) - s["known"]
+    )
     return np.asarray((load_torque(s, m) + turning) * (mass_kg / s["mass"] - 1.0))
 
 
 def load_swing(s: Any, m: Any, fraction: float, frequency_Hz: float, decay_s: float) -> Array:
     """F_P (1 + f cos(2 pi nu t) exp(-t / T))."""
     t = s["time"] - s["time"][0]
-    return np.asarray(load_torque(s, m) * fraction * np.cos(2.0 * np.pi * frequency_Hz * t) * np.exp(-t / decay_s))
+    return np.asarray(
+        load_torque(s, m) * fraction * np.cos(2.0 * np.pi * frequency_Hz * t) * np.exp(-t / decay_s)
+    )
 
 
 def load_inertia(s: Any, m: Any, inertia_kgm2: float) -> Array:

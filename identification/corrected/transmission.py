@@ -21,7 +21,9 @@ def compliance(s: Any, m: Any, stiffness_Nm_rad: float) -> Array:
     return np.asarray(s["drive"] / stiffness_Nm_rad)
 
 
-def gear_mesh_ripple(s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float) -> Array:
+def gear_mesh_ripple(
+    s: Any, m: Any, amplitude_rad: float, per_turn: float, phase_rad: float
+) -> Array:
     """A sin(n theta + p)."""
     return np.asarray(amplitude_rad * np.sin(per_turn * s["angle"] + phase_rad))
 

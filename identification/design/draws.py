@@ -1,4 +1,6 @@
-"""Excitations that are tried: sines and ramps drawn at random, and small changes of those that did well."""
+"""Excitations that are tried: sines and ramps drawn at random, and small changes of those that did
+well.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,10 @@ _SLOWEST_HZ, _FASTEST_HZ = 0.2, 4.0
 _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 """Of a random sine at its middle, rad/s."""
 _LEAST_ACCELERATION = 0.25
-"""At its ends, rad/s^2. The less it is the longer the shaft is near rest, and the more it sticks and slips."""
+"""At its ends, rad/s^2.
+
+The less it is the longer the shaft is near rest, and the more it sticks and slips.
+"""
 _LEAST_ANGLE = math.radians(0.3)
 """Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
 _HEAVIEST = 0.25
@@ -26,14 +31,18 @@ _HEAVIEST = 0.25
 _NEAR = 0.75
 """Share of sines drawn about where friction falls."""
 _NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
-"""Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2: below, the shaft sticks
-and slips; above, it is past the fall of friction before a sample is taken."""
+"""Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2:
+below, the shaft sticks and slips; above, it is past the fall of friction before a sample is taken.
+"""
 _RAMPS = 0.4
 """Share of ramps among the excitations that are drawn."""
 _RAMP_SPEEDS, _RAMP_TIMES = (1.2, 5.0), (0.15, 1.0)
-"""Their speeds over the Stribeck speed, and times to the far end, s. Where friction falls faster than the drive's
-velocity gain can hold, the shaft sticks and slips; just beyond, every sample tells of the fall, and those after a
-breakaway, while the drive catches the shaft, tell the most: short ramps have more of them."""
+"""Their speeds over the Stribeck speed, and times to the far end, s.
+
+Where friction falls faster than the drive's velocity gain can hold, the shaft sticks and slips;
+just beyond, every sample tells of the fall, and those after a breakaway, while the drive catches
+the shaft, tell the most: short ramps have more of them.
+"""
 _SPREAD, _RAMP_SPREAD = 0.2, 0.06
 """Standard deviation of the logarithm of a refinement's change; and of a ramp's speed."""
 
@@ -57,11 +66,13 @@ class Draws:
     rng: np.random.Generator
 
     def random(self, loaded: bool) -> Part:
-        """Return a sine or ramps under one of the weights: of any speed, or about where friction falls."""
+        """Return a sine or ramps under one of the weights: of any speed, or about where friction
+        falls.
+        """
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
-        # Friction rises with the weight, and so does what fast sines show of the load's; under the lighter ones the
-        # drive holds the shaft where friction falls.
+        # Friction rises with the weight, and so does what fast sines show of the load's; under the
+        # lighter ones the drive holds the shaft where friction falls.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
         found = self._ramps(number) if rng.random() < _RAMPS else self._sine(number)
         return Part(number, self._tried(number, replace(found, weight=weight if loaded else 0.0)))
@@ -71,10 +82,14 @@ class Draws:
         near = self.rng.random() < _NEAR
         frequency, speed = self._near(self.frames[number].loaded) if near else self._any()
         pace = 2.0 * math.pi * frequency
-        return Excitation(((max(min(self._reach, speed / pace), _LEAST_ANGLE), frequency),), 0.0, 0.0)
+        return Excitation(
+            ((max(min(self._reach, speed / pace), _LEAST_ANGLE), frequency),), 0.0, 0.0
+        )
 
     def _ramps(self, number: int) -> Excitation:
-        """Return ramps about the least speed at which the drive holds the shaft while friction falls."""
+        """Return ramps about the least speed at which the drive holds the shaft while friction
+        falls.
+        """
         speed = self.stribeck[self.frames[number].loaded] * _log_uniform(self.rng, *_RAMP_SPEEDS)
         speed = min(speed, MARGIN * self.bounds.speed)
         return self._away(number, speed, _log_uniform(self.rng, *_RAMP_TIMES))
@@ -82,7 +97,9 @@ class Draws:
     def _away(self, number: int, speed: float, seconds: float) -> Excitation:
         """Return ramps at a speed, as long as wanted and as angle and time allow."""
         slot = self.slot - self.frames[number].pause
-        longest = min(_RAMP_TIMES[1], self._reach / speed, 0.25 * slot)  # the least of them is twice there and back
+        longest = min(
+            _RAMP_TIMES[1], self._reach / speed, 0.25 * slot
+        )  # the least of them is twice there and back
         shortest = max(_RAMP_TIMES[0], _LEAST_ANGLE / speed)
         away = math.floor(100.0 * min(max(seconds, shortest), longest)) / 100.0
         return Excitation((), 0.0, 0.0, Ramps(speed, max(away, 0.01)))
@@ -91,7 +108,9 @@ class Draws:
         """Return a small change of an excitation, and now and then the next weight up or down."""
         e, ladder = part.excitation, sorted({*self.bounds.weights, part.excitation.weight})
         weight = e.weight
-        changed = self._other_ramps(part.frame, e.ramps) if e.ramps else self._other_sine(e.tones[0])
+        changed = (
+            self._other_ramps(part.frame, e.ramps) if e.ramps else self._other_sine(e.tones[0])
+        )
         if self.frames[part.frame].loaded and self.rng.random() < 0.3:
             place = ladder.index(weight) + int(self.rng.choice([-1, 1]))
             weight = ladder[min(max(place, 0), len(ladder) - 1)]
@@ -116,7 +135,9 @@ class Draws:
     def _any(self) -> tuple[float, float]:
         """Return a frequency, Hz, and a speed at the middle, rad/s, logarithmically uniform."""
         frequency = _log_uniform(self.rng, _SLOWEST_HZ, min(_FASTEST_HZ, self.bounds.highest_Hz))
-        speed = _log_uniform(self.rng, _LEAST_SPEED, min(_GREATEST_SPEED, MARGIN * self.bounds.speed))
+        speed = _log_uniform(
+            self.rng, _LEAST_SPEED, min(_GREATEST_SPEED, MARGIN * self.bounds.speed)
+        )
         return frequency, max(speed, _LEAST_ACCELERATION / (2.0 * math.pi * frequency))
 
     def _near(self, loaded: bool) -> tuple[float, float]:
@@ -130,7 +151,9 @@ class Draws:
     def _tried(self, number: int, e: Excitation) -> Excitation:
         """Return an excitation of the duration for which it is judged."""
         period = e.step if e.ramps else 2.0 * e.step
-        return e.lasting(min(max(TRIAL_S, TRIAL_PERIODS * period), self.frames[number].present.seconds))
+        return e.lasting(
+            min(max(TRIAL_S, TRIAL_PERIODS * period), self.frames[number].present.seconds)
+        )
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

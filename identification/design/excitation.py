@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from identification.numerics.arrays import Array
 
 _RAMP_ACCELERATION, _LEAST_RAMP_S, _LONGEST_RAMP = 2.0, 0.05, 0.25
-"""Acceleration at which a proposed sine fades in, rad/s^2, the least time that takes, s, and its greatest share of the
-whole: both ramps lie inside."""
+"""Acceleration at which a proposed sine fades in, rad/s^2, the least time that takes, s, and its
+greatest share of the whole: both ramps lie inside.
+"""
 
 Tone = tuple[float, float]
 """Amplitude, rad, and frequency, Hz."""
@@ -26,7 +27,9 @@ class Ramps:
 
 @dataclass(frozen=True)
 class Excitation:
-    """Sines about a centre, or ramps and no sines; the weight on the lever, kg, and their duration, s."""
+    """Sines about a centre, or ramps and no sines; the weight on the lever, kg, and their duration,
+    s.
+    """
 
     tones: tuple[Tone, ...]
     weight: float
@@ -35,7 +38,8 @@ class Excitation:
 
     @property
     def fade(self) -> float:
-        """Time in which a proposal's sines fade in and out, s: short, since meanwhile the shaft creeps or nearly stops.
+        """Time in which a proposal's sines fade in and out, s: short, since meanwhile the shaft
+        creeps or nearly stops.
 
         One stretch in which the filter lost it widened the interval of omega_sL twofold.
         """
@@ -45,7 +49,9 @@ class Excitation:
 
     @property
     def step(self) -> float:
-        """Half a period of a sine, or one ramp away and back, s: it lasts a whole number of them."""
+        """Half a period of a sine, or one ramp away and back, s: it lasts a whole number of
+        them.
+        """
         return 2.0 * self.ramps.away if self.ramps else 0.5 / self.tones[0][1]
 
     @property
@@ -54,14 +60,17 @@ class Excitation:
         return 2.0 * self.step if self.ramps else self.step
 
     def lasting(self, seconds: float) -> Excitation:
-        """Return the same for as many half periods or ramps as the time has room for: it ends where it began."""
+        """Return the same for as many half periods or ramps as the time has room for: it ends where
+        it began.
+        """
         longest = max(math.floor(seconds / self.step + 1e-6) * self.step, self.shortest)
         return replace(self, seconds=round(longest, 3))
 
 
 @dataclass(frozen=True)
 class Frame:
-    """A stage as it is: whether loaded, what is commanded, the time it takes, s, and how commands become joint angles.
+    """A stage as it is: whether loaded, what is commanded, the time it takes, s, and how commands
+    become joint angles.
 
     ``pause`` is what a stage takes beside its excitation, s.
     """
@@ -83,7 +92,9 @@ class Part:
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the bench allows at the joint, SI: angles, speed, torque, following error; weights that can be hung, kg."""
+    """What the bench allows at the joint, SI: angles, speed, torque, following error; weights that
+    can be hung, kg.
+    """
 
     angle_min: float
     angle_max: float

@@ -1,12 +1,14 @@
-"""How tightly a planned experiment would pin each parameter: Fisher information on the nominal model.
+"""How tightly a planned experiment would pin each parameter: Fisher information on the nominal
+model.
 
-The nominal response, with the bench's noise, is put through its sensors and handed to the very residuals that the
-default method minimises. So the information knows of the encoder's quantisation, of the current's noise, of unknown
-breakaway times, and of what the estimator leaves out around them. A stretch's own sensitivities hold the current's
-noise, and one in which the shaft all but stopped by chance would promise what no other run need repeat. So a stage is
-simulated with several drives and noises, and what counts is what two of these runs have in common, as in the floor of
-an estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by several runs of
-each (:mod:`identification.design.simulated_trial`).
+The nominal response, with the bench's noise, is put through its sensors and handed to the very
+residuals that the default method minimises. So the information knows of the encoder's quantisation,
+of the current's noise, of unknown breakaway times, and of what the estimator leaves out around
+them. A stretch's own sensitivities hold the current's noise, and one in which the shaft all but
+stopped by chance would promise what no other run need repeat. So a stage is simulated with several
+drives and noises, and what counts is what two of these runs have in common, as in the floor of an
+estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by
+several runs of each (:mod:`identification.design.simulated_trial`).
 """
 
 from __future__ import annotations
@@ -31,14 +33,17 @@ from identification.numerics.spread import CONFIDENCE
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
-"""Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their times from Ms."""
+"""Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their
+times from Ms.
+"""
 _CLEAR = 1e-9
 """Share of the greatest eigenvalue below which a direction is one that nothing tells."""
 
 
 @dataclass(frozen=True)
 class Information:
-    """What a stage says about the nine, each relative to its value, in the order of NAMES; it adds over stages.
+    """What a stage says about the nine, each relative to its value, in the order of NAMES; it adds
+    over stages.
 
     Attributes:
         normal: Fisher information, shape (9, 9).
@@ -55,11 +60,14 @@ class Information:
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
     def heard(self, weights: Array) -> Information:
-        """Return what counts for an estimate in whose error the scores have these weights, shape (9,).
+        """Return what counts for an estimate in whose error the scores have these weights, shape
+        (9,).
 
         Less by as much as their scatter is greater there than the noise model says.
         """
-        ratio = float(weights @ self.scatter @ weights) / max(float(weights @ self.power @ weights), 1e-300)
+        ratio = float(weights @ self.scatter @ weights) / max(
+            float(weights @ self.power @ weights), 1e-300
+        )
         return replace(self, normal=self.normal / max(ratio, 1.0))
 
 
@@ -68,7 +76,9 @@ NOTHING = Information(*np.zeros((3, len(NAMES), len(NAMES))))
 
 @dataclass(frozen=True)
 class Pinned:
-    """Relative half widths of the 90 % intervals that an experiment would leave; infinite where it says nothing."""
+    """Relative half widths of the 90 % intervals that an experiment would leave; infinite where it
+    says nothing.
+    """
 
     half_widths: Mapping[str, float]
 
@@ -86,8 +96,9 @@ class Pinned:
 def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Information:
     """Return what one stage says about all nine, by runs that are replicates of one another.
 
-    Nothing where a run has too few breakaways, or moves so that the estimator could not follow. Relative, so that the
-    matrices are well scaled; static limits count as themselves, not as the rise above the Coulomb level.
+    Nothing where a run has too few breakaways, or moves so that the estimator could not follow.
+    Relative, so that the matrices are well scaled; static limits count as themselves, not as the
+    rise above the Coulomb level.
 
     Args:
         stage: What is commanded, under which weight.
@@ -110,7 +121,9 @@ def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Infor
 
 
 def _told(run: Replicate, others: Sequence[Replicate]) -> Array:
-    """Return the information of a run by replicates of it, as far as its stretches are believed, shape (p, p)."""
+    """Return the information of a run by replicates of it, as far as its stretches are believed,
+    shape (p, p).
+    """
     problem, jacobian = run.problem, run.sensitivities
     alike = matching_means(jacobian, instruments(problem, jacobian), problem.matching_count)
     told = replicate_information(problem, alike, others)
@@ -118,7 +131,9 @@ def _told(run: Replicate, others: Sequence[Replicate]) -> Array:
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return the power that a stage's scores should have, and what they have, breakaway times eliminated, (p, p)."""
+    """Return the power that a stage's scores should have, and what they have, breakaway times
+    eliminated, (p, p).
+    """
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
     stretches, owners = jacobian.blocks, jacobian.owners
@@ -129,7 +144,11 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
     np.add.at(power, owners, rows[:, :, None] * rows[:, None, :])
     np.add.at(scores, owners, rows * residual[:, None])
     times = power[:, count, count]
-    share = np.where(times[:, None] > 0.0, power[:, :count, count] / np.where(times > 0.0, times, 1.0)[:, None], 0.0)
+    share = np.where(
+        times[:, None] > 0.0,
+        power[:, :count, count] / np.where(times > 0.0, times, 1.0)[:, None],
+        0.0,
+    )
     scores = scores[:, :count] - share * scores[:, count:]
     power = power[:, :count, :count] - share[:, :, None] * power[:, count, None, :count]
     scores -= np.mean(scores, axis=0)
@@ -137,10 +156,11 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
 
 
 def _believable(told: Array, power: Array) -> Array:
-    """Return information by replicates, as far as it lies between none and that of a stage's own sensitivities.
+    """Return information by replicates, as far as it lies between none and that of a stage's own
+    sensitivities.
 
-    Products of two noises have neither bound: where few stretches come again, chance makes them negative, or far more
-    than the stage itself would say.
+    Products of two noises have neither bound: where few stretches come again, chance makes them
+    negative, or far more than the stage itself would say.
     """
     scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
     values, vectors = np.linalg.eigh(power / np.outer(scale, scale))
@@ -155,10 +175,11 @@ def _believable(told: Array, power: Array) -> Array:
 def likelihood_slope(problem: Problem) -> float:
     """Return how steep the likelihood is at a problem's start.
 
-    Where noise decides what the shaft does next, the filter, linear about its prediction, errs with a mean: values
-    other than those simulated are then likelier by far, and what such a stage says is wrong. Steepness is that of the
-    log likelihood in the parameters, squared, in the metric of their information and over their number: chi-squared
-    and about 1 where only noise makes it. The inertia does not count, as it is not estimated by likelihood.
+    Where noise decides what the shaft does next, the filter, linear about its prediction, errs with
+    a mean: values other than those simulated are then likelier by far, and what such a stage says
+    is wrong. Steepness is that of the log likelihood in the parameters, squared, in the metric of
+    their information and over their number: chi-squared and about 1 where only noise makes it. The
+    inertia does not count, as it is not estimated by likelihood.
     """
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
@@ -179,7 +200,9 @@ def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
 
 
 def _turn(names: Sequence[str], nominal: Nominal) -> Array:
-    """Return the map from relative changes of named parameters to the search's coordinates (logarithms, rises)."""
+    """Return the map from relative changes of named parameters to the search's coordinates
+    (logarithms, rises).
+    """
     turn = np.eye(len(names))
     for k, name in enumerate(names):
         if INDEX[name] not in LOGARITHMIC:
@@ -191,23 +214,31 @@ def _turn(names: Sequence[str], nominal: Nominal) -> Array:
 
 
 def weights_of_scores(informations: Sequence[Information], target: str, loaded: bool) -> Array:
-    """Return the weights of the scores in the error of one parameter's estimate from several stages, shape (9,)."""
+    """Return the weights of the scores in the error of one parameter's estimate from several
+    stages, shape (9,).
+    """
     count = len(NAMES) if loaded else len(SYSTEM_PARAMETERS)
     total = np.sum([i.normal for i in informations], axis=0)[:count, :count]
     scale = np.sqrt(np.maximum(np.diag(total), 1e-300))
     out = np.zeros(len(NAMES))
-    out[:count] = np.linalg.pinv(total / np.outer(scale, scale), hermitian=True)[NAMES.index(target)] / scale
+    out[:count] = (
+        np.linalg.pinv(total / np.outer(scale, scale), hermitian=True)[NAMES.index(target)] / scale
+    )
     return out
 
 
 def heard(informations: Sequence[Information], target: str, loaded: bool) -> list[Information]:
-    """Return what of several stages' information counts for the estimate of one parameter from all of them."""
+    """Return what of several stages' information counts for the estimate of one parameter from all
+    of them.
+    """
     weights = weights_of_scores(informations, target, loaded)
     return [i.heard(weights) for i in informations]
 
 
 def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
-    """Return how tightly stages together pin each parameter: the nine, or five where none of them is ``loaded``."""
+    """Return how tightly stages together pin each parameter: the nine, or five where none of them
+    is ``loaded``.
+    """
     names = NAMES if loaded else SYSTEM_PARAMETERS
     total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]
     seen = np.flatnonzero(np.diag(total) > 0.0)

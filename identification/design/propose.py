@@ -1,11 +1,13 @@
-"""Which excitation, within a bench's limits and in the same time, would pin the weakest parameter best.
+"""Which excitation, within a bench's limits and in the same time, would pin the weakest parameter
+best.
 
-Informations of stages add and grow with time. So many sines and ramps are judged once on short stages, and a convex
-problem shares the time among them (:mod:`identification.design.shares`). The few that get a share take the place of the
-stages: one sine alone leaves parameters that trade off, and a slow one beside a fast one, or a light weight beside a
-heavy one, tells them apart. Each is judged with softer and stiffer drives too, as where a shaft sticks and slips rests
-on the loop. In the end the best few designs are simulated with those drives and noise, and the best of them that the
-default method identifies is proposed.
+Informations of stages add and grow with time. So many sines and ramps are judged once on short
+stages, and a convex problem shares the time among them (:mod:`identification.design.shares`). The
+few that get a share take the place of the stages: one sine alone leaves parameters that trade off,
+and a slow one beside a fast one, or a light weight beside a heavy one, tells them apart. Each is
+judged with softer and stiffer drives too, as where a shaft sticks and slips rests on the loop. In
+the end the best few designs are simulated with those drives and noise, and the best of them that
+the default method identifies is proposed.
 """
 
 from __future__ import annotations
@@ -23,9 +25,13 @@ from identification.design.simulated import Nominal, PlannedStage, with_drives
 from identification.design.simulated_trial import expected, rehearse
 
 CANDIDATES = (60, 200)
-"""Random excitations judged for unloaded and for loaded stages, which have a weight to choose as well."""
+"""Random excitations judged for unloaded and for loaded stages, which have a weight to choose as
+well.
+"""
 REFINEMENTS, TOGETHER = 24, 10
-"""How often small changes of those that get a share are tried afterwards, and how many each time."""
+"""How often small changes of those that get a share are tried afterwards, and how many each
+time.
+"""
 REHEARSALS = 3
 """Designs that go through the whole method before milder ones are tried, at most."""
 BORNE_OUT = 2.0
@@ -76,8 +82,8 @@ def propose(
         bounds: Limits of the bench.
         rng: Source of all randomness.
         progress: Called with what is done and its share.
-        weakest: That parameter; the one that the present excitation pins worst where it is None, or has no part in
-            these stages.
+        weakest: That parameter; the one that the present excitation pins worst where it is None, or
+            has no part in these stages.
     """
     tell = progress or (lambda _label, _share: None)
     present = tuple(Part(k, f.present) for k, f in enumerate(frames))
@@ -113,15 +119,19 @@ def propose(
 def _likeliest_to_hold(
     designs: Iterable[Design], search: Search, now: Pinned, tell: Progress
 ) -> tuple[Pinned, Design | None, int]:
-    """Return the best of some designs that the default method identifies, what it gives, and how many were rehearsed.
+    """Return the best of some designs that the default method identifies, what it gives, and how
+    many were rehearsed.
 
-    The first whose rehearsal bears out what was expected of it; where none does, the one that comes out best.
+    The first whose rehearsal bears out what was expected of it; where none does, the one that comes
+    out best.
     """
     frames, nominals = search.frames, search.nominals
     judged = [(*expected(_stages(frames, design.parts), nominals), design) for design in designs]
-    # What the values simulated are not likely under will come out beside them: its widths are worth less.
+    # What the values simulated are not likely under will come out beside them: its widths are worth
+    # less.
     ranked = sorted(
-        (p for p in judged if search.merit(p[0]) < search.merit(now)), key=lambda p: search.merit(p[0]) * p[1]
+        (p for p in judged if search.merit(p[0]) < search.merit(now)),
+        key=lambda p: search.merit(p[0]) * p[1],
     )
     best: tuple[Pinned, Design | None] = now, None
     for tried, (found, _, design) in enumerate(ranked[:REHEARSALS], 1):

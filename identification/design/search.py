@@ -1,4 +1,6 @@
-"""The search for sines, ramps and weights, and for their shares of the time, that pin one parameter best together."""
+"""The search for sines, ramps and weights, and for their shares of the time, that pin one parameter
+best together.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,15 @@ import numpy as np
 
 from identification.design.draws import MARGIN, Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part
-from identification.design.pinning import NAMES, NOTHING, Information, Pinned, heard, pinned, stage_information
+from identification.design.pinning import (
+    NAMES,
+    NOTHING,
+    Information,
+    Pinned,
+    heard,
+    pinned,
+    stage_information,
+)
 from identification.design.shares import shared
 from identification.design.simulated import Nominal, PlannedStage, followed, stage_response
 from identification.estimate.equation_error.regression import HIGHEST_SHARE
@@ -23,7 +33,9 @@ DESIGNS = 8
 PARTS = 7
 """Stages of a design, at most."""
 _LONGER = 1.3
-"""Time over that for which the filter was seen to follow an excitation, at which it is seen to again."""
+"""Time over that for which the filter was seen to follow an excitation, at which it is seen to
+again.
+"""
 _OTHER_NOISES = (1000, 1001)
 """With which it is, beside those by which excitations are judged: one in six may lose the shaft."""
 _SUPPORT = 12
@@ -33,12 +45,16 @@ LEAST_S = 3.0
 _FOLLOWING_MARGIN = 0.5
 """The same for the following error, which rests on the assumed drive loop."""
 _STARTING_ACCELERATION = 0.5
-"""The same of one unloaded sine at least, rad/s^2, about what Figure 10 has: with less the inertia is not found."""
+"""The same of one unloaded sine at least, rad/s^2, about what Figure 10 has: with less the inertia
+is not found.
+"""
 
 
 @dataclass(eq=False)
 class Candidate:
-    """An excitation on a short stage, its information per second, and for how long the filter follows it, s."""
+    """An excitation on a short stage, its information per second, and for how long the filter
+    follows it, s.
+    """
 
     part: Part
     rate: Information
@@ -46,7 +62,10 @@ class Candidate:
 
     def like(self, part: Part) -> bool:
         """Return whether a part has this excitation, for whatever time."""
-        return replace(part, excitation=replace(part.excitation, seconds=self.part.excitation.seconds)) == self.part
+        return (
+            replace(part, excitation=replace(part.excitation, seconds=self.part.excitation.seconds))
+            == self.part
+        )
 
 
 @dataclass(frozen=True)
@@ -62,17 +81,22 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
     return PlannedStage(frame.render(excitation), excitation.weight)
 
 
-def promised(frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[Nominal], target: str) -> Pinned:
+def promised(
+    frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[Nominal], target: str
+) -> Pinned:
     """Return what stages that stand as they are pin, by their information."""
     told = [stage_information(planned(frames[p.frame], p.excitation), nominals) for p in parts]
     loaded = any(f.loaded for f in frames)
     return pinned(heard(told, target, loaded), loaded)
 
 
-def halved(design: Design, frames: Sequence[Frame], nominals: Sequence[Nominal], target: str) -> Design:
+def halved(
+    design: Design, frames: Sequence[Frame], nominals: Sequence[Nominal], target: str
+) -> Design:
     """Return a design in half of the time, beside the present excitation in the other half.
 
-    The present one leads the searches of an identification into the right basin where a design alone does not.
+    The present one leads the searches of an identification into the right basin where a design
+    alone does not.
     """
     parts, left = [], 0.0
     for number, frame in enumerate(frames):
@@ -102,8 +126,12 @@ class Search:
     count: int = 0
 
     def merit(self, pins: Pinned) -> float:
-        """Return the target's relative half width, more where another's exceeds what it is now; the less the better."""
-        return pins.half_widths[self.target] * max(1.0, pins.worst / max(self.now, pins.half_widths[self.target]))
+        """Return the target's relative half width, more where another's exceeds what it is now; the
+        less the better.
+        """
+        return pins.half_widths[self.target] * max(
+            1.0, pins.worst / max(self.now, pins.half_widths[self.target])
+        )
 
     def add(self, part: Part) -> None:
         """Judge an excitation on a short stage and keep it where it says anything."""
@@ -129,14 +157,21 @@ class Search:
         return Draws(self.frames, self.bounds, stribeck, self._total / self._room, self.rng)
 
     def changed(self, count: int) -> list[Part]:
-        """Return small changes of excitations that get a share; none where a kind of stage has no excitation."""
+        """Return small changes of excitations that get a share; none where a kind of stage has no
+        excitation.
+        """
         if not self.complete:
             return []
         shares = self._shares(self.pool)
-        return [self.draws.changed(self.pool[k].part) for k in self.rng.choice(len(shares), count, p=shares)]
+        return [
+            self.draws.changed(self.pool[k].part)
+            for k in self.rng.choice(len(shares), count, p=shares)
+        ]
 
     def designs(self) -> list[Design]:
-        """Return the best design, and those without one of its longest excitations, the most promising first."""
+        """Return the best design, and those without one of its longest excitations, the most
+        promising first.
+        """
         best = self._design(list(self.pool))
         if best is None:
             return []
@@ -152,21 +187,28 @@ class Search:
         return [chosen[k] for k in np.argsort(-self._shares(chosen), kind="stable")]
 
     def _design(self, pool: list[Candidate]) -> tuple[Design, list[Candidate]] | None:
-        """Return the best design from a pool, and its excitations; None where a kind of stage has none.
+        """Return the best design from a pool, and its excitations; None where a kind of stage has
+        none.
 
         An excitation that the filter does not follow in its whole stage leaves the pool for good.
         """
         while self._complete(pool):
             designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
             design, chosen = min(designs, key=lambda d: self.merit(d[0].promised))
-            lost = [c for c in chosen if not all(self._followed(c, p) for p in design.parts if c.like(p))]
+            lost = [
+                c
+                for c in chosen
+                if not all(self._followed(c, p) for p in design.parts if c.like(p))
+            ]
             if not lost:
                 return design, chosen
             self.pool, pool = ([c for c in some if c not in lost] for some in (self.pool, pool))
         return None
 
     def _followed(self, candidate: Candidate, part: Part) -> bool:
-        """Return whether the filter follows an excitation for the time it has, with noises it was not judged by."""
+        """Return whether the filter follows an excitation for the time it has, with noises it was
+        not judged by.
+        """
         seconds = part.excitation.seconds
         if seconds > _LONGER * candidate.followed_s:
             frame = self.frames[part.frame]
@@ -178,36 +220,49 @@ class Search:
 
     @property
     def complete(self) -> bool:
-        """Whether there is an excitation for every kind of stage, and an unloaded one to start from."""
+        """Whether there is an excitation for every kind of stage, and an unloaded one to start
+        from.
+        """
         return self._complete(self.pool)
 
     def _complete(self, pool: Sequence[Candidate]) -> bool:
         kinds = {f.loaded for f in self.frames}
-        return set(map(self._loaded, pool)) == kinds and (False not in kinds or any(map(self._starts, pool)))
+        return set(map(self._loaded, pool)) == kinds and (
+            False not in kinds or any(map(self._starts, pool))
+        )
 
     def _starts(self, candidate: Candidate) -> bool:
-        """Return whether an unloaded stage leaves the fall of friction fast enough for identification to start from.
+        """Return whether an unloaded stage leaves the fall of friction fast enough for
+        identification to start from.
 
-        Within it the equation error takes the acceleration for friction, and where there is little acceleration it
-        finds no inertia.
+        Within it the equation error takes the acceleration for friction, and where there is little
+        acceleration it finds no inertia.
         """
         if not candidate.part.excitation.tones:
             return False
         ((amplitude, frequency),) = candidate.part.excitation.tones
         pace = 2.0 * math.pi * frequency
         leaves = HIGHEST_SHARE * pace * amplitude >= self.nominals[0].values["omega_sf"]
-        return not self._loaded(candidate) and leaves and pace**2 * amplitude >= _STARTING_ACCELERATION
+        return (
+            not self._loaded(candidate) and leaves and pace**2 * amplitude >= _STARTING_ACCELERATION
+        )
 
-    def _shared(self, pool: Sequence[Candidate], least: Array | None = None) -> tuple[Array, list[Information]]:
-        return shared([c.rate for c in pool], self.target, any(f.loaded for f in self.frames), least)
+    def _shared(
+        self, pool: Sequence[Candidate], least: Array | None = None
+    ) -> tuple[Array, list[Information]]:
+        return shared(
+            [c.rate for c in pool], self.target, any(f.loaded for f in self.frames), least
+        )
 
     def _shares(self, pool: Sequence[Candidate]) -> Array:
         return self._shared(pool)[0]
 
     def _fewer(self, pool: Sequence[Candidate]) -> list[list[Candidate]]:
-        """Return ever fewer that do nearly as well as the whole pool: those are left out in turn that are missed least.
+        """Return ever fewer that do nearly as well as the whole pool: those are left out in turn
+        that are missed least.
 
-        From as many as a design may have to as few as make one. Each gets its least time, whatever its share.
+        From as many as a design may have to as few as make one. Each gets its least time, whatever
+        its share.
         """
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
@@ -237,7 +292,9 @@ class Search:
         return self.merit(pinned(told, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
-        """Return the least share of the time of each as one stage of several, its pause included, shape (n,)."""
+        """Return the least share of the time of each as one stage of several, its pause included,
+        shape (n,).
+        """
         shortest = [c.part.excitation.shortest + self.frames[c.part.frame].pause for c in chosen]
         least = np.maximum(min(LEAST_S, self._total / len(chosen)), shortest)
         return np.asarray(least / max(self._total, float(np.sum(least))))
@@ -256,11 +313,17 @@ class Search:
             parts[k] = replace(part, excitation=part.excitation.lasting(room - pause))
             left = room - pause - parts[k].excitation.seconds
             informations.append(counts[k].times(room - left))
-        order = sorted(range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight))
-        return Design(tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames)))
+        order = sorted(
+            range(len(parts)), key=lambda k: (parts[k].frame, parts[k].excitation.weight)
+        )
+        return Design(
+            tuple(parts[k] for k in order), pinned(informations, any(f.loaded for f in self.frames))
+        )
 
     def _rate(self, part: Part) -> Information | None:
-        """Return an excitation's information per second; None where it breaks a limit or says nothing."""
+        """Return an excitation's information per second; None where it breaks a limit or says
+        nothing.
+        """
         b, period = self.bounds, self.nominals[0].sensors.period
         stage = planned(self.frames[part.frame], part.excitation)
         middle = 0.5 * (b.angle_max + b.angle_min)

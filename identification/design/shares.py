@@ -1,8 +1,9 @@
 """How much of the time each of many excitations should get, so that one parameter is pinned best.
 
-Informations add and grow with time, so the variance of a parameter is convex in the shares of time. The multiplicative
-algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7 (1978) 1379) needs no step length and leaves few
-excitations with a share: those whose weaknesses complement one another.
+Informations add and grow with time, so the variance of a parameter is convex in the shares of time.
+The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7 (1978) 1379)
+needs no step length and leaves few excitations with a share: those whose weaknesses complement one
+another.
 """
 
 from __future__ import annotations
@@ -16,18 +17,23 @@ from identification.numerics.arrays import Array
 
 _ROUNDS, _TURNS = 500, 2
 _OTHERS = 0.04
-"""Weight of every other parameter's relative variance beside the target's, so that none is left open."""
+"""Weight of every other parameter's relative variance beside the target's, so that none is left
+open.
+"""
 _FLOOR = 1e-12
 
 
-def best_shares(rates: Sequence[Information], target: str, loaded: bool, least: Array | None = None) -> Array:
+def best_shares(
+    rates: Sequence[Information], target: str, loaded: bool, least: Array | None = None
+) -> Array:
     """Return each excitation's share of the time, shape (n,); they sum to 1.
 
     Args:
         rates: Information of each per second.
         target: The parameter to be pinned.
         loaded: Whether the load's four are unknown as well.
-        least: Shares that they get in any case, shape (n,), of sum 1 at most; None where they get none.
+        least: Shares that they get in any case, shape (n,), of sum 1 at most; None where they get
+            none.
     """
     count = len(NAMES) if loaded else NAMES.index("mu_c")
     normals = np.array([rate.normal[:count, :count] for rate in rates])
@@ -49,9 +55,11 @@ def best_shares(rates: Sequence[Information], target: str, loaded: bool, least: 
 def shared(
     told: Sequence[Information], target: str, loaded: bool, least: Array | None = None
 ) -> tuple[Array, list[Information]]:
-    """Return the best shares of excitations, shape (n,), and what counts of each for the target with these.
+    """Return the best shares of excitations, shape (n,), and what counts of each for the target
+    with these.
 
-    How scores scatter depends on what weights they have in the target's estimate, and those on the shares: in turn.
+    How scores scatter depends on what weights they have in the target's estimate, and those on the
+    shares: in turn.
     """
     counts = list(told)
     for _ in range(_TURNS):

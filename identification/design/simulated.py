@@ -1,4 +1,6 @@
-"""A planned experiment simulated on the nominal model: what the bench would do and log, and the fit at its values."""
+"""A planned experiment simulated on the nominal model: what the bench would do and log, and the fit
+at its values.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,9 @@ from identification.simulate.servo_loop import Loop, Response, respond, usual_lo
 
 NOISE_SEED = 0
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
-"""Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where that one is assumed,
-and where recordings showed it."""
+"""Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where
+that one is assumed, and where recordings showed it.
+"""
 
 
 @dataclass(frozen=True)
@@ -44,7 +47,9 @@ class Sensors:
 
 @dataclass(frozen=True)
 class PlannedStage:
-    """One stage of an experiment, repeats written out: joint angles commanded, rad, shape (n,), and the weight, kg."""
+    """One stage of an experiment, repeats written out: joint angles commanded, rad, shape (n,), and
+    the weight, kg.
+    """
 
     command: Array
     weight: float
@@ -52,10 +57,11 @@ class PlannedStage:
 
 @dataclass(frozen=True)
 class Nominal:
-    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the greatest torque, N m.
+    """The model an experiment is planned on: the nine by name, SI, the bench, its sensors, the
+    greatest torque, N m.
 
-    ``loop`` is the drive as recordings showed it, None where it is assumed from the inertia; ``stiffness`` is the
-    velocity gain over that one's.
+    ``loop`` is the drive as recordings showed it, None where it is assumed from the inertia;
+    ``stiffness`` is the velocity gain over that one's.
     """
 
     values: Mapping[str, float]
@@ -77,33 +83,47 @@ class Nominal:
 
 
 def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
-    """Return a model with its own drive, a softer and a stiffer one: a proposal has to bear all of them."""
+    """Return a model with its own drive, a softer and a stiffer one: a proposal has to bear all of
+    them.
+    """
     beside = ASSUMED if nominal.loop is None else SEEN
-    return tuple(replace(nominal, stiffness=stiffness) for stiffness in (nominal.stiffness, *beside))
+    return tuple(
+        replace(nominal, stiffness=stiffness) for stiffness in (nominal.stiffness, *beside)
+    )
 
 
 def stage_response(
-    stage: PlannedStage, nominal: Nominal, rng: np.random.Generator | None = None, share: float = 1.0
+    stage: PlannedStage,
+    nominal: Nominal,
+    rng: np.random.Generator | None = None,
+    share: float = 1.0,
 ) -> Response:
     """Return what the nominal bench does in one stage.
 
     Args:
         stage: What is commanded, under which weight.
         nominal: The model.
-        rng: Of the torque's noise; None for the same noise in every stage of one length, so that designs compare.
+        rng: Of the torque's noise; None for the same noise in every stage of one length, so that
+        designs compare.
         share: Of the noise that is in the torque itself.
     """
     moment, sensors = nominal.moment(stage.weight), nominal.sensors
     chance = rng or np.random.default_rng(NOISE_SEED)
     noise = share * sensors.torque_noise * chance.standard_normal(len(stage.command))
-    return respond(stage.command, sensors.period, nominal.values, moment, nominal.alpha, nominal.drive(), noise)
+    return respond(
+        stage.command, sensors.period, nominal.values, moment, nominal.alpha, nominal.drive(), noise
+    )
 
 
-def recorded(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator) -> Recording:
-    """Return what the bench would log: half of the noise's power in the torque itself, half in its measurement.
+def recorded(
+    number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator
+) -> Recording:
+    """Return what the bench would log: half of the noise's power in the torque itself, half in its
+    measurement.
 
-    How a drive shares it depends on its current loop, which is not known; both ends have been seen. The drive's own
-    channels are there as well: without them the default method does not see its loop and leaves out what rests on it.
+    How a drive shares it depends on its current loop, which is not known; both ends have been seen.
+    The drive's own channels are there as well: without them the default method does not see its
+    loop and leaves out what rests on it.
     """
     sensors, bench = nominal.sensors, nominal.bench
     response = stage_response(stage, nominal, rng, math.sqrt(0.5))
@@ -126,9 +146,14 @@ def recorded(number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.
 
 
 def at_the_truth(
-    stages: Sequence[PlannedStage], nominal: Nominal, names: Sequence[str], noise: int, whole: bool = True
+    stages: Sequence[PlannedStage],
+    nominal: Nominal,
+    names: Sequence[str],
+    noise: int,
+    whole: bool = True,
 ) -> Replicate | None:
-    """Return a run of some stages and the fit at the values simulated; None where the filter does not follow.
+    """Return a run of some stages and the fit at the values simulated; None where the filter does
+    not follow.
 
     Args:
         stages: What is commanded, under which weights.
@@ -160,6 +185,12 @@ def at_the_truth(
     return Replicate(problem, jacobian, residual, noise)
 
 
-def followed(stage: PlannedStage, nominals: Sequence[Nominal], names: Sequence[str], noises: Iterable[int]) -> bool:
+def followed(
+    stage: PlannedStage, nominals: Sequence[Nominal], names: Sequence[str], noises: Iterable[int]
+) -> bool:
     """Return whether the filter follows a stage in every drive with each of several noises."""
-    return all(at_the_truth([stage], n, names, noise, whole=False) is not None for noise in noises for n in nominals)
+    return all(
+        at_the_truth([stage], n, names, noise, whole=False) is not None
+        for noise in noises
+        for n in nominals
+    )

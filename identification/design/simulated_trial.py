@@ -1,8 +1,10 @@
-"""Simulated trials of a proposed experiment: simulated on the nominal model with noise, and identified.
+"""Simulated trials of a proposed experiment: simulated on the nominal model with noise, and
+identified.
 
-Fisher information is a linearisation at one point; under a heavy weight the joint breaks away within one sample, and
-there the information may be ten times the attained one. So the best few designs, the present one among them, are
-simulated with a few noises and get the intervals that the default method states at the simulated values.
+Fisher information is a linearisation at one point; under a heavy weight the joint breaks away
+within one sample, and there the information may be ten times the attained one. So the best few
+designs, the present one among them, are simulated with a few noises and get the intervals that the
+default method states at the simulated values.
 """
 
 from __future__ import annotations
@@ -22,16 +24,20 @@ from identification.recording import Dataset, RecordingError
 
 
 def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
-    """Return the relative half widths that the default method arrives at on a simulated run of the nominal bench.
+    """Return the relative half widths that the default method arrives at on a simulated run of the
+    nominal bench.
 
-    Where a value is further from the simulated one than its half width, that distance: the interval is too narrow, or
-    of a wrong basin. Infinite where it does not identify a parameter, and throughout where it refuses the prediction
-    errors, as what it would then fall back on is not what was planned.
+    Where a value is further from the simulated one than its half width, that distance: the interval
+    is too narrow, or of a wrong basin. Infinite where it does not identify a parameter, and
+    throughout where it refuses the prediction errors, as what it would then fall back on is not
+    what was planned.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Pinned(dict.fromkeys(names, math.inf))
     try:
-        result = identify(Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages))))
+        result = identify(
+            Dataset(tuple(recorded(k, s, nominal, rng) for k, s in enumerate(stages)))
+        )
     except RecordingError:
         return nothing
     if all(p.floor is None for p in result.parameters.values()):
@@ -45,10 +51,12 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
 
 
 def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tuple[Pinned, float]:
-    """Return the relative half widths that the joint fit would state if it ended at the values simulated.
+    """Return the relative half widths that the joint fit would state if it ended at the values
+    simulated.
 
-    And how much steeper the likelihood is there than noise makes it, 1 or more: by about so many of its deviations the
-    fit would end elsewhere. Medians over the runs; infinite throughout where the filter does not follow in one.
+    And how much steeper the likelihood is there than noise makes it, 1 or more: by about so many of
+    its deviations the fit would end elsewhere. Medians over the runs; infinite throughout where the
+    filter does not follow in one.
 
     Args:
         stages: The design.
@@ -66,7 +74,9 @@ def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tup
     found = []
     for run in runs:
         try:
-            achieved = covariances(run.problem, [other for other in runs if other is not run]).achieved
+            achieved = covariances(
+                run.problem, [other for other in runs if other is not run]
+            ).achieved
         except np.linalg.LinAlgError:
             return nothing
         spread = Spread(names, turn @ achieved @ turn.T, math.inf)

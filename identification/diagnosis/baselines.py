@@ -1,13 +1,15 @@
-"""What a diagnosis must beat: greedy selection by BIC, and sparse regression, on the nominal model's mismatch.
+"""What a diagnosis must beat: greedy selection by BIC, and sparse regression, on the nominal
+model's mismatch.
 
-Both see what the search sees: the same equations, whitened rows, nominal tangent taken out, and the same regressors at
-the same trial shapes, with the physical signs of their coefficients. They lack what the search adds: tests by blocks,
-joint refits with continuous shapes, adequacy, and rivals.
+Both see what the search sees: the same equations, whitened rows, nominal tangent taken out, and the
+same regressors at the same trial shapes, with the physical signs of their coefficients. They lack
+what the search adds: tests by blocks, joint refits with continuous shapes, adequacy, and rivals.
 
-Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978) 461). Sparse:
-sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016) 3932), which the discrepancy models
-of Kaheman et al. (arXiv:1909.08574) and de Silva et al. (Front. Artif. Intell. 3 (2020) 25) use; the threshold by
-cross-validation over recordings, the sparsest within one standard error of the best.
+Greedy: forward selection by the Bayesian information criterion (Schwarz, Ann. Statist. 6 (1978)
+461). Sparse: sequentially thresholded least squares (Brunton, Proctor and Kutz, PNAS 113 (2016)
+3932), which the discrepancy models of Kaheman et al. (arXiv:1909.08574) and de Silva et al. (Front.
+Artif. Intell. 3 (2020) 25) use; the threshold by cross-validation over recordings, the sparsest
+within one standard error of the best.
 """
 
 from __future__ import annotations
@@ -30,7 +32,9 @@ FOLDS = 4
 RIDGE = 1e-3
 """Over the unit norm of the regressors: keeps neighbouring shapes solvable."""
 LEAST_THRESHOLD = 3.0
-"""Norm of a contribution over the noise of one row at which the path begins: less comes by chance."""
+"""Norm of a contribution over the noise of one row at which the path begins: less comes by
+chance.
+"""
 THRESHOLDS = 20
 """Steps of the path, up to the strongest contribution there is."""
 MOST_ROUNDS = 10
@@ -39,7 +43,9 @@ MOST_ROUNDS = 10
 
 @dataclass(frozen=True)
 class Group:
-    """One effect at one trial shape: its columns, and which coefficients must be positive to be physical."""
+    """One effect at one trial shape: its columns, and which coefficients must be positive to be
+    physical.
+    """
 
     name: str
     shape: Shape
@@ -91,9 +97,14 @@ def library(joint: Joint, terms: Sequence[Term]) -> Library:
     gram, moment, power = np.zeros((folds, width, width)), np.zeros((folds, width)), np.zeros(folds)
     for equation in stack.equations:
         mine = [k for k, columns in enumerate(found) if equation.name in columns]
-        places = np.array([p for k in mine for p in range(groups[k].columns.start, groups[k].columns.stop)], dtype=int)
+        places = np.array(
+            [p for k in mine for p in range(groups[k].columns.start, groups[k].columns.stop)],
+            dtype=int,
+        )
         residual = stack.residual[stack.part(equation.name)]
-        wide = np.concatenate([np.zeros((len(residual), 0)), *(found[k][equation.name] for k in mine)], axis=1)
+        wide = np.concatenate(
+            [np.zeros((len(residual), 0)), *(found[k][equation.name] for k in mine)], axis=1
+        )
         for fold in range(folds):
             rows = fold_of[equation.owner] == fold
             power[fold] += float(residual[rows] @ residual[rows])
@@ -101,11 +112,15 @@ def library(joint: Joint, terms: Sequence[Term]) -> Library:
             gram[fold][np.ix_(places, places)] += part.T @ part
             moment[fold][places] += part.T @ residual[rows]
     scale = np.sqrt(np.einsum("fpp->p", gram))
-    return Library(tuple(groups), gram / np.outer(scale, scale), moment / scale, power, len(stack.residual))
+    return Library(
+        tuple(groups), gram / np.outer(scale, scale), moment / scale, power, len(stack.residual)
+    )
 
 
 def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
-    """Return whitened regressors with the tangent taken out; none where the nominal model absorbs one of them."""
+    """Return whitened regressors with the tangent taken out; none where the nominal model absorbs
+    one of them.
+    """
     out: dict[str, Array] = {}
     before: Array | float = 0.0
     after: Array | float = 0.0
@@ -119,7 +134,9 @@ def _projected(stack: Stack, columns: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def _folds(stack: Stack) -> np.ndarray:
-    """Return the fold of each recording by its index: recordings in turn, -1 where one has no rows."""
+    """Return the fold of each recording by its index: recordings in turn, -1 where one has no
+    rows.
+    """
     recordings = sorted({v.index for e in stack.equations for v in e.views})
     fold = np.full(recordings[-1] + 1, -1, dtype=np.int64)
     fold[recordings] = np.arange(len(recordings)) % FOLDS
@@ -127,13 +144,18 @@ def _folds(stack: Stack) -> np.ndarray:
 
 
 def greedy_bic(given: Library) -> tuple[str, ...]:
-    """Return effects in the order in which they were selected; none where the criterion never falls."""
+    """Return effects in the order in which they were selected; none where the criterion never
+    falls.
+    """
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
     power = float(given.power.sum())
     named: dict[str, None] = {}
     for _ in range(MOST_STEPS):
         gains = _gains(gram, moment, given.groups)
-        scores = [_bic_change(given.rows, power, gain, g) for gain, g in zip(gains, given.groups, strict=True)]
+        scores = [
+            _bic_change(given.rows, power, gain, g)
+            for gain, g in zip(gains, given.groups, strict=True)
+        ]
         best = int(np.argmin(scores))
         if scores[best] >= 0.0:
             break
@@ -161,7 +183,10 @@ def _gains(gram: Array, moment: Array, groups: Sequence[Group]) -> list[float]:
         known[known] = np.linalg.cond(own[known]) <= ABSORBED**-2
         mine, own, its = mine[known], own[known], its[known]
         coefficients = np.linalg.solve(own, its[:, :, None])[:, :, 0]
-        signs = [all(c[p] > 0.0 for p in groups[int(k)].positive) for k, c in zip(mine, coefficients, strict=True)]
+        signs = [
+            all(c[p] > 0.0 for p in groups[int(k)].positive)
+            for k, c in zip(mine, coefficients, strict=True)
+        ]
         gains[mine] = np.where(signs, np.einsum("gk,gk->g", coefficients, its), 0.0)
     return [float(gain) for gain in gains]
 
@@ -172,7 +197,9 @@ def _bic_change(rows: int, power: float, gain: float, group: Group) -> float:
 
 
 def sparse(given: Library) -> tuple[str, ...]:
-    """Return effects by the power of what they contribute, the greatest first; none where all are thresholded away."""
+    """Return effects by the power of what they contribute, the greatest first; none where all are
+    thresholded away.
+    """
     gram, moment = given.gram.sum(axis=0), given.moment.sum(axis=0)
     greatest = math.sqrt(max(_gains(gram, moment, given.groups), default=0.0))
     if greatest <= LEAST_THRESHOLD:
@@ -182,21 +209,31 @@ def sparse(given: Library) -> tuple[str, ...]:
     for fold in range(len(given.power)):
         path = _path(given.groups, gram - given.gram[fold], moment - given.moment[fold], thresholds)
         for k, c in enumerate(path):
-            errors[fold, k] = given.power[fold] - 2.0 * c @ given.moment[fold] + c @ given.gram[fold] @ c
+            errors[fold, k] = (
+                given.power[fold] - 2.0 * c @ given.moment[fold] + c @ given.gram[fold] @ c
+            )
     total = errors.sum(axis=0)
     apart = errors - errors[:, [int(np.argmin(total))]]
-    deviation = np.std(apart, axis=0, ddof=1) * math.sqrt(len(errors)) if len(errors) > 1 else np.zeros(THRESHOLDS)
+    deviation = (
+        np.std(apart, axis=0, ddof=1) * math.sqrt(len(errors))
+        if len(errors) > 1
+        else np.zeros(THRESHOLDS)
+    )
     chosen = int(np.flatnonzero(apart.sum(axis=0) <= deviation)[-1])
     coefficients = _path(given.groups, gram, moment, thresholds)[chosen]
     power: dict[str, float] = {}
     for name in {g.name for g in given.groups}:
-        own = np.concatenate([np.arange(len(moment))[g.columns] for g in given.groups if g.name == name])
+        own = np.concatenate(
+            [np.arange(len(moment))[g.columns] for g in given.groups if g.name == name]
+        )
         power[name] = float(coefficients[own] @ gram[np.ix_(own, own)] @ coefficients[own])
     return tuple(sorted((n for n in power if power[n] > 0.0), key=lambda n: -power[n]))
 
 
 def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array) -> list[Array]:
-    """Return coefficients, shape (p,), at rising thresholds, each begun from the groups that the one before left."""
+    """Return coefficients, shape (p,), at rising thresholds, each begun from the groups that the
+    one before left.
+    """
     left = list(groups)
     coefficients = np.zeros(len(moment))
     out = []
@@ -207,7 +244,9 @@ def _path(groups: Sequence[Group], gram: Array, moment: Array, thresholds: Array
             places = np.concatenate([np.arange(len(moment))[g.columns] for g in left])
             square = gram[np.ix_(places, places)]
             coefficients = np.zeros(len(moment))
-            coefficients[places] = linalg.solve(square + RIDGE * np.eye(len(places)), moment[places], assume_a="pos")
+            coefficients[places] = linalg.solve(
+                square + RIDGE * np.eye(len(places)), moment[places], assume_a="pos"
+            )
             kept = [g for g in left if _stays(g, gram, coefficients, float(threshold))]
             if len(kept) == len(left):
                 break

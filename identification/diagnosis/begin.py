@@ -1,4 +1,6 @@
-"""Where a diagnosis begins: the nominal parameters as the default estimator has them, fitted to all equations."""
+"""Where a diagnosis begins: the nominal parameters as the default estimator has them, fitted to all
+equations.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,17 @@ from identification.recording import Dataset, Model, Recording
 FALLING, FALLS = (0.02, 0.3), 3
 """Quantiles of the speed between which friction's fall is tried, and how many."""
 WORTH_RAISING = 0.7
-"""Squares left over those from the estimate's own start, below which a supposed fall is taken. On simulated rigs whose
-fall was hidden it was 0.06 to 0.6; a few per cent can be had by a wrong one."""
+"""Squares left over those from the estimate's own start, below which a supposed fall is taken.
+
+On simulated rigs whose fall was hidden it was 0.06 to 0.6; a few per cent can be had by a wrong
+one.
+"""
 GREATEST_BANDWIDTH_HZ = 25.0
 """Above this hardly any effect of the catalogue adds to what is below, and noise does."""
-UNBURDENED: Mapping[str, str] = {"load_dependent": "coulomb_viscous", "stribeck_load_dependent": "stribeck"}
+UNBURDENED: Mapping[str, str] = {
+    "load_dependent": "coulomb_viscous",
+    "stribeck_load_dependent": "stribeck",
+}
 """Rung of friction under a load to what is left of it where no load is declared."""
 NEAR_FLOOR = 1.5
 """Mean square of the mismatch over that of the noise, below which it counts as explained."""
@@ -38,7 +46,8 @@ def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Join
     """Return views of the recordings to fit, and the nominal model's fit of them.
 
     Raises:
-        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be granted.
+        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be
+            granted.
     """
     fitted = dataset.part("fit")
     start = estimated(dataset, fitted, bandwidth_Hz)
@@ -47,15 +56,20 @@ def begun(dataset: Dataset, bandwidth_Hz: float) -> tuple[tuple[View, ...], Join
 
 
 def started(here: Sequence[View], unit: str, start: Nominal, model: Model) -> Joint:
-    """Fit the nominal model from the estimate and, where that leaves more than noise, from rises of friction as well.
+    """Fit the nominal model from the estimate and, where that leaves more than noise, from rises of
+    friction as well.
 
-    What is missing can hide the fall of friction from an estimate, and no step of a fit brings it back.
+    What is missing can hide the fall of friction from an estimate, and no step of a fit brings it
+    back.
     """
     return or_raised(here, unit, fit(here, unit, start), start, model.fixed)
 
 
-def or_raised(here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]) -> Joint:
-    """Return a fit, or one with the same effects that began from a supposed fall of friction and leaves far less.
+def or_raised(
+    here: Sequence[View], unit: str, first: Joint, start: Nominal, fixed: Collection[str]
+) -> Joint:
+    """Return a fit, or one with the same effects that began from a supposed fall of friction and
+    leaves far less.
 
     Args:
         here: Recordings.
@@ -72,9 +86,11 @@ def or_raised(here: Sequence[View], unit: str, first: Joint, start: Nominal, fix
 
 
 def or_kept(here: Sequence[View], unit: str, first: Joint) -> Joint:
-    """Return a fit, or one begun anew from a supposed fall of friction whose constants keep what the first's do not.
+    """Return a fit, or one begun anew from a supposed fall of friction whose constants keep what
+    the first's do not.
 
-    A rise under load that falls to nothing on the way, where hardly any row is slow enough to tell, never comes back.
+    A rise under load that falls to nothing on the way, where hardly any row is slow enough to tell,
+    never comes back.
 
     Args:
         here: Recordings.
@@ -84,7 +100,9 @@ def or_kept(here: Sequence[View], unit: str, first: Joint) -> Joint:
     if not broken(first):
         return first
     held = first.nominal.values.keys() - set(first.nominal.free)
-    again = fit(here, unit, first.nominal.raised(_falls(here)[FALLS // 2], held), first.effects, first)
+    again = fit(
+        here, unit, first.nominal.raised(_falls(here)[FALLS // 2], held), first.effects, first
+    )
     return first if broken(again) else again
 
 
@@ -117,7 +135,16 @@ def estimated(dataset: Dataset, recordings: Sequence[Recording], bandwidth: floa
     values, _ = solve_stages(unloaded, loaded, model, lambda _stage, _share: None)
     free = free_names(values, model)
     if unknown:
-        gear = [name for name in LADDER[dataset.model.friction] if name not in LADDER[model.friction]]
+        gear = [
+            name for name in LADDER[dataset.model.friction] if name not in LADDER[model.friction]
+        ]
         values = {**values, **dict.fromkeys(gear, 0.0)}
-        free = (*free, *(name for name in gear if name not in model.fixed and (name == "mu_gc" or "Ms" in free)))
+        free = (
+            *free,
+            *(
+                name
+                for name in gear
+                if name not in model.fixed and (name == "mu_gc" or "Ms" in free)
+            ),
+        )
     return Nominal(values, free, model.alpha)

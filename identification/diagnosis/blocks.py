@@ -18,20 +18,27 @@ GREATEST_BLOCK_S = 3.0
 """What is missing correlates over whole strokes; longer blocks would leave too few to see it."""
 
 
-def gather_of(equations: Sequence[Equation], block: np.ndarray, blocks: int) -> tuple[sparse.csr_matrix, ...]:
+def gather_of(
+    equations: Sequence[Equation], block: np.ndarray, blocks: int
+) -> tuple[sparse.csr_matrix, ...]:
     """Return a matrix for each equation that sums its rows by block, shape (blocks, n_e)."""
     out, start = [], 0
     for equation in equations:
         count = len(equation.residual)
         mine = block[start : start + count]
-        out.append(sparse.csr_matrix((np.ones(count), (mine, np.arange(count))), shape=(blocks, count)))
+        out.append(
+            sparse.csr_matrix((np.ones(count), (mine, np.arange(count))), shape=(blocks, count))
+        )
         start += count
     return tuple(out)
 
 
 @compiled
-def in_blocks(columns: Array, residual: Array, block: np.ndarray, blocks: int) -> tuple[Array, Array]:
-    """Return inner products of columns, shape (n, k), with the residual and with each other, by block.
+def in_blocks(
+    columns: Array, residual: Array, block: np.ndarray, blocks: int
+) -> tuple[Array, Array]:
+    """Return inner products of columns, shape (n, k), with the residual and with each other, by
+    block.
 
     Returns:
         Shapes (b, k) and (b, k, k).
@@ -53,7 +60,9 @@ def in_blocks(columns: Array, residual: Array, block: np.ndarray, blocks: int) -
 
 
 def numbered(equations: Sequence[Equation], residuals: Sequence[Array]) -> tuple[np.ndarray, int]:
-    """Number blocks of time that all equations share: ten correlation times of the worst residual, within limits."""
+    """Number blocks of time that all equations share: ten correlation times of the worst residual,
+    within limits.
+    """
     length = LEAST_BLOCK_S
     for equation, residual in zip(equations, residuals, strict=True):
         if equation.name == "breakaway":

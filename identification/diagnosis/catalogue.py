@@ -1,4 +1,6 @@
-"""The catalogue as one table: what an effect is, what it breaks, how it shows and what separates it from its likes."""
+"""The catalogue as one table: what an effect is, what it breaks, how it shows and what separates it
+from its likes.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ class Entry:
         group: motor, transmission, friction, device, sensing or gas generator.
         equation: Governing equation.
         assumption: What of the paper it breaks.
-        shows_in: Equation in which it shows: ``torque``, ``transmission``, ``voltage``, ``breakaway`` or ``pressure``.
+        shows_in: Equation in which it shows: ``torque``, ``transmission``, ``voltage``,
+        ``breakaway`` or ``pressure``.
         coordinate: Coordinate or regime where it shows.
         parameters: With units and plausible ranges.
         look_alikes: Names of the nearest ones.

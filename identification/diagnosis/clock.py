@@ -19,12 +19,15 @@ def one_clock(recordings: Sequence[Recording]) -> bool:
 def run_starts(recordings: Sequence[Recording]) -> list[float]:
     """Return when each recording began, s of running time.
 
-    Where their time stamps follow one another on one clock these say it: from that clock's zero, where it is no further
-    back than the recordings are long, as the machine was cold then; else from the first stamp. Recordings without a
-    common clock are laid end to end.
+    Where their time stamps follow one another on one clock these say it: from that clock's zero,
+    where it is no further back than the recordings are long, as the machine was cold then; else
+    from the first stamp. Recordings without a common clock are laid end to end.
     """
     if len(recordings) > 1 and one_clock(recordings):
-        first, last = min(float(r.time[0]) for r in recordings), max(float(r.time[-1]) for r in recordings)
+        first, last = (
+            min(float(r.time[0]) for r in recordings),
+            max(float(r.time[-1]) for r in recordings),
+        )
         zero = 0.0 if 0.0 <= first < last - first else first
         return [float(r.time[0]) - zero for r in recordings]
     lengths = [float(r.time[-1] - r.time[0]) for r in recordings]

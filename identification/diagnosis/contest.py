@@ -1,4 +1,6 @@
-"""What effects are weighed by: which of two fits the data prefer, how many numbers they took, what is plausible."""
+"""What effects are weighed by: which of two fits the data prefer, how many numbers they took, what
+is plausible.
+"""
 
 from __future__ import annotations
 
@@ -18,9 +20,13 @@ from identification.diagnosis.view import View
 SIMPLER_IF = 1.0
 """Standard errors of preference below which the effect with fewer parameters is taken."""
 SAME = 0.01
-"""Square of the difference of two fits over the square of their mismatch, below which they are the same."""
+"""Square of the difference of two fits over the square of their mismatch, below which they are the
+same.
+"""
 USUAL_TORQUE_N_M, USUAL_SPEED_RAD_S, USUAL_TRAVEL_RAD = 40.0, 0.5, 0.8
-"""Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges suit."""
+"""Greatest torque and speed, and the travel, on the practical bench, which the catalogue's ranges
+suit.
+"""
 PHASES = ("phase", "zero")
 """How the names of parameters begin that are angles on a linear bench too."""
 
@@ -29,8 +35,9 @@ PHASES = ("phase", "zero")
 class Contender:
     """An effect fitted jointly, and how far the data prefer the chosen one to it.
 
-    ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica 57 (1989) 307).
-    ``beyond`` says which parameter would have to be beyond its plausible range; empty where none.
+    ``preference`` is the studentised difference of squared residuals by blocks (Vuong, Econometrica
+    57 (1989) 307). ``beyond`` says which parameter would have to be beyond its plausible range;
+    empty where none.
     """
 
     name: str
@@ -63,8 +70,9 @@ def probability(preferred: float) -> float:
 def implausible(joint: Joint) -> str:
     """Say what makes a fit no model of a bench, empty where nothing does.
 
-    A parameter of the last effect beyond its range in the catalogue, at the scale of this bench; or constants that the
-    fit cannot keep, as friction that would have to rise where it falls: what it promises is then nobody's prediction.
+    A parameter of the last effect beyond its range in the catalogue, at the scale of this bench; or
+    constants that the fit cannot keep, as friction that would have to rise where it falls: what it
+    promises is then nobody's prediction.
     """
     if broken(joint):
         return "constants that no bench has"
@@ -78,18 +86,22 @@ def implausible(joint: Joint) -> str:
         low = q.low * (max(1.0, scale) if q.low < 0.0 else min(1.0, scale))
         high = q.high * max(1.0, scale)
         if slides and q.unit == "rad" and not q.name.startswith(PHASES):
-            # Metres, of which a radian says nothing: as far in travels as the range is on the usual bench.
+            # Metres, of which a radian says nothing: as far in travels as the range is on the usual
+            # bench.
             low, high = (limit * _travels(views) for limit in (q.low, q.high))
         if not low <= found[q.name] <= high:
-            return f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
+            return (
+                f"{q.name} {found[q.name]:.3g}, beyond what is plausible ({low:.3g} to {high:.3g})"
+            )
     return ""
 
 
 def broken(joint: Joint) -> bool:
-    """Whether a fit's own constants do not keep what it promises; it then says nothing of its effects either.
+    """Whether a fit's own constants do not keep what it promises; it then says nothing of its
+    effects either.
 
-    Of the last effect only where it shows in the torque: what encoders alone see promises nothing of friction, and what
-    keeps the torque from its constants was missing before.
+    Of the last effect only where it shows in the torque: what encoders alone see promises nothing
+    of friction, and what keeps the torque from its constants was missing before.
     """
     if joint.effects and "torque" not in joint.effects[-1].term.columns:
         return False
@@ -98,7 +110,9 @@ def broken(joint: Joint) -> bool:
 
 
 def _scales(views: Sequence[View]) -> dict[str, float]:
-    """Return by unit how much larger this bench is than the one that the catalogue's ranges were written for."""
+    """Return by unit how much larger this bench is than the one that the catalogue's ranges were
+    written for.
+    """
     torque = max(float(np.max(np.abs(v.torque))) for v in views) / USUAL_TORQUE_N_M
     speed = max(float(np.max(np.abs(v.velocity))) for v in views) / USUAL_SPEED_RAD_S
     angle = _travels(views)
@@ -118,8 +132,12 @@ def _travels(views: Sequence[View]) -> float:
 
 
 def simplest(joints: Sequence[Joint], sizes: Sequence[int]) -> int:
-    """Return which of these fits, best first, has the fewest numbers among those hardly worse than the best."""
-    near = [k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < SIMPLER_IF]
+    """Return which of these fits, best first, has the fewest numbers among those hardly worse than
+    the best.
+    """
+    near = [
+        k for k in range(len(joints)) if k == 0 or preference(joints[0], joints[k]) < SIMPLER_IF
+    ]
     return min(near, key=lambda k: (sizes[k], k))
 
 
@@ -129,6 +147,8 @@ def numbers(effect: Added) -> int:
 
 
 def again(rival: Added, its: Joint, chosen: Added, best: Joint) -> bool:
-    """Whether a rival is the chosen effect over again, with more numbers: a special case is no alias."""
+    """Whether a rival is the chosen effect over again, with more numbers: a special case is no
+    alias.
+    """
     difference = its.residual - best.residual
     return numbers(rival) > numbers(chosen) and float(difference @ difference) < SAME * best.cost

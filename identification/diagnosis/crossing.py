@@ -1,8 +1,10 @@
-"""What tells a gap from a coupling's hysteresis: the torque that passes while one side moves and the other stands.
+"""What tells a gap from a coupling's hysteresis: the torque that passes while one side moves and
+the other stands.
 
-Where friction holds the valve until the loop is closed both move alike, to within the encoders. But a gap is crossed
-without torque, T = J_r domega_m/dt, and a loop with one that rises: T = J_r domega_m/dt + w (s + u), where J_r is the
-rotor's inertia, w the torque that closes the loop, s the direction, and u from -1 to 1 how far it has come.
+Where friction holds the valve until the loop is closed both move alike, to within the encoders. But
+a gap is crossed without torque, T = J_r domega_m/dt, and a loop with one that rises: T = J_r
+domega_m/dt + w (s + u), where J_r is the rotor's inertia, w the torque that closes the loop, s the
+direction, and u from -1 to 1 how far it has come.
 """
 
 from __future__ import annotations
@@ -19,7 +21,14 @@ from identification.diagnosis.marks import QUICK_SAMPLES
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.result import Step
 from identification.diagnosis.terms.term import Term
-from identification.diagnosis.terms.transmission import ROTOR_SHARE, TWIST_COUNTS, Gap, Loop, count_of_twist, lead
+from identification.diagnosis.terms.transmission import (
+    ROTOR_SHARE,
+    TWIST_COUNTS,
+    Gap,
+    Loop,
+    count_of_twist,
+    lead,
+)
 from identification.diagnosis.view import View
 from identification.recording import Array
 
@@ -53,7 +62,8 @@ class Crossing:
 
 
 def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -> Crossing | None:
-    """Return what the torque does while a gap of this size is crossed; None where too few crossings last long enough.
+    """Return what the torque does while a gap of this size is crossed; None where too few crossings
+    last long enough.
 
     Args:
         views: On the valve's side.
@@ -77,11 +87,17 @@ def crossed(views: Sequence[View], nominal: Nominal, gap: float, rotor: float) -
     scores = np.stack([c.T @ (t - c @ found) for c, t in zip(parts, torques, strict=True)])
     spread = math.sqrt(float((bread @ (scores.T @ scores) @ bread)[1, 1]))
     usual = float(np.median(np.concatenate(moving)))
-    return Crossing(float(found[0]), float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK))
+    return Crossing(
+        float(found[0]), float(found[1]), float(found[1]) / usual, math.hypot(spread / usual, SLACK)
+    )
 
 
-def _columns(view: View, nominal: Nominal, gap: float, rotor: float) -> tuple[Array, list[tuple[int, int]]]:
-    """Return (regressors of the drive's torque, shape (m, 2)) and from where to where each crossing lasts."""
+def _columns(
+    view: View, nominal: Nominal, gap: float, rotor: float
+) -> tuple[Array, list[tuple[int, int]]]:
+    """Return (regressors of the drive's torque, shape (m, 2)) and from where to where each crossing
+    lasts.
+    """
     gear = view.recording.bench.gear_ratio
     speed = view.motor_speed / gear
     way = lead(view, nominal, gap, rotor) / (0.5 * gap)
@@ -96,11 +112,14 @@ def _columns(view: View, nominal: Nominal, gap: float, rotor: float) -> tuple[Ar
 def _quick_acceleration(view: View) -> Array:
     """Return the motor's acceleration at the joint within a few samples, hardly filtered, rad/s^2.
 
-    A crossing of ten samples is over before a filter shows it; what the filter takes from the rotor passes for torque.
+    A crossing of ten samples is over before a filter shows it; what the filter takes from the rotor
+    passes for torque.
     """
     motor, span = view.motor / view.recording.bench.gear_ratio, QUICK_SAMPLES
     padded = np.pad(motor, span, mode="edge")
-    return np.asarray((padded[2 * span :] - 2.0 * motor + padded[: -2 * span]) / (span * view.step) ** 2)
+    return np.asarray(
+        (padded[2 * span :] - 2.0 * motor + padded[: -2 * span]) / (span * view.step) ** 2
+    )
 
 
 def told_apart(
@@ -112,7 +131,9 @@ def told_apart(
     terms: Sequence[Term],
     steps: list[Step],
 ) -> tuple[Joint, list[Round]]:
-    """Decide between a gap and a coupling's loop, where one of them was named, by what passes during a crossing."""
+    """Decide between a gap and a coupling's loop, where one of them was named, by what passes
+    during a crossing.
+    """
     named = [e for e in joint.effects if e.term.name in PAIR]
     by_name = {t.name: t for t in terms}
     if not named or not set(PAIR) <= by_name.keys():
@@ -120,68 +141,105 @@ def told_apart(
     own = min(named, key=lambda e: PAIR.index(e.term.name))
     if len(named) > 1:
         # A gap and a loop in one transmission add up to what one of them alone could be.
-        joint = fit(views, unit, joint.nominal, [e for e in joint.effects if e is own or e not in named], baseline)
+        joint = fit(
+            views,
+            unit,
+            joint.nominal,
+            [e for e in joint.effects if e is own or e not in named],
+            baseline,
+        )
         rounds = [r for r in rounds if r.name == own.term.name or r.name not in PAIR]
         own = next(e for e in joint.effects if e.term.name == own.term.name)
     gap, rotor = _gap_and_rotor(own)
     seen = crossed(views, joint.nominal, gap, rotor)
-    other = _other(own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views))
+    other = _other(
+        own, by_name, gap, seen, ROTOR_SHARE * joint.nominal.get("J"), count_of_twist(views)
+    )
     rest = tuple(e for e in joint.effects if e is not own)
     beside = fit(views, unit, joint.nominal, (*rest, other), baseline)
     loop = Loop(*(own if own.term.name != "backlash" else beside.effects[-1]).shape)
-    prefers_loop = _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
+    prefers_loop = (
+        _empty(views, loop.torque) if seen is None else (seen.share - CARRIED) / seen.error
+    )
     prefers_other = prefers_loop if own.term.name == "backlash" else -prefers_loop
     if _falls(views, joint.nominal):
-        # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's sum.
-        prefers_other = (prefers_other - preference(joint, beside)) / (1.0 if seen is None else math.sqrt(2.0))
-    best, loser, name = (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
+        # Under such a weight the two do not move alike, and the angles tell as well: Stouffer's
+        # sum.
+        prefers_other = (prefers_other - preference(joint, beside)) / (
+            1.0 if seen is None else math.sqrt(2.0)
+        )
+    best, loser, name = (
+        (beside, joint, other.term.name) if prefers_other > 0.0 else (joint, beside, own.term.name)
+    )
     rival = Contender(next(n for n in PAIR if n != name), loser, abs(prefers_other), "")
     if seen is None:
         note = "no crossing lasts long enough to tell a gap from a loop"
     else:
-        note = f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's torque"
+        note = (
+            f"closes with {seen.torque:.2g} {unit}, {100.0 * seen.share:.1f} % of the motion's "
+            f"torque"
+        )
     steps.append(Step("crossing", name, None, loser.cost - best.cost, note))
     out = [
-        Round(name, (rival, *(r for r in taken.rivals if r.name not in PAIR))) if taken.name == own.term.name else taken
+        Round(name, (rival, *(r for r in taken.rivals if r.name not in PAIR)))
+        if taken.name == own.term.name
+        else taken
         for taken in rounds
     ]
     return best, out
 
 
 def _gap_and_rotor(effect: Added) -> tuple[float, float]:
-    """Return how far one side moves alone, rad, and the inertia of the rotor, kg m^2, as a gap or a loop says."""
+    """Return how far one side moves alone, rad, and the inertia of the rotor, kg m^2, as a gap or a
+    loop says.
+    """
     if effect.term.name == "backlash":
         return Gap(*effect.shape).width, Gap(*effect.shape).rotor
     return 2.0 * Loop(*effect.shape).deflection, Loop(*effect.shape).rotor
 
 
 def _empty(views: Sequence[View], torque: float) -> float:
-    """Return how far a loop is preferred to a gap, in standard errors, by the torque (N m) that the angles give it.
+    """Return how far a loop is preferred to a gap, in standard errors, by the torque (N m) that the
+    angles give it.
 
-    Never above zero: a loop that closes without torque is a gap with one number more; of one that closes with some the
-    angles have judged already.
+    Never above zero: a loop that closes without torque is a gap with one number more; of one that
+    closes with some the angles have judged already.
     """
-    usual = float(np.median(np.concatenate([np.abs(v.transmitted[~v.still]) for v in views if v.lag is not None])))
+    usual = float(
+        np.median(
+            np.concatenate([np.abs(v.transmitted[~v.still]) for v in views if v.lag is not None])
+        )
+    )
     return min(0.0, (torque / usual - CARRIED) / SLACK)
 
 
 def _falls(views: Sequence[View], nominal: Nominal) -> bool:
-    """Whether a weight turns with the joint throughout that in motion is more than its friction holds.
+    """Whether a weight turns with the joint throughout that in motion is more than its friction
+    holds.
 
-    Where it does so in some recordings only, the crossings in the others tell more than any model of a fall.
+    Where it does so in some recordings only, the crossings in the others tell more than any model
+    of a fall.
     """
     if not all(v.burdened for v in views):
         return False
-    return any(np.any((np.abs(nominal.helping(v)) > np.abs(nominal.friction(v))) & ~v.still) for v in views)
+    return any(
+        np.any((np.abs(nominal.helping(v)) > np.abs(nominal.friction(v))) & ~v.still) for v in views
+    )
 
 
 def _other(
-    own: Added, by_name: dict[str, Term], gap: float, seen: Crossing | None, rotor: float, twist: float
+    own: Added,
+    by_name: dict[str, Term],
+    gap: float,
+    seen: Crossing | None,
+    rotor: float,
+    twist: float,
 ) -> Added:
-    """Return the other of the pair, as large as the one that was named; the loop with the torque that was seen.
+    """Return the other of the pair, as large as the one that was named; the loop with the torque
+    that was seen.
 
-    Its fit begins from the rotor's inertia that was seen as well, or from a supposed one, ``rotor``, kg m^2; a gap's
-    from a shaft that twists by ``twist``, rad/(N m), for each count.
+    Its fit begins from the rotor's inertia that was seen as well, or from a supposed one,
+    ``rotor``, kg m^2; a gap's from a shaft that twists by ``twist``, rad/(N m), for each count.
     """
     counts = 0.5 * TWIST_COUNTS[1]
     if own.term.name != "backlash":

@@ -1,4 +1,5 @@
-"""From recordings to a verdict: noise floor, is anything missing, where, which physics, the corrected model, the proof.
+"""From recordings to a verdict: noise floor, is anything missing, where, which physics, the
+corrected model, the proof.
 
 Recordings set aside (role ``validate``) are touched once, at the end.
 """
@@ -41,8 +42,16 @@ from identification.prepare import prepare, torque_unit
 from identification.recording import Bench, Dataset, RecordingError
 
 GIVING = ("backlash", "compliance", "coupling_hysteresis", "gear_mesh_ripple")
-"""Effects by which the valve moves otherwise than the motor, so that its friction follows the joint encoder."""
-TURNING = ("cogging", "torque_ripple", "gear_mesh_ripple", "encoder_eccentricity", "gravity_imbalance")
+"""Effects by which the valve moves otherwise than the motor, so that its friction follows the joint
+encoder.
+"""
+TURNING = (
+    "cogging",
+    "torque_ripple",
+    "gear_mesh_ripple",
+    "encoder_eccentricity",
+    "gravity_imbalance",
+)
 """Effects over an angle, of which a linear bench without a gear ratio (rad/m) says nothing."""
 
 
@@ -61,10 +70,12 @@ def diagnose(
         bandwidth_Hz: Of every error; None chooses the least over the recordings of what each bears.
         rng: Of the tests by sign flips.
         progress: Called with what is being done and the share done.
-        onlooker: Shown the nominal model's fit before anything is sought, for other methods on the same rows.
+        onlooker: Shown the nominal model's fit before anything is sought, for other methods on the
+            same rows.
 
     Raises:
-        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be granted.
+        RecordingError: The recordings cannot pin the nominal model, or a declared term cannot be
+            granted.
     """
     clock = perf_counter()
     tell: Progress = progress or (lambda _stage, _share: None)
@@ -87,7 +98,9 @@ def diagnose(
         tell("the same on the valve's side", 0.0)
         here = views(fitted, bandwidth, True, dataset.recordings)
         again = started(here, unit, first.nominal, dataset.model)
-        found = search(here, unit, again, on_the_joint(terms), chance, tell, fixed=dataset.model.fixed)
+        found = search(
+            here, unit, again, on_the_joint(terms), chance, tell, fixed=dataset.model.fixed
+        )
     baseline = found.baseline
     aside = views((*fitted, *held), bandwidth, gives, dataset.recordings)[len(fitted) :]
     tell("locating", 0.95)
@@ -99,7 +112,11 @@ def diagnose(
     unseen = taken_up(baseline, terms)
     traces = _traces(baseline, scored)
     alarm = verdict is not Verdict.NOTHING_MISSING
-    places = (*standing((*here, *aside), unit), *(crowded(traces) if alarm else ()), *too_little(found, verdict))
+    places = (
+        *standing((*here, *aside), unit),
+        *(crowded(traces) if alarm else ()),
+        *too_little(found, verdict),
+    )
     return Diagnosis(
         verdict=verdict,
         statement=_statement(verdict, effects, main, where, found.p_value, unseen),
@@ -131,15 +148,23 @@ def _shifts(baseline: Joint, final: Joint, units: Mapping[str, str]) -> dict[str
     def value(joint: Joint, name: str) -> float | None:
         return float(joint.nominal.values[name]) if pinned(joint, name) else None
 
-    return {name: Shift(value(baseline, name), value(final, name), units[name]) for name in baseline.nominal.values}
+    return {
+        name: Shift(value(baseline, name), value(final, name), units[name])
+        for name in baseline.nominal.values
+    }
 
 
-def _fits(baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float) -> tuple[Fit, ...]:
+def _fits(
+    baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandwidth: float
+) -> tuple[Fit, ...]:
     held_before, held_after = held_out(baseline, aside, unit), held_out(final, aside, unit)
     out = []
     for equation in baseline.equations:
         rows = baseline.stack.part(equation.name)
-        rms = [equation.sigma * math.sqrt(float(np.mean(j.residual[rows] ** 2))) for j in (baseline, final)]
+        rms = [
+            equation.sigma * math.sqrt(float(np.mean(j.residual[rows] ** 2)))
+            for j in (baseline, final)
+        ]
         out.append(
             Fit(
                 equation=equation.name,
@@ -156,7 +181,9 @@ def _fits(baseline: Joint, final: Joint, aside: Sequence[View], unit: str, bandw
 
 
 def held_out(joint: Joint, aside: Sequence[View], unit: str) -> dict[str, float]:
-    """Return each equation's rms over recordings that took no part, nothing of the torque's model fitted to them."""
+    """Return each equation's rms over recordings that took no part, nothing of the torque's model
+    fitted to them.
+    """
     if not aside:
         return {}
     rows = equations(aside, joint.nominal, unit)
@@ -210,17 +237,23 @@ def _statement(
     p_value: float,
     unseen: Sequence[str],
 ) -> str:
-    error = f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor {main.noise_floor_rms:.3g}"
+    error = (
+        f"{main.equation} error {main.baseline_rms:.3g} {main.unit}; noise floor "
+        f"{main.noise_floor_rms:.3g}"
+    )
     if verdict is Verdict.NOTHING_MISSING:
         said = f"nothing is missing that these recordings could show (p = {p_value:.2g}); {error}"
         return f"{said}; {_unseen(unseen)}" if unseen else said
     held = main.validate_baseline_rms is not None and main.validate_final_rms is not None
     before, after = (
-        (main.validate_baseline_rms, main.validate_final_rms) if held else (main.baseline_rms, main.final_rms)
+        (main.validate_baseline_rms, main.validate_final_rms)
+        if held
+        else (main.baseline_rms, main.final_rms)
     )
     recordings = "unseen recordings" if held else "the recordings it was fitted to"
     change = (
-        f"{main.equation.capitalize()} error on {recordings} {before:.3g} -> {after:.3g} {main.unit}; "
+        f"{main.equation.capitalize()} error on {recordings} {before:.3g} -> {after:.3g} "
+        f"{main.unit}; "
         f"noise floor {main.noise_floor_rms:.3g}."
     )
     if verdict is Verdict.OUTSIDE_CATALOGUE:
@@ -228,22 +261,34 @@ def _statement(
         return f"something is missing that is in no catalogue{place}; {error}"
     words = "; and ".join(e.statement for e in effects)
     if verdict is Verdict.AMBIGUOUS:
-        groups = [" or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1]
+        groups = [
+            " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
+        ]
         words = f"{words}. These recordings cannot tell {' and '.join(groups)} apart"
     return f"{words}. {change}"
 
 
 def _unseen(names: Sequence[str]) -> str:
-    return f"the nominal constants would take up {', '.join(title(n) for n in names)} whole, and none of it be seen"
+    return (
+        f"the nominal constants would take up {', '.join(title(n) for n in names)} whole, and "
+        f"none of it be seen"
+    )
 
 
 def _warnings(dataset: Dataset, here: Sequence[View], unseen: Sequence[str]) -> tuple[str, ...]:
     warnings = []
     if unseen:
-        warnings.append(f"{_unseen(unseen)}; what would show it: {' '.join(ENTRIES[n].experiment for n in unseen)}")
+        warnings.append(
+            f"{_unseen(unseen)}; what would show it: "
+            f"{' '.join(ENTRIES[n].experiment for n in unseen)}"
+        )
     if not dataset.part("validate"):
-        warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
+        warnings.append(
+            "no recording is set aside (role: validate), so the errors are of the fit itself"
+        )
     for view in here:
         if not np.any(view.moving):
-            warnings.append(f"{view.recording.name}: no sample in steady motion; it says nothing of the torque")
+            warnings.append(
+                f"{view.recording.name}: no sample in steady motion; it says nothing of the torque"
+            )
     return tuple(warnings)

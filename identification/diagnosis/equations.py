@@ -1,4 +1,5 @@
-"""The equations that physics can break, as stacked, filtered rows with the tangent of what the nominal model absorbs.
+"""The equations that physics can break, as stacked, filtered rows with the tangent of what the
+nominal model absorbs.
 
 torque        drive torque = J domega/dt + friction (eq. 15), in motion
 breakaway     torque at the end of a rest = static friction (eq. 9 and 13 at omega = 0)
@@ -23,13 +24,17 @@ from identification.signals import BoolArray, Decimator, central_difference, qua
 LEAST_BREAKAWAYS = 12
 """Breakaways, over all recordings, below which they make no equation."""
 WITHIN_STEP = 0.3
-"""Standard deviation of a breakaway's instant within its sample, over the sample (uniform: 0.29)."""
+"""Standard deviation of a breakaway's instant within its sample, over the sample (uniform:
+0.29).
+"""
 SURE_NM = 0.1
 """Torque noise of one sample, about."""
 LEAST_ROWS_OF_A_TONE = 300
 """Of n rows of white noise the strongest sine takes 2 log(n/2)/n: 3 % of these."""
 TONE_PADDING, TONE_TRIALS = 4, 10
-"""Length of the spectrum that a tone is sought in, over that of the rows; frequencies tried to either side of it."""
+"""Length of the spectrum that a tone is sought in, over that of the rows; frequencies tried to
+either side of it.
+"""
 EQUATIONS = ("torque", "breakaway", "transmission", "voltage")
 
 
@@ -75,30 +80,38 @@ def equations(
         views: Recordings.
         nominal: Values of the nominal parameters.
         unit: Of the torque.
-        before: The equations at other nominal values: their noise is kept, and all but the torque's rows, whose
-            tangents absorb what the nominal values change in them.
+        before: The equations at other nominal values: their noise is kept, and all but the torque's
+            rows, whose tangents absorb what the nominal values change in them.
     """
     if before:
         known = {e.name: e for e in before}
         torque = _torque(views, nominal, unit, known["torque"].sigma) if "torque" in known else None
         kept = tuple(e for e in before if e.name != "torque")
         return kept if torque is None else (torque, *kept)
-    found = (_torque(views, nominal, unit), _breakaway(views, nominal, unit), _transmission(views), _voltage(views))
+    found = (
+        _torque(views, nominal, unit),
+        _breakaway(views, nominal, unit),
+        _transmission(views),
+        _voltage(views),
+    )
     return tuple(e for e in found if e is not None)
 
 
 def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
     """Return the scatter that white noise before the filter has left in a filtered series.
 
-    Third differences within recordings take away what is smooth from row to row, the median what is rough but rare;
-    the filter's own correlation from row to row is allowed for.
+    Third differences within recordings take away what is smooth from row to row, the median what is
+    rough but rare; the filter's own correlation from row to row is allowed for.
     """
     difference = np.diff(series, n=3)
     same = owner[3:] == owner[:-3]
     spread = 1.4826 * float(np.median(np.abs(difference[same]))) if np.any(same) else 0.0
     taps, factor = low_pass.taps, low_pass.factor
     lags = [
-        float(taps[k * factor :] @ taps[: len(taps) - k * factor]) if k * factor < len(taps) else 0.0 for k in range(4)
+        float(taps[k * factor :] @ taps[: len(taps) - k * factor])
+        if k * factor < len(taps)
+        else 0.0
+        for k in range(4)
     ]
     weights = np.convolve([1.0, -3.0, 3.0, -1.0], [-1.0, 3.0, -3.0, 1.0])[3:]
     gain = weights[0] * lags[0] + 2.0 * float(weights[1:] @ np.array(lags[1:]))
@@ -108,7 +121,8 @@ def noise(series: Array, owner: np.ndarray, low_pass: Decimator) -> float:
 def without_tones(series: Array, owner: np.ndarray, time: Array) -> Array:
     """Return rows less the strongest sine of each recording.
 
-    Noise has no tone: a torque at one frequency passes for noise in differences from row to row, and hides in it.
+    Noise has no tone: a torque at one frequency passes for noise in differences from row to row,
+    and hides in it.
     """
     out = series.copy()
     for index in np.unique(owner):
@@ -137,7 +151,9 @@ def _tone(rows: Array, time: Array) -> Array:
     return best
 
 
-def _stack(name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view: Callable[[View], Array]) -> Array:
+def _stack(
+    name: str, views: Sequence[View], kept: Sequence[BoolArray], per_view: Callable[[View], Array]
+) -> Array:
     parts = []
     for view, keep in zip(views, kept, strict=True):
         series = np.atleast_2d(per_view(view))
@@ -164,19 +180,33 @@ def _build(
     counts = [int(np.sum(k)) for k in kept]
     owner = np.repeat([v.index for v in views], counts)
     times = [
-        (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k] for v, k in zip(views, kept, strict=True)
+        (v.time[v.breakaways] if name == "breakaway" else v.kept_times)[k]
+        for v, k in zip(views, kept, strict=True)
     ]
     columns = _stack(name, views, kept, tangent)
     when = np.concatenate(times)
     if sigma is not None:
-        return Equation(name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma)
+        return Equation(
+            name,
+            unit,
+            tuple(views),
+            tuple(kept),
+            residual,
+            columns,
+            tuple(names),
+            owner,
+            when,
+            sigma,
+        )
     basis, _ = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))
     rest = residual - basis @ (basis.T @ residual)
     if name == "breakaway":
         sigma = 1.4826 * float(np.median(np.abs(rest - np.median(rest))))
     else:
         sigma = noise(without_tones(rest, owner, when), owner, views[0].low_pass)
-    found = Equation(name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma)
+    found = Equation(
+        name, unit, tuple(views), tuple(kept), residual, columns, tuple(names), owner, when, sigma
+    )
     return replace(found, sigma=max(sigma, least_noise(found)))
 
 
@@ -186,16 +216,24 @@ def least_noise(equation: Equation) -> float:
     if equation.name != "transmission":
         return least
     # In slow motion rounding errors follow one another; no filter averages them out.
-    return max(least, *(quantum(v.recording.channels["angle"]) / math.sqrt(12.0) for v in equation.views))
+    return max(
+        least, *(quantum(v.recording.channels["angle"]) / math.sqrt(12.0) for v in equation.views)
+    )
 
 
-def _torque(views: Sequence[View], nominal: Nominal, unit: str, sigma: float | None = None) -> Equation | None:
-    # Where the transmission gives, the rotor's share of the inertia moves otherwise than the valve; how large it is
-    # no recording is told.
+def _torque(
+    views: Sequence[View], nominal: Nominal, unit: str, sigma: float | None = None
+) -> Equation | None:
+    # Where the transmission gives, the rotor's share of the inertia moves otherwise than the valve;
+    # how large it is no recording is told.
     gives = any(np.any(v.twist) for v in views)
 
     def tangent(view: View) -> Array:
-        return np.concatenate([nominal.tangent(view), view.twist[None]]) if gives else nominal.tangent(view)
+        return (
+            np.concatenate([nominal.tangent(view), view.twist[None]])
+            if gives
+            else nominal.tangent(view)
+        )
 
     return _build(
         "torque",
@@ -215,25 +253,40 @@ def _breakaway(views: Sequence[View], nominal: Nominal, unit: str) -> Equation |
     loaded = any(v.loaded for v in views)
 
     def limit(view: View) -> Array:
-        # The last sample that the encoder still shows at rest; what is late about it goes with the torque's rise.
+        # The last sample that the encoder still shows at rest; what is late about it goes with the
+        # torque's rise.
         last = np.roll(view.raw_torque, 1)
-        return np.asarray(last - view.sense * (nominal.get("Ms") + view.moment * nominal.get("mu_s")))
+        return np.asarray(
+            last - view.sense * (nominal.get("Ms") + view.moment * nominal.get("mu_s"))
+        )
 
     def tangent(view: View) -> Array:
         return np.stack([view.sense, _rise(view), *([view.moment * view.sense] if loaded else [])])
 
     names = ("Ms", "rate", *(["mu_s"] if loaded else []))
-    return _build("breakaway", unit, views, [np.ones(len(v.breakaways), bool) for v in views], limit, tangent, names)
+    return _build(
+        "breakaway",
+        unit,
+        views,
+        [np.ones(len(v.breakaways), bool) for v in views],
+        limit,
+        tangent,
+        names,
+    )
 
 
 def _rise(view: View) -> Array:
     """Return the torque's rise over the samples before each one, N m/s."""
     before = np.roll(view.raw_torque, 1)
-    return np.asarray((before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step))
+    return np.asarray(
+        (before - np.roll(view.raw_torque, 1 + RISE_SAMPLES)) / (RISE_SAMPLES * view.step)
+    )
 
 
 def _sharpness(view: View) -> Array:
-    """Return weights of breakaways: the faster the torque rises, the less does one sample say where it broke away."""
+    """Return weights of breakaways: the faster the torque rises, the less does one sample say where
+    it broke away.
+    """
     last = view.raw_torque[view.breakaways - 1], view.raw_torque[view.breakaways - 1 - RISE_SAMPLES]
     unsure = np.abs((last[0] - last[1]) / (RISE_SAMPLES * view.step)) * view.step * WITHIN_STEP
     return np.asarray(1.0 / np.sqrt(1.0 + (unsure / SURE_NM) ** 2))
@@ -271,7 +324,12 @@ def _voltage(views: Sequence[View]) -> Equation | None:
         assert bench.back_emf_constant is not None
         inductive = (bench.inductance or 0.0) * central_difference(view.current, view.step)
         emf = bench.back_emf_constant * view.motor_speed
-        return np.where(np.isnan(view.voltage), 0.0, view.voltage) - bench.resistance * view.current - inductive - emf
+        return (
+            np.where(np.isnan(view.voltage), 0.0, view.voltage)
+            - bench.resistance * view.current
+            - inductive
+            - emf
+        )
 
     def tangent(view: View) -> Array:
         assert view.current is not None

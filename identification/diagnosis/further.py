@@ -1,7 +1,9 @@
-"""Which effect to try beside those already named, where one equation's mismatch would drown another's.
+"""Which effect to try beside those already named, where one equation's mismatch would drown
+another's.
 
-Encoders see a gap a thousand times more sharply than the current sees friction. What a regressor that only resembles
-its physics leaves in the one equation is then far more, in squares, than all that is missing in the other.
+Encoders see a gap a thousand times more sharply than the current sees friction. What a regressor
+that only resembles its physics leaves in the one equation is then far more, in squares, than all
+that is missing in the other.
 """
 
 from __future__ import annotations
@@ -28,9 +30,9 @@ def groups(
 ) -> Iterator[list[Candidate]]:
     """Yield finalists, to be tried one group after another until one of them is taken.
 
-    The first effect is the one that explains most. Of further ones those come first that explain, of what is left
-    beyond the noise where they show, the share that makes one more name. None counts that shows only where nothing is
-    missing, or that could not be kept.
+    The first effect is the one that explains most. Of further ones those come first that explain,
+    of what is left beyond the noise where they show, the share that makes one more name. None
+    counts that shows only where nothing is missing, or that could not be kept.
 
     Args:
         baseline: The nominal model.
@@ -49,7 +51,9 @@ def groups(
         if any(name in seen for name in judging(joint, terms[c.name]))
         and not hopeless(baseline, joint, terms[c.name], c)
     ]
-    telling = [c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])]
+    telling = [
+        c for c in shown if c.gain >= FURTHER_SHARE * left_beyond_noise(joint, terms[c.name])
+    ]
     first = _finalists(telling)
     yield first
     rest = [c for c in shown if c not in first]

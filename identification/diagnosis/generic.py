@@ -1,4 +1,6 @@
-"""Families of regressors without a name: they notice what no effect of the catalogue looks like, and locate it."""
+"""Families of regressors without a name: they notice what no effect of the catalogue looks like,
+and locate it.
+"""
 
 from __future__ import annotations
 
@@ -61,14 +63,18 @@ COORDINATES = (
 
 
 def edges(values: Array, bins: int = BINS) -> Array:
-    """Return bin edges with about equally many samples each, shape (b + 1,); fewer where values repeat."""
+    """Return bin edges with about equally many samples each, shape (b + 1,); fewer where values
+    repeat.
+    """
     return np.unique(np.quantile(values, np.linspace(0.0, 1.0, bins + 1)))
 
 
 def families(equation: Equation) -> Iterator[tuple[str, Array]]:
-    """Yield (name, regressors, shape (n, k)): an indicator for every bin of every coordinate and direction.
+    """Yield (name, regressors, shape (n, k)): an indicator for every bin of every coordinate and
+    direction.
 
-    Their values are taken from the filtered coordinates: where nothing is to be named, the edges may be soft.
+    Their values are taken from the filtered coordinates: where nothing is to be named, the edges
+    may be soft.
     """
     sense = equation.rows(lambda v: v.sense)[:, 0]
     for coordinate in COORDINATES:
@@ -81,7 +87,9 @@ def families(equation: Equation) -> Iterator[tuple[str, Array]]:
         place = np.clip(np.searchsorted(grid, values, side="right") - 1, 0, len(grid) - 2)
         columns = (place[:, None] == np.arange(len(grid) - 1)).astype(np.float64)
         if coordinate.by_direction:
-            columns = np.concatenate([columns * (sense[:, None] > 0.0), columns * (sense[:, None] <= 0.0)], axis=1)
+            columns = np.concatenate(
+                [columns * (sense[:, None] > 0.0), columns * (sense[:, None] <= 0.0)], axis=1
+            )
         yield coordinate.name, columns[:, np.any(columns != 0.0, axis=0)]
 
 

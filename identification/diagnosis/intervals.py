@@ -1,4 +1,6 @@
-"""How well a joint fit tells what it found: intervals by blocks of time, and which nominal parameters are pinned."""
+"""How well a joint fit tells what it found: intervals by blocks of time, and which nominal
+parameters are pinned.
+"""
 
 from __future__ import annotations
 
@@ -16,11 +18,14 @@ from identification.estimate.uncertainty.parameter_table import WIDEST
 from identification.numerics.spread import CONFIDENCE
 
 COARSE, PLACE_RAD = 0.02, 0.01
-"""What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle as such, rad."""
+"""What the regressors' own errors came to on simulated rigs, 90 %: a share of a size; of an angle
+as such, rad.
+"""
 
 
 def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
-    """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks of time.
+    """Return each effect's parameters with 90 % intervals, from the scatter of scores over blocks
+    of time.
 
     Widened by what the regressors' own errors came to on simulated rigs, which no scatter shows.
 
@@ -44,12 +49,18 @@ def estimates(joint: Joint) -> tuple[dict[str, Estimate], ...]:
         part = covariance[at : at + len(moves), at : at + len(moves)]
         at += len(moves)
         values = effect.parameters(context)
-        slopes = {name: np.array([move[name] - values[name] for move in moves]) / STEP for name in values}
+        slopes = {
+            name: np.array([move[name] - values[name] for move in moves]) / STEP for name in values
+        }
         half = {
-            name: math.hypot(wide * math.sqrt(max(float(s @ part @ s), 0.0)), _coarseness(name, values[name]))
+            name: math.hypot(
+                wide * math.sqrt(max(float(s @ part @ s), 0.0)), _coarseness(name, values[name])
+            )
             for name, s in slopes.items()
         }
-        out.append({name: Estimate(v, v - half[name], v + half[name], "") for name, v in values.items()})
+        out.append(
+            {name: Estimate(v, v - half[name], v + half[name], "") for name, v in values.items()}
+        )
     return tuple(out)
 
 
@@ -57,11 +68,17 @@ def _coarseness(name: str, value: float) -> float:
     """Return by how much a regressor, which only resembles the physics, may put a parameter off."""
     if name.startswith("per_"):
         return 0.0
-    return PLACE_RAD if name.split("_")[0] in ("phase", "center", "zero", "rest") else COARSE * abs(value)
+    return (
+        PLACE_RAD
+        if name.split("_")[0] in ("phase", "center", "zero", "rest")
+        else COARSE * abs(value)
+    )
 
 
 def pinned(joint: Joint, name: str) -> bool:
-    """Whether a nominal parameter's 90 % interval is narrower than half its value (its rise, its log) a side."""
+    """Whether a nominal parameter's 90 % interval is narrower than half its value (its rise, its
+    log) a side.
+    """
     nominal = joint.nominal
     torque = next(e for e in joint.equations if e.name == "torque")
     if name not in nominal.free:
@@ -70,11 +87,17 @@ def pinned(joint: Joint, name: str) -> bool:
     if not scale[nominal.free.index(name)] > 0.0:
         return False
     scaled = torque.tangent / np.where(scale > 0.0, scale, 1.0)
-    spread = np.sqrt(np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0))
+    spread = np.sqrt(
+        np.maximum(np.diag(np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)), 0.0)
+    )
     spread /= np.where(scale > 0.0, scale, 1.0)
     rows = joint.residual[joint.stack.part("torque")]
     noise = torque.sigma * max(1.0, float(np.sqrt(np.mean(rows**2))))
-    half = float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE)) * noise * float(spread[nominal.free.index(name)])
+    half = (
+        float(stats.norm.ppf(0.5 + 0.5 * CONFIDENCE))
+        * noise
+        * float(spread[nominal.free.index(name)])
+    )
     if name in ("omega_sf", "omega_sL"):
         return half < WIDEST
     base = {"Ms": "Mc", "mu_s": "mu_c"}.get(name)
@@ -83,7 +106,9 @@ def pinned(joint: Joint, name: str) -> bool:
 
 
 def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
-    """Return the parameters after a small step along each direction of a fit (:func:`directions`)."""
+    """Return the parameters after a small step along each direction of a fit
+    (:func:`directions`).
+    """
     moves = []
     coefficients = np.array(effect.coefficients)
     if effect.term.size is None:
@@ -93,7 +118,13 @@ def _moves(effect: Added, context: Context) -> list[dict[str, float]]:
             step = np.zeros(len(coefficients))
             step[k] = STEP * scale
             there = effect.term.read(coefficients + step, effect.shape, context)
-            moves.append({name: value + (there[name] - value) / scale for name, value in here.items()})
+            moves.append(
+                {name: value + (there[name] - value) / scale for name, value in here.items()}
+            )
     for index, reach in effect.term.refine.items():
-        moves.append(dict(effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)))
+        moves.append(
+            dict(
+                effect.term.read(coefficients, displaced(effect.shape, index, reach, STEP), context)
+            )
+        )
     return moves

@@ -27,10 +27,13 @@ LARGEST_SHIFT = 0.3
 SETTLED = 1e-4
 """Relative change of the cost at which it ends."""
 LAST_STEPS, UNSETTLED = 3, 0.02
-"""Most steps after it ended, and the share by which the torque's mismatch is larger with its constants as they are,
-from which on they are taken."""
+"""Most steps after it ended, and the share by which the torque's mismatch is larger with its
+constants as they are, from which on they are taken.
+"""
 LAST_SHARES = (1.0, 0.5)
-"""Shares of such a step that are tried: the whole of one of static friction may be more than breakaways bear."""
+"""Shares of such a step that are tried: the whole of one of static friction may be more than
+breakaways bear.
+"""
 WORTH_A_STEP = 0.1
 """Share of what the constants do not keep that such a step must mend."""
 DAMPING = 0.3
@@ -70,7 +73,11 @@ class Joint:
 
 
 def fit(
-    views: Sequence[View], unit: str, start: Nominal, effects: Sequence[Added] = (), before: Joint | None = None
+    views: Sequence[View],
+    unit: str,
+    start: Nominal,
+    effects: Sequence[Added] = (),
+    before: Joint | None = None,
 ) -> Joint:
     """Fit nominal parameters, coefficients and continuous shapes together.
 
@@ -90,7 +97,11 @@ def fit(
         here = stack = stacked(rows, nominal, stack)
         if k < len(REACHES):
             for place in range(len(effects)):
-                effects = (*effects[:place], _reshaped(here, effects, place, REACHES[k]), *effects[place + 1 :])
+                effects = (
+                    *effects[:place],
+                    _reshaped(here, effects, place, REACHES[k]),
+                    *effects[place + 1 :],
+                )
         else:
             for place in range(len(effects)):
                 effects = (*effects[:place], _polished(here, effects, place), *effects[place + 1 :])
@@ -110,20 +121,25 @@ def fit(
         # Regressors that follow the nominal values make a step of these more than linear.
         follow = share if any(e.term.follows for e in best.effects) else 1.0
         nominal = best.nominal.moved(follow * step.straight, step.bend, share)
-        effects = _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
+        effects = (
+            _shifted(best.effects, share * step.shapes) if k + 1 >= len(REACHES) else best.effects
+        )
         nominal, effects = _begun(_told(nominal, best.effects), effects)
     assert best is not None
     best = _kept(views, unit, best, step)
-    # The stack's own residual still holds what effects of a known size, which are no direction, contribute.
+    # The stack's own residual still holds what effects of a known size, which are no direction,
+    # contribute.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=granting(left, directions(left, best.effects)))
 
 
 def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Joint:
-    """Return a fit whose constants keep what it is worth: the step that it ended with taken, where that brings more.
+    """Return a fit whose constants keep what it is worth: the step that it ended with taken, where
+    that brings more.
 
-    Static friction under a load that hardly any row is slow enough to tell moves by half of itself in such a step.
-    Where that spoils it, the step without static friction is taken, which has the other constants right.
+    Static friction under a load that hardly any row is slow enough to tell moves by half of itself
+    in such a step. Where that spoils it, the step without static friction is taken, which has the
+    other constants right.
     """
     for _ in range(LAST_STEPS):
         promised, kept = promise(best.stack, best.effects, best.residual)
@@ -131,7 +147,10 @@ def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Join
             break
         enough = kept - WORTH_A_STEP * (kept - promised)
         steps = [share * solved.straight for share in LAST_SHARES]
-        after = next((a for step in steps if (a := _stepped(views, unit, best, step, enough)) is not None), None)
+        after = next(
+            (a for step in steps if (a := _stepped(views, unit, best, step, enough)) is not None),
+            None,
+        )
         if after is None:
             without = solve(best.stack, best.effects, STATICS).straight
             after = _stepped(views, unit, best, without, enough)
@@ -141,8 +160,12 @@ def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Join
     return best
 
 
-def _stepped(views: Sequence[View], unit: str, best: Joint, step: Array, enough: float) -> tuple[Joint, Solved] | None:
-    """Return the fit after a step of its constants, or None where it leaves more than enough, or is worth less."""
+def _stepped(
+    views: Sequence[View], unit: str, best: Joint, step: Array, enough: float
+) -> tuple[Joint, Solved] | None:
+    """Return the fit after a step of its constants, or None where it leaves more than enough, or is
+    worth less.
+    """
     nominal = best.nominal.moved(step, np.zeros(len(step)))
     stack = stacked(equations(views, nominal, unit, best.stack.equations), nominal, best.stack)
     solved = solve(stack, best.effects)
@@ -162,7 +185,9 @@ def _begun(nominal: Nominal, effects: Sequence[Added]) -> tuple[Nominal, tuple[A
 
 
 def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
-    """Return effects whose size is their shape after a step, within limits, of each of its entries."""
+    """Return effects whose size is their shape after a step, within limits, of each of its
+    entries.
+    """
     left, placed = list(steps), []
     for effect in effects:
         shape = effect.shape
@@ -175,8 +200,12 @@ def _shifted(effects: Sequence[Added], steps: Array) -> tuple[Added, ...]:
 
 
 def _told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
-    """Return nominal values with what the effects so far say that others, or they themselves, are built from."""
-    ripple = next(((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ())
+    """Return nominal values with what the effects so far say that others, or they themselves, are
+    built from.
+    """
+    ripple = next(
+        ((e.shape, e.coefficients) for e in effects if e.term.name == "torque_ripple"), ()
+    )
     return replace(
         nominal,
         hidden=hidden_load(effects),
@@ -187,7 +216,9 @@ def _told(nominal: Nominal, effects: Sequence[Added]) -> Nominal:
 
 
 def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
-    """Return what the effects so far say of undeclared torque that turns with the joint (:class:`Nominal`)."""
+    """Return what the effects so far say of undeclared torque that turns with the joint
+    (:class:`Nominal`).
+    """
     found = {e.term.name: e.coefficients for e in effects}
     sine, cosine = found.get("gravity_imbalance", (0.0, 0.0))
     slope, constant = found.get("return_spring", (0.0, 0.0))
@@ -195,26 +226,36 @@ def hidden_load(effects: Sequence[Added]) -> tuple[float, float, float, float]:
 
 
 def gear_loss(effects: Sequence[Added]) -> float:
-    """Return by what share more torque is asked for than the transmission passes on, as the effects so far say."""
+    """Return by what share more torque is asked for than the transmission passes on, as the effects
+    so far say.
+    """
     return sum(
-        max(e.coefficients[0], 0.0) for e in effects if e.term.name == "transmission_efficiency" and e.coefficients
+        max(e.coefficients[0], 0.0)
+        for e in effects
+        if e.term.name == "transmission_efficiency" and e.coefficients
     )
 
 
 def current_zero(effects: Sequence[Added]) -> float:
     """Return what the logged current reads without any, as the effects so far say, A."""
-    return sum(e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients)
+    return sum(
+        e.coefficients[0] for e in effects if e.term.name == "current_offset" and e.coefficients
+    )
 
 
 class _Others(NamedTuple):
-    """What is left for one effect to explain: rows that it is tied to, the nominal tangent and other effects out."""
+    """What is left for one effect to explain: rows that it is tied to, the nominal tangent and
+    other effects out.
+    """
 
     stack: Stack
     granted: Array
     left: Array
 
     def columns(self, effect: Added, shape: Shape) -> Array:
-        """Return an effect's regressors at a shape, what the others absorb taken out, shape (n, k)."""
+        """Return an effect's regressors at a shape, what the others absorb taken out, shape (n,
+        k).
+        """
         columns = self.stack.projected(self.stack.whitened(self.stack.columns(effect.term, shape)))
         return np.asarray(columns - self.granted @ (self.granted.T @ columns))
 
@@ -230,14 +271,18 @@ def _others(stack: Stack, effects: Sequence[Added], k: int) -> _Others:
     stack = stack.only(tied(effects[k].term.columns, [e.term.columns for e in effects]))
     here = {e.name for e in stack.equations}
     target = np.concatenate([e.residual / e.sigma for e in stack.equations])
-    others, known = wide(stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()])
+    others, known = wide(
+        stack, [e for j, e in enumerate(effects) if j != k and here & e.term.columns.keys()]
+    )
     granted, _ = np.linalg.qr(stack.projected(others)) if others.shape[1] else (others, None)
     left = stack.projected((target - known)[:, None])[:, 0]
     return _Others(stack, granted, left - granted @ (granted.T @ left))
 
 
 def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> Added:
-    """Return effect ``k`` with its continuous shape entries refined, the nominal tangent and the others free."""
+    """Return effect ``k`` with its continuous shape entries refined, the nominal tangent and the
+    others free.
+    """
     effect = effects[k]
     if not effect.term.refine:
         return effect
@@ -251,10 +296,12 @@ def _reshaped(stack: Stack, effects: Sequence[Added], k: int, share: float) -> A
 
 
 def _polished(stack: Stack, effects: Sequence[Added], k: int) -> Added:
-    """Return effect ``k`` with its shape moved by Gauss-Newton steps, coefficients free, from where the grid left it.
+    """Return effect ``k`` with its shape moved by Gauss-Newton steps, coefficients free, from where
+    the grid left it.
 
-    The grid's last step is a part in 250 of a frequency or a time, and a swing of many cycles says more than that.
-    Shapes that are their effect's size move with the constants instead (:func:`_shifted`).
+    The grid's last step is a part in 250 of a frequency or a time, and a swing of many cycles says
+    more than that. Shapes that are their effect's size move with the constants instead
+    (:func:`_shifted`).
     """
     effect = effects[k]
     if not effect.term.refine or effect.term.size is not None:
@@ -265,13 +312,17 @@ def _polished(stack: Stack, effects: Sequence[Added], k: int) -> Added:
     for _ in range(POLISHES):
         coefficients = least_squares(columns, others.left)
         rest = others.left - columns @ coefficients
-        moved = [others.columns(effect, displaced(effect.shape, i, reach, STEP)) for i, reach in reaches]
+        moved = [
+            others.columns(effect, displaced(effect.shape, i, reach, STEP)) for i, reach in reaches
+        ]
         slopes = np.stack([(m - columns) @ coefficients / STEP for m in moved], axis=1)
         every = np.concatenate([columns, slopes], axis=1)
         scale = np.linalg.norm(every, axis=0)
         scale[scale == 0.0] = 1.0
         step = (least_squares(every / scale, rest) / scale)[columns.shape[1] :]
-        shape = _downhill(others, effect, np.clip(step, -LARGEST_SHIFT, LARGEST_SHIFT), float(rest @ rest))
+        shape = _downhill(
+            others, effect, np.clip(step, -LARGEST_SHIFT, LARGEST_SHIFT), float(rest @ rest)
+        )
         if shape is None:
             break
         effect = replace(effect, shape=shape)
@@ -280,7 +331,9 @@ def _polished(stack: Stack, effects: Sequence[Added], k: int) -> Added:
 
 
 def _downhill(others: _Others, effect: Added, step: Array, least: float) -> Shape | None:
-    """Return the shape after as much of a step as makes things better by more than rounding; None where none does."""
+    """Return the shape after as much of a step as makes things better by more than rounding; None
+    where none does.
+    """
     share = 1.0
     while share >= SHORTEST:
         shape = effect.shape

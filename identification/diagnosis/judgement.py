@@ -25,19 +25,27 @@ from identification.recording import Bench
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 ADEQUATE = 0.70
-"""Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis."""
+"""Share of the mismatch's power beyond the noise that names must explain between them to be a
+diagnosis.
+"""
 WHOLE = 0.95
-"""The same, below which what is left may not go by a coordinate that no name has. Right names that leave more than 1.5
-times the noise explained 95.9 % and more (16 of seed 20320601), the springs named for a memory of travel 76 to 89 %."""
+"""The same, below which what is left may not go by a coordinate that no name has.
+
+Right names that leave more than 1.5 times the noise explained 95.9 % and more (16 of seed
+20320601), the springs named for a memory of travel 76 to 89 %.
+"""
 SUREST = 0.99
 """Most confidence in any name."""
 UNFINISHED = 0.8
-"""Most confidence in a name beside which the test says that more is missing: of 16 such blind rigs (seed 20280301) 13
-had a right name first."""
+"""Most confidence in a name beside which the test says that more is missing: of 16 such blind rigs
+(seed 20280301) 13 had a right name first.
+"""
 FAINT_MOST = 0.9
 FAINT = 1.0 + (EXCESS - 1.0) / (1.0 - FAINT_MOST)
-"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that: the rest of it may
-be something else and still pass for noise (:data:`identification.diagnosis.kept.EXCESS`)."""
+"""Mean square of a mismatch over the noise's up to which a name gets no more confidence than that:
+the rest of it may be something else and still pass for noise
+(:data:`identification.diagnosis.kept.EXCESS`).
+"""
 UNLIKELY = 0.05
 """Confidence in a rival that fits as well, with a parameter beyond what is plausible."""
 
@@ -62,12 +70,16 @@ def _excess(found: Search) -> list[_Excess]:
     out = []
     for equation in found.baseline.equations:
         rows = stack.part(equation.name)
-        before, after = (float(np.mean(j.residual[rows] ** 2)) for j in (found.baseline, found.final))
+        before, after = (
+            float(np.mean(j.residual[rows] ** 2)) for j in (found.baseline, found.final)
+        )
         out.append(_Excess(equation.name, before, after))
     return out
 
 
-def judged(found: Search, rng: np.random.Generator) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
+def judged(
+    found: Search, rng: np.random.Generator
+) -> tuple[Verdict, Location | None, tuple[Map, ...]]:
     """Return the verdict, where the mismatch is, and its maps."""
     stack = found.baseline.stack
     main = _main_equation(found)
@@ -77,40 +89,61 @@ def judged(found: Search, rng: np.random.Generator) -> tuple[Verdict, Location |
     where = location(main, drawn[0], before) if drawn else None
     if found.p_value > LEVEL:
         return Verdict.NOTHING_MISSING, None, drawn
-    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
+    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it
+    # judges no model.
     judges = [e for e in _excess(found) if e.equation != "breakaway"]
     worst = max(judges, key=lambda e: (e.before - 1.0) * _rows(found, e.equation))
     left = worst.after > NEAR_FLOOR or _most_of_one(found, worst.equation) > EXCESS_OF_ONE
     short = worst.explained < ADEQUATE and left
-    if not found.final.effects or short or one_way(found.final) or broken(found.final) or _remembered(found):
+    if (
+        not found.final.effects
+        or short
+        or one_way(found.final)
+        or broken(found.final)
+        or _remembered(found)
+    ):
         return Verdict.OUTSIDE_CATALOGUE, where, drawn
     open_rivals = any(_open(r) for r in found.rounds)
     return (Verdict.AMBIGUOUS if open_rivals else Verdict.NAMED), where, drawn
 
 
 def too_little(found: Search, verdict: Verdict) -> tuple[str, ...]:
-    """Say what effects of the catalogue explain a part of a mismatch that has no name, or one way of motion only."""
+    """Say what effects of the catalogue explain a part of a mismatch that has no name, or one way
+    of motion only.
+    """
     if verdict is not Verdict.OUTSIDE_CATALOGUE or not found.final.effects:
         return ()
     lopsided = one_way(found.final)
     if lopsided:
-        return tuple(f"{title(n)} would explain it, were it not another one way than the other" for n in lopsided)
+        return tuple(
+            f"{title(n)} would explain it, were it not another one way than the other"
+            for n in lopsided
+        )
     if broken(found.final):
         return ()
     share = next(e.explained for e in _excess(found) if e.equation == _main_equation(found).name)
     words = "; and ".join(e.statement for e in effects_of(found, verdict))
-    return (f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be explained if {words}",)
+    return (
+        f"{100.0 * share:.0f} % of what is beyond the noise, too little for a name, would be "
+        f"explained if {words}",
+    )
 
 
 def _most_of_one(found: Search, name: str) -> float:
-    """Return the mean square that names leave of an equation over the noise's, in the recording with most of it."""
+    """Return the mean square that names leave of an equation over the noise's, in the recording
+    with most of it.
+    """
     equation = next(e for e in found.final.equations if e.name == name)
     rows = found.final.residual[found.final.stack.part(name)]
-    return max(float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner))
+    return max(
+        float(np.mean(rows[equation.owner == index] ** 2)) for index in np.unique(equation.owner)
+    )
 
 
 def _remembered(found: Search) -> bool:
-    """Whether names leave a share of the torque's mismatch that no right name does, and it goes by travel."""
+    """Whether names leave a share of the torque's mismatch that no right name does, and it goes by
+    travel.
+    """
     torque = next(e for e in _excess(found) if e.equation == "torque")
     return torque.explained < WHOLE and remembered(found.final)
 
@@ -121,14 +154,18 @@ def _rows(found: Search, equation: str) -> int:
 
 
 def _main_equation(found: Search) -> Equation:
-    """Return the equation whose mismatch the final model takes away most of; the torque's where there is none."""
+    """Return the equation whose mismatch the final model takes away most of; the torque's where
+    there is none.
+    """
     if found.p_value > LEVEL:
         return found.baseline.equations[0]
     stack = found.baseline.stack
 
     def taken(equation: Equation) -> float:
         rows = stack.part(equation.name)
-        return float(np.sum(found.baseline.residual[rows] ** 2) - np.sum(found.final.residual[rows] ** 2))
+        return float(
+            np.sum(found.baseline.residual[rows] ** 2) - np.sum(found.final.residual[rows] ** 2)
+        )
 
     if found.final.effects:
         return max(found.baseline.equations, key=taken)
@@ -145,8 +182,8 @@ def _open(taken: Round) -> tuple[str, ...]:
 def effects_of(found: Search, verdict: Verdict) -> tuple[Effect, ...]:
     """Return every effect that was kept, with its parameters, rivals and confidence.
 
-    In the order in which the search came upon them, each having explained most of what was left then: what another took
-    the place of since stands last in the fit.
+    In the order in which the search came upon them, each having explained most of what was left
+    then: what another took the place of since stands last in the fit.
     """
     sizes = estimates(found.final)
     places = {e.term.name: k for k, e in enumerate(found.final.effects)}
@@ -173,7 +210,9 @@ def _effect(
 ) -> Effect:
     entry = ENTRIES[name]
     linear, amperes = own_bench(found).motion == "linear", found.baseline.equations[0].unit == "A"
-    units = {q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters}
+    units = {
+        q.name: LINEAR_UNITS.get(q.unit, q.unit) if linear else q.unit for q in entry.parameters
+    }
     if amperes:
         units = {n: unit.replace("N m", "A") for n, unit in units.items()}
     parameters = {n: replace(e, unit=units.get(n, "")) for n, e in sizes.items()}
@@ -189,7 +228,9 @@ def _effect(
     place = found.final.effects[k].term.place
     if place is not None:
         index = round(found.final.effects[k].shape[place])
-        where = replace(where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,))
+        where = replace(
+            where, recordings=(own.views[[v.index for v in own.views].index(index)].recording.name,)
+        )
     open_names = _open(taken)
     quality = max(excess[own.name].explained, 1.0 if excess[own.name].after < NEAR_FLOOR else 0.0)
     confidence = confidence_of(taken, quality, found.p_after, excess[own.name].before)
@@ -215,7 +256,8 @@ def _effect(
 
 
 def confidence_of(taken: Round, quality: float, p_after: float, before: float) -> float:
-    """Return the confidence in a name: over its rivals, by how much it explains, and whether more is missing after all.
+    """Return the confidence in a name: over its rivals, by how much it explains, and whether more
+    is missing after all.
 
     Args:
         taken: With its rivals.
@@ -223,7 +265,9 @@ def confidence_of(taken: Round, quality: float, p_after: float, before: float) -
         p_after: Of the test that anything more is missing.
         before: Mean square of that equation's mismatch over the noise's without any name.
     """
-    over = [max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals]
+    over = [
+        max(probability(r.preference), 1.0 - UNLIKELY if r.beyond else 0.0) for r in taken.rivals
+    ]
     most = UNFINISHED if p_after <= LEVEL else FAINT_MOST if before < FAINT else SUREST
     return min(most, min([SUREST, *over]) * (0.5 + 0.5 * quality))
 

@@ -1,4 +1,6 @@
-"""The linear problem inside a joint fit: what coefficients, nominal values and shapes ask for at one point."""
+"""The linear problem inside a joint fit: what coefficients, nominal values and shapes ask for at
+one point.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,9 @@ def displaced(shape: Shape, index: int, reach: float, share: float) -> Shape:
 
 
 def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
-    """Return (whitened columns of free coefficients, what coefficients that are known contribute)."""
+    """Return (whitened columns of free coefficients, what coefficients that are known
+    contribute).
+    """
     free: list[Array] = []
     known = np.zeros(len(stack.residual))
     for effect in effects:
@@ -57,7 +61,9 @@ def wide(stack: Stack, effects: Sequence[Added]) -> tuple[Array, Array]:
 
 
 def directions(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives of the model by every coefficient and continuous shape entry, shape (n, g)."""
+    """Return whitened derivatives of the model by every coefficient and continuous shape entry,
+    shape (n, g).
+    """
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
         here = stack.whitened(stack.columns(effect.term, effect.shape))
@@ -65,7 +71,9 @@ def directions(stack: Stack, effects: Sequence[Added]) -> Array:
             parts.append(here)
         coefficients = np.array(effect.coefficients)
         for index, reach in effect.term.refine.items():
-            there = stack.whitened(stack.columns(effect.term, displaced(effect.shape, index, reach, STEP)))
+            there = stack.whitened(
+                stack.columns(effect.term, displaced(effect.shape, index, reach, STEP))
+            )
             parts.append((((there - here) @ coefficients) / STEP)[:, None])
     return np.concatenate(parts, axis=1)
 
@@ -76,12 +84,13 @@ class Solved:
 
     Attributes:
         shapes: Step of the shapes that say how large their effect is, over their reach.
-        straight: Step of the nominal parameters that the torque is linear in, their speeds as they are.
+        straight: Step of the nominal parameters that the torque is linear in, their speeds as they
+        are.
         bend: Step with the Stribeck speeds free to first order, of which only theirs count.
         effects: With coefficients.
         residual: Whitened rows less everything, the speeds free to first order.
-        cost: Sum of whitened squares with the speeds as they are: what this point is worth. To first order a speed that
-            is far off promises what no step keeps.
+        cost: Sum of whitened squares with the speeds as they are: what this point is worth. To
+            first order a speed that is far off promises what no step keeps.
     """
 
     straight: Array
@@ -93,7 +102,8 @@ class Solved:
 
 
 def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) -> Solved:
-    """Solve for coefficients, and for steps of all that the model is not linear in, static levels within their limits.
+    """Solve for coefficients, and for steps of all that the model is not linear in, static levels
+    within their limits.
 
     Args:
         stack: At the point.
@@ -106,7 +116,9 @@ def solve(stack: Stack, effects: Sequence[Added], held: Collection[str] = ()) ->
     unbent = stack.without(SPEEDS)
     straight, rest = _least(unbent, target - known, free)
     without = {*SPEEDS, *held}
-    following = [e for e in _with(stack, effects, straight) if e.term.follows and "torque" in e.term.columns]
+    following = [
+        e for e in _with(stack, effects, straight) if e.term.follows and "torque" in e.term.columns
+    ]
     if following:
         step = _followed(stack, target - known - free @ straight, following, without)
     else:
@@ -136,8 +148,11 @@ def _with(stack: Stack, effects: Sequence[Added], found: Array) -> tuple[Added, 
     return tuple(placed)
 
 
-def _followed(stack: Stack, whitened: Array, following: Sequence[Added], without: Collection[str]) -> Array:
-    """Return the step of :func:`_step` where effects change with the nominal values that they are built from.
+def _followed(
+    stack: Stack, whitened: Array, following: Sequence[Added], without: Collection[str]
+) -> Array:
+    """Return the step of :func:`_step` where effects change with the nominal values that they are
+    built from.
 
     Their coefficients move with it: a ripple of a current that grows needs a smaller share of it.
     """
@@ -146,7 +161,8 @@ def _followed(stack: Stack, whitened: Array, following: Sequence[Added], without
     use = [k for k, name in enumerate(nominal.free) if name not in without]
     columns = [equation.tangent[:, use]]
     for k, column in zip(use, columns[0].T.copy(), strict=True):
-        # As far as changes the torque by its noise: what follows may depend on the sign of what it follows.
+        # As far as changes the torque by its noise: what follows may depend on the sign of what it
+        # follows.
         length = equation.sigma * len(column) ** 0.5 / max(float(np.linalg.norm(column)), 1e-300)
         unit = np.zeros(len(nominal.free))
         unit[k] = length
@@ -159,13 +175,17 @@ def _followed(stack: Stack, whitened: Array, following: Sequence[Added], without
     every = np.concatenate(columns, axis=1)
     norm = np.linalg.norm(every, axis=0)
     norm[norm == 0.0] = 1.0
-    found = least_squares(every / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8) / norm
+    found = (
+        least_squares(every / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8) / norm
+    )
     step[use] = found[: len(use)]
     return step
 
 
 def _shifts(stack: Stack, effects: Sequence[Added]) -> Array:
-    """Return whitened derivatives by the shapes that say how large their effect is, shape (n, g)."""
+    """Return whitened derivatives by the shapes that say how large their effect is, shape (n,
+    g).
+    """
     parts = [np.zeros((len(stack.residual), 0))]
     for effect in effects:
         for index, reach in sized(effect).items():
@@ -187,7 +207,9 @@ def _least(stack: Stack, target: Array, free: Array) -> tuple[Array, Array]:
 
 
 def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
-    """Return the step of the nominal parameters that whitened rows ask for; zero for names in ``without``."""
+    """Return the step of the nominal parameters that whitened rows ask for; zero for names in
+    ``without``.
+    """
     free = stack.nominal.free
     step = np.zeros(len(free))
     for equation in stack.equations:
@@ -196,7 +218,9 @@ def _step(stack: Stack, whitened: Array, without: Collection[str]) -> Array:
             tangent = equation.tangent[:, use]
             norm = np.linalg.norm(tangent, axis=0)
             norm[norm == 0.0] = 1.0
-            found = least_squares(tangent / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8)
+            found = least_squares(
+                tangent / norm, whitened[stack.part("torque")] * equation.sigma, 1e-8
+            )
             for k, change in zip(use, found / norm, strict=True):
                 if k < len(free):
                     step[k] = change

@@ -1,4 +1,6 @@
-"""Where the mismatch shows: its mean over each coordinate, with bands that allow for looking everywhere."""
+"""Where the mismatch shows: its mean over each coordinate, with bands that allow for looking
+everywhere.
+"""
 
 from __future__ import annotations
 
@@ -20,12 +22,16 @@ BINS = 16
 LEAST_ROWS = 5
 DRAWS = 499
 AS_MUCH = 0.8
-"""Share of an effect's own coordinate over the best one's, from which on the two explain the same."""
+"""Share of an effect's own coordinate over the best one's, from which on the two explain the
+same.
+"""
 OWN_RECORDING = 2.0
 """Mean square of a recording's mismatch over the noise, from which on the mismatch shows in it."""
 
 
-def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.random.Generator) -> tuple[Map, ...]:
+def maps(
+    stack: Stack, equation: Equation, before: Array, after: Array, rng: np.random.Generator
+) -> tuple[Map, ...]:
     """Return the mismatch of one equation over every coordinate, the greatest share first.
 
     Args:
@@ -44,12 +50,22 @@ def maps(stack: Stack, equation: Equation, before: Array, after: Array, rng: np.
         values = equation.rows(partial(_known, coordinate))[:, 0]
         linear = equation.views[0].recording.bench.motion == "linear"
         unit = LINEAR_UNITS.get(coordinate.unit, coordinate.unit) if linear else coordinate.unit
-        made = mapped(equation, coordinate.name, unit, values, before, after, block, stack.blocks, rng)
+        made = mapped(
+            equation, coordinate.name, unit, values, before, after, block, stack.blocks, rng
+        )
         if made is None:
             continue
         if coordinate.by_direction:
             sided = mapped(
-                equation, coordinate.name, unit, values, sense * before, sense * after, block, stack.blocks, rng
+                equation,
+                coordinate.name,
+                unit,
+                values,
+                sense * before,
+                sense * after,
+                block,
+                stack.blocks,
+                rng,
             )
             if sided is not None and sided.share > made.share:
                 made = replace(sided, against_motion=True)
@@ -66,7 +82,8 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
     names = tuple(
         v.recording.name
         for v in equation.views
-        if len(power[v.index]) and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
+        if len(power[v.index])
+        and float(np.mean(power[v.index] ** 2)) > OWN_RECORDING * equation.sigma**2
     )
     if found is None:
         return Location("recording", "1", (), 0.0, names)
@@ -74,10 +91,14 @@ def location(equation: Equation, found: Map | None, before: Array) -> Location:
 
 
 def placed(drawn: Sequence[Map], coordinate: str) -> Map | None:
-    """Return the map over an effect's own coordinate where it explains about as much as any, else the best one."""
+    """Return the map over an effect's own coordinate where it explains about as much as any, else
+    the best one.
+    """
     own = next((m for m in drawn if m.coordinate == coordinate), None)
     best = drawn[0] if drawn else None
-    return own if own is not None and best is not None and own.share >= AS_MUCH * best.share else best
+    return (
+        own if own is not None and best is not None and own.share >= AS_MUCH * best.share else best
+    )
 
 
 def ranges(found: Map) -> tuple[tuple[float, float], ...]:
@@ -95,11 +116,15 @@ def ranges(found: Map) -> tuple[tuple[float, float], ...]:
 
 
 def curve(drawn: Sequence[Map]) -> Curve | None:
-    """Return the best map's mean as an empirical curve of what is missing, which has one sign for both directions."""
+    """Return the best map's mean as an empirical curve of what is missing, which has one sign for
+    both directions.
+    """
     found = next((m for m in drawn if not m.against_motion), None)
     if found is None:
         return None
-    return Curve(found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean)
+    return Curve(
+        found.equation, found.coordinate, found.unit, found.residual_unit, found.centre, found.mean
+    )
 
 
 def _known(coordinate: Coordinate, view: View) -> Array:
@@ -118,7 +143,8 @@ def mapped(
     blocks: int,
     rng: np.random.Generator,
 ) -> Map | None:
-    """Return the mismatch over one coordinate with simultaneous bands; None where that has too few values.
+    """Return the mismatch over one coordinate with simultaneous bands; None where that has too few
+    values.
 
     Args:
         equation: Whose mismatch.

@@ -17,12 +17,15 @@ RISE_SAMPLES = 5
 STEADY_SHARE = 0.7
 """Swing of the speed about a sample, over that speed, from which on it does not count as steady."""
 HUNTING_SHARE = 0.09
-"""Effective value of what the filtered speed does not show, over that speed, from which on it is not steady either."""
+"""Effective value of what the filtered speed does not show, over that speed, from which on it is
+not steady either.
+"""
 QUICK_SAMPLES = 2
 """To either side of a sample, over which its speed is taken to see whether it is steady."""
 BEYOND_FILTER = 3.0
-"""Frequency that the speed over these samples reaches, over that of the filter, from which on it tells hunting from
-what the filter just cuts off."""
+"""Frequency that the speed over these samples reaches, over that of the filter, from which on it
+tells hunting from what the filter just cuts off.
+"""
 THIRD_DIFFERENCE = math.sqrt(20.0)
 """Standard deviation of third differences of white noise over its own."""
 LEAST_REST_S = 0.02
@@ -32,9 +35,14 @@ LEAST_REST_S = 0.02
 def breakaways(still: BoolArray, rest: Array, torque: Array, sense: Array) -> NDArray[np.int64]:
     """Return the samples at which rests end in breakaways, shape (e,)."""
     ends = np.flatnonzero(still[:-1] & ~still[1:]) + 1
-    # What moves against the torque as a rest ends has not broken away: a count flickers, or the shaft springs back.
+    # What moves against the torque as a rest ends has not broken away: a count flickers, or the
+    # shaft springs back.
     pushed = np.sign(torque)
-    kept = [k for k in ends if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]]
+    kept = [
+        k
+        for k in ends
+        if rest[k - 1] >= LEAST_REST_S and k > RISE_SAMPLES + 1 and pushed[k - 1] == sense[k]
+    ]
     return np.array(kept, dtype=np.int64)
 
 
@@ -46,20 +54,25 @@ class Quick(NamedTuple):
 
 
 def quick(series: Array, rate: float) -> Quick:
-    """Return the speed over :data:`QUICK_SAMPLES` to either side of each sample of a measured position."""
+    """Return the speed over :data:`QUICK_SAMPLES` to either side of each sample of a measured
+    position.
+    """
     span = 2 * QUICK_SAMPLES / rate
     padded = np.pad(series, QUICK_SAMPLES, mode="edge")
     rough = 1.4826 * float(np.median(np.abs(np.diff(series, n=3)))) / THIRD_DIFFERENCE
     scatter = max(rough, quantum(series) / math.sqrt(12.0))
-    return Quick((padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span, math.sqrt(2.0) * scatter / span)
+    return Quick(
+        (padded[2 * QUICK_SAMPLES :] - padded[: -2 * QUICK_SAMPLES]) / span,
+        math.sqrt(2.0) * scatter / span,
+    )
 
 
 def unsteady(velocity: Array, quick: Quick, rate: float, cutoff: float) -> BoolArray:
     """Mark samples in motion whose friction is no function of the filtered speed.
 
-    Where the speed changes by more than its own size: the shaft slips and nearly sticks within the filter. And where it
-    changes faster than that speed shows, as a drive does that hunts on falling friction at up to 100 Hz: mean friction
-    is not friction at the mean speed.
+    Where the speed changes by more than its own size: the shaft slips and nearly sticks within the
+    filter. And where it changes faster than that speed shows, as a drive does that hunts on falling
+    friction at up to 100 Hz: mean friction is not friction at the mean speed.
 
     Args:
         velocity: Filtered to ``cutoff``, rad/s.
@@ -85,7 +98,9 @@ def sense(velocity: Array, torque: Array, still: BoolArray) -> Array:
 def _swing(series: Array, reach: int) -> Array:
     """Return greatest less least value about each sample."""
     size = 2 * reach + 1
-    return np.asarray(ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size))
+    return np.asarray(
+        ndimage.maximum_filter1d(series, size) - ndimage.minimum_filter1d(series, size)
+    )
 
 
 def turned(sense: Array) -> BoolArray:
@@ -106,6 +121,8 @@ def held(rest: Array, still: BoolArray) -> Array:
 
 
 def travel(angle: Array, turned: BoolArray) -> Array:
-    """Return the travel since the last turn, as far as that was; since the start before there is one."""
+    """Return the travel since the last turn, as far as that was; since the start before there is
+    one.
+    """
     last = np.maximum.accumulate(np.where(turned, np.arange(len(angle)), 0))
     return np.asarray(np.abs(angle - angle[last]))

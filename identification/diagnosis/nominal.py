@@ -1,4 +1,5 @@
-"""The nominal nine parameters at the full rate: torque, friction level and tangent, for regressors and joint refits.
+"""The nominal nine parameters at the full rate: torque, friction level and tangent, for regressors
+and joint refits.
 
 Written with the rise dM = Ms - Mc and log omega_s, which keep a joint fit in the right basin.
 """
@@ -34,22 +35,27 @@ STATICS, SPEEDS = tuple(r[1] for r in _RISES), ("omega_sf", "omega_sL")
 class Nominal:
     """Values of the nominal parameters.
 
-    Each is its own key: hundreds of trial shapes are built from what it says of a recording, which is kept meanwhile.
+    Each is its own key: hundreds of trial shapes are built from what it says of a recording, which
+    is kept meanwhile.
 
     Attributes:
         values: Name to value, at the joint.
         free: Names that the recordings are asked for.
         alpha: Stribeck exponent.
-        hidden: Torque that turns with the joint and was not declared, as effects named so far say: coefficients of
-            sin(angle), cos(angle), angle and 1, N m. The gear bears it like a declared one.
+        hidden: Torque that turns with the joint and was not declared, as effects named so far say:
+            coefficients of sin(angle), cos(angle), angle and 1, N m. The gear bears it like a
+            declared one.
         zero_A: What the logged current reads without any, as effects named so far say, A.
-        ripple: Of the motor's torque over its current, as effects named so far say: cycles a motor turn (and how many
-            recordings, where each has an origin of its own), and coefficients; none where it is empty.
+        ripple: Of the motor's torque over its current, as effects named so far say: cycles a motor
+            turn (and how many recordings, where each has an origin of its own), and coefficients;
+            none where it is empty.
         efficiency: Share of the torque that the transmission passes, as effects named so far say.
-        bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None: how torque changes
-            with a rise or a speed is then said by it.
-        late_s: By how much the torque's samples are late against the angles', as an effect named so far says, or 0.
-        bristles: Stiffness that friction springs by before it slips, as an effect named so far says, N m/rad; or 0.
+        bent: Stribeck exponent that an effect named so far puts in the place of ``alpha``, or None:
+            how torque changes with a rise or a speed is then said by it.
+        late_s: By how much the torque's samples are late against the angles', as an effect named so
+        far says, or 0.
+        bristles: Stiffness that friction springs by before it slips, as an effect named so far
+        says, N m/rad; or 0.
         most: Greatest static levels that the recordings allow; none where it is empty.
     """
 
@@ -66,13 +72,18 @@ class Nominal:
     most: Mapping[str, float] = field(default_factory=dict)
 
     def limited(self, views: Sequence[View]) -> Nominal:
-        """Return these values with static friction limited by the torque that was there to overcome it.
+        """Return these values with static friction limited by the torque that was there to overcome
+        it.
 
         Where no row is slow enough to tell, a fit may let it run off.
         """
         unloaded = [v for v in views if not v.loaded] or views
         most = {"Ms": max(float(np.max(np.abs(v.raw_torque))) for v in unloaded)}
-        loaded = [float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment)) for v in views if v.loaded]
+        loaded = [
+            float(np.max(np.abs(v.raw_torque))) / float(np.median(v.moment))
+            for v in views
+            if v.loaded
+        ]
         return replace(self, most={**most, **({"mu_s": max(loaded)} if loaded else {})})
 
     def at_most(self, step: Array) -> frozenset[str]:
@@ -80,7 +91,9 @@ class Nominal:
         return frozenset(
             name
             for name, change in zip(self.free, step, strict=True)
-            if name in self.most and change > 0.0 and self.get(name) >= (1.0 - _AT_LIMIT) * self.most[name]
+            if name in self.most
+            and change > 0.0
+            and self.get(name) >= (1.0 - _AT_LIMIT) * self.most[name]
         )
 
     def get(self, name: str) -> float:
@@ -90,7 +103,8 @@ class Nominal:
     def level(self, view: View) -> Array:
         """Return the system friction's magnitude, eq. 9, N m.
 
-        Where load-dependent friction is declared, with what the gear adds under a weight that turns with the joint.
+        Where load-dependent friction is declared, with what the gear adds under a weight that turns
+        with the joint.
         """
         total = self._level(view, _RISES[0], "sigma_2")
         return total + self.borne(view) * self.gear(view) if self._geared else total
@@ -109,14 +123,18 @@ class Nominal:
         return self._level(view, _RISES[1], "mu_2")
 
     def borne(self, view: View) -> Array:
-        """Return the magnitude of the torque that turns with the joint and that the gear bears, N m.
+        """Return the magnitude of the torque that turns with the joint and that the gear bears, N
+        m.
 
-        A weight's own: what its inertia takes loads no gear in eq. 9, in the ladder of friction or on the bench.
+        A weight's own: what its inertia takes loads no gear in eq. 9, in the ladder of friction or
+        on the bench.
         """
         return _borne(view, self.hidden)
 
     def helping(self, view: View) -> Array:
-        """Return the torque that turns with the joint, declared or hidden, where it helps the drive positive, N m."""
+        """Return the torque that turns with the joint, declared or hidden, where it helps the drive
+        positive, N m.
+        """
         if not any(self.hidden):
             return view.known
         return _helping(view, self.hidden)
@@ -126,7 +144,9 @@ class Nominal:
         return any(self.hidden) or view.burdened
 
     def drive(self, view: View) -> Array:
-        """Return the whole torque that is asked of the drive, N m: what turns with the joint is part of it."""
+        """Return the whole torque that is asked of the drive, N m: what turns with the joint is
+        part of it.
+        """
         return _drive(self, view)
 
     def falling(self, view: View) -> Array:
@@ -153,15 +173,18 @@ class Nominal:
 
         Args:
             straight: Changes of what the torque is linear in, with the Stribeck speeds as they are.
-            bend: Changes with those free as well, of which only those of the speeds count. A direction of a speed is as
-                long as its rise was; the rise that was found takes its place.
+            bend: Changes with those free as well, of which only those of the speeds count. A
+                direction of a speed is as long as its rise was; the rise that was found takes its
+                place.
             share: Of the speeds' changes that is taken.
         """
         values = dict(self.values)
         for name, change in zip(self.free, (float(s) for s in straight), strict=True):
             if name in (*SPEEDS, *STATICS):
                 continue
-            values[name] = values[name] + change if name == "offset" else max(0.0, values[name] + change)
+            values[name] = (
+                values[name] + change if name == "offset" else max(0.0, values[name] + change)
+            )
         for coulomb, static, _ in _RISES:
             if static in values:
                 rise = self._rise(coulomb, static)
@@ -171,8 +194,12 @@ class Nominal:
                 values[static] = max(min(level, self.most.get(static, math.inf)), values[coulomb])
         for name in set(SPEEDS) & set(self.free):
             before = sum(self._rise(c, s) for c, s, speed in _RISES if speed == name)
-            after = sum(values.get(s, 0.0) - values.get(c, 0.0) for c, s, speed in _RISES if speed == name)
-            if before > 0.0 and after > 2.0 * LEAST_RISE * sum(values.get(c, 0.0) for c, _, w in _RISES if w == name):
+            after = sum(
+                values.get(s, 0.0) - values.get(c, 0.0) for c, s, speed in _RISES if speed == name
+            )
+            if before > 0.0 and after > 2.0 * LEAST_RISE * sum(
+                values.get(c, 0.0) for c, _, w in _RISES if w == name
+            ):
                 change = share * float(bend[self.free.index(name)]) * before / after
                 values[name] *= math.exp(max(-LARGEST_STEP, min(LARGEST_STEP, change)))
         return replace(self, values=values)
@@ -186,7 +213,9 @@ class Nominal:
         return self._rise("Mc", "Ms") < LEAST_FALL * self.get("Mc")
 
     def raised(self, omega_s: float, fixed: Collection[str]) -> Nominal:
-        """Return these values with friction that falls from half as much again by a speed, all but ``fixed`` free."""
+        """Return these values with friction that falls from half as much again by a speed, all but
+        ``fixed`` free.
+        """
         values = dict(self.values)
         for coulomb, static, speed in _RISES:
             if static in values and static not in fixed:
@@ -213,13 +242,17 @@ class Nominal:
         if name == "mu_2":
             return np.asarray(view.moment * view.velocity)
         total = np.zeros(len(view.time))
-        for scale, names in zip((view.sense, load, view.sense * self.borne(view)), _RISES, strict=True):
+        for scale, names in zip(
+            (view.sense, load, view.sense * self.borne(view)), _RISES, strict=True
+        ):
             if name in names and names[0] in self.values:
                 total += scale * self._slope(view, name, names)
         return total
 
     def _slope(self, view: View, name: str, names: tuple[str, str, str]) -> Array:
-        """Return the derivative of one level by its Coulomb part, its rise or the logarithm of its Stribeck speed."""
+        """Return the derivative of one level by its Coulomb part, its rise or the logarithm of its
+        Stribeck speed.
+        """
         coulomb, static, omega = (self.get(n) for n in names)
         if name == names[0]:
             return np.ones(len(view.time))
@@ -242,7 +275,9 @@ def _borne(view: View, hidden: tuple[float, float, float, float]) -> Array:
 
 def _unknown(view: View, hidden: tuple[float, float, float, float]) -> Array:
     sine, cosine, slope, constant = hidden
-    return np.asarray(sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant)
+    return np.asarray(
+        sine * np.sin(view.angle) + cosine * np.cos(view.angle) + slope * view.angle + constant
+    )
 
 
 @lru_cache(maxsize=KEPT)
@@ -262,7 +297,9 @@ def _friction(nominal: Nominal, view: View) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _torque(nominal: Nominal, view: View) -> Array:
-    return _frozen(nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset"))
+    return _frozen(
+        nominal.friction(view) + nominal.get("J") * view.acceleration + nominal.get("offset")
+    )
 
 
 @lru_cache(maxsize=KEPT)

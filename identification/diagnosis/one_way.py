@@ -1,7 +1,8 @@
-"""Whether a name holds for one way of motion only: no effect of the catalogue is larger one way than the other.
+"""Whether a name holds for one way of motion only: no effect of the catalogue is larger one way
+than the other.
 
-Those that are about a direction (asymmetric friction) are as large both ways themselves: what would differ between the
-two is friction, which the constants have.
+Those that are about a direction (asymmetric friction) are as large both ways themselves: what would
+differ between the two is friction, which the constants have.
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from identification.diagnosis.kept import NEARLY_ALL
 
 
 def one_way(joint: Joint) -> tuple[str, ...]:
-    """Return effects of a fit that, let differ between the two ways, explain nearly all that is left of the torque.
+    """Return effects of a fit that, let differ between the two ways, explain nearly all that is
+    left of the torque.
 
     Empty where no more is left than the noise may be.
     """
@@ -28,7 +30,9 @@ def one_way(joint: Joint) -> tuple[str, ...]:
 
 
 def _gains(joint: Joint) -> Iterator[tuple[str, float]]:
-    """Yield effects that show in the torque, and the whitened squares that coefficients of each way would explain."""
+    """Yield effects that show in the torque, and the whitened squares that coefficients of each way
+    would explain.
+    """
     torque = next(e for e in joint.equations if e.name == "torque")
     ahead = torque.rows(lambda v: v.sense) > 0.0
     for effect in joint.effects:

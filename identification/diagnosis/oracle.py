@@ -1,6 +1,8 @@
-"""The oracle of a proof: held-out error of the true structure, told by name and fitted to the same data.
+"""The oracle of a proof: held-out error of the true structure, told by name and fitted to the same
+data.
 
-Its effects' shapes and sizes, and the nominal parameters, come from the recordings alone, as those of the diagnosis do.
+Its effects' shapes and sizes, and the nominal parameters, come from the recordings alone, as those
+of the diagnosis do.
 """
 
 from __future__ import annotations
@@ -32,8 +34,8 @@ class HeldOut:
         baseline_rms: Of the nominal model alone, in the equation's unit.
         oracle_rms: With the true effects.
         noise_rms: Noise of one row.
-        beside: Effect to what the others and a new fit of the constants leave of it, over the noise of a row, in the
-            equation that shows it most.
+        beside: Effect to what the others and a new fit of the constants leave of it, over the noise
+            of a row, in the equation that shows it most.
     """
 
     equation: str
@@ -43,7 +45,9 @@ class HeldOut:
     beside: Mapping[str, float]
 
 
-def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float) -> HeldOut | None:
+def oracle(
+    dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: float
+) -> HeldOut | None:
     """Fit the effects of these names and score them on the recordings set aside.
 
     Args:
@@ -53,8 +57,8 @@ def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: f
         bandwidth_Hz: Of every error.
 
     Returns:
-        None where nothing was set aside, or where the recordings do not admit one of the effects: the nominal model
-        absorbs it, or noise gives it an unphysical sign.
+        None where nothing was set aside, or where the recordings do not admit one of the effects:
+        the nominal model absorbs it, or noise gives it an unphysical sign.
     """
     fitted, held = dataset.part("fit"), dataset.part("validate")
     if not held:
@@ -73,8 +77,11 @@ def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: f
         joint = fit(here, unit, joint.nominal, (*joint.effects, added), baseline)
     aside = views((*fitted, *held), bandwidth_Hz, gives, dataset.recordings)[len(fitted) :]
     before, after = held_out(baseline, aside, unit), held_out(joint, aside, unit)
-    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it judges no model.
-    noise = {e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"}
+    # A breakaway is one number for a rest, and its noise that of an instant within a sample: it
+    # judges no model.
+    noise = {
+        e.name: e.sigma for e in baseline.equations if e.name in before and e.name != "breakaway"
+    }
     where = max(noise, key=lambda name: (before[name] ** 2 - after[name] ** 2) / noise[name] ** 2)
     beside = {}
     for effect in joint.effects:
@@ -85,7 +92,9 @@ def oracle(dataset: Dataset, first: Joint, names: Sequence[str], bandwidth_Hz: f
 
 
 def _left(without: Joint, joint: Joint, equations: Sequence[str]) -> float:
-    """Return what is left without an effect beyond what is left with it, over the noise, where that is most."""
+    """Return what is left without an effect beyond what is left with it, over the noise, where that
+    is most.
+    """
     beyond = []
     for name in equations:
         rows = joint.stack.part(name)

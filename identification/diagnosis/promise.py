@@ -1,7 +1,8 @@
 """Whether a fit's constants keep what it promises.
 
-A fit is worth what is left once everything that the torque is linear in is free, to first order. Constants have limits,
-and friction may not rise where it falls: what such a step promises is then nobody's prediction.
+A fit is worth what is left once everything that the torque is linear in is free, to first order.
+Constants have limits, and friction may not rise where it falls: what such a step promises is then
+nobody's prediction.
 """
 
 from __future__ import annotations
@@ -16,8 +17,10 @@ from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Array
 
 UNKEPT = 1.5
-"""Mean square of the torque's mismatch with the constants that a fit ended at over that which it promises, from which
-on it is no model. With right names it was 1.00 to 1.03 on eight simulated rigs; 490 000 where friction had to rise."""
+"""Mean square of the torque's mismatch with the constants that a fit ended at over that which it
+promises, from which on it is no model. With right names it was 1.00 to 1.03 on eight simulated
+rigs; 490 000 where friction had to rise.
+"""
 
 
 def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[float, float]:
@@ -37,14 +40,17 @@ def promise(stack: Stack, effects: Sequence[Added], residual: Array) -> tuple[fl
     # The rotor's share of the inertia is no constant of the model.
     other = equation.tangent[:, [name not in stack.nominal.free for name in equation.names]]
     rest -= other @ np.linalg.lstsq(other, rest, rcond=None)[0]
-    return float(np.mean(residual[stack.part("torque")] ** 2)), float(np.mean(rest**2)) / equation.sigma**2
+    return float(np.mean(residual[stack.part("torque")] ** 2)), float(
+        np.mean(rest**2)
+    ) / equation.sigma**2
 
 
 def risen(stack: Stack, effects: Sequence[Added]) -> float:
-    """Return the mean square of the torque's mismatch over the noise's with the rises of friction toward rest held.
+    """Return the mean square of the torque's mismatch over the noise's with the rises of friction
+    toward rest held.
 
-    All else that the torque is linear in is free. What real machines do at the slowest speeds asks for rises that no
-    bench has, of which the effects named are no part.
+    All else that the torque is linear in is free. What real machines do at the slowest speeds asks
+    for rises that no bench has, of which the effects named are no part.
     """
     equation = next(e for e in stack.equations if e.name == "torque")
     columns = {name: equation.tangent[:, k] for k, name in enumerate(equation.names)}
@@ -60,5 +66,7 @@ def risen(stack: Stack, effects: Sequence[Added]) -> float:
 
 
 def unkept(promised: float, kept: float) -> bool:
-    """Whether what the constants keep falls short of what was promised; never where it is hardly more than noise."""
+    """Whether what the constants keep falls short of what was promised; never where it is hardly
+    more than noise.
+    """
     return kept > UNKEPT * max(promised, 1.0)

@@ -30,7 +30,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Rival:
-    """An effect that was considered instead; ``why_not`` is empty where the data cannot reject it."""
+    """An effect that was considered instead; ``why_not`` is empty where the data cannot reject
+    it.
+    """
 
     name: str
     confidence: float
@@ -42,8 +44,8 @@ class Location:
     """Where the mismatch shows.
 
     Attributes:
-        coordinate: ``speed``, ``angle``, ``load``, ``direction``, ``time``, ``temperature``, ``time since reversal``,
-            ``travel since reversal``, ``rest time`` or ``frequency``.
+        coordinate: ``speed``, ``angle``, ``load``, ``direction``, ``time``, ``temperature``,
+            ``time since reversal``, ``travel since reversal``, ``rest time`` or ``frequency``.
         unit: Of the ranges.
         ranges: Stretches of the coordinate in which the mismatch is beyond its band.
         share_of_mismatch: Share of the mismatch's power that a curve over this coordinate explains.
@@ -86,7 +88,9 @@ class Effect:
 
 @dataclass(frozen=True)
 class Fit:
-    """Errors of one equation before and after, one bandwidth throughout; None where nothing was set aside."""
+    """Errors of one equation before and after, one bandwidth throughout; None where nothing was set
+    aside.
+    """
 
     equation: str
     unit: str
@@ -140,7 +144,8 @@ class Map:
 
 @dataclass(frozen=True)
 class Curve:
-    """A smooth empirical curve of what is missing, to be carried in a simulation where no name fits.
+    """A smooth empirical curve of what is missing, to be carried in a simulation where no name
+    fits.
 
     ``value`` over ``grid``, both shape (g,); between points it is linear, outside constant.
     """
@@ -155,7 +160,9 @@ class Curve:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the search, as it happened: what was tested, added or taken out again, and why."""
+    """One step of the search, as it happened: what was tested, added or taken out again, and
+    why.
+    """
 
     action: str
     name: str

@@ -1,7 +1,8 @@
-"""All equations stacked and whitened, what the nominal model absorbs taken out, and candidates scored against the rest.
+"""All equations stacked and whitened, what the nominal model absorbs taken out, and candidates
+scored against the rest.
 
-Scores are sums over blocks of time, so that what is correlated within a block counts once (wild cluster bootstrap:
-Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
+Scores are sums over blocks of time, so that what is correlated within a block counts once (wild
+cluster bootstrap: Cameron, Gelbach and Miller, Rev. Econ. Stat. 90 (2008) 414).
 """
 
 from __future__ import annotations
@@ -45,11 +46,13 @@ class Candidate:
         coefficients: Least squares, in the term's own units, shape (k,).
         gain: Sum of whitened squares it explains.
         penalty: What chance would explain (Takeuchi), same unit.
-        statistic: Its square over its variance by blocks after the fit; about chi square with k degrees where nothing
-            is missing.
+        statistic: Its square over its variance by blocks after the fit; about chi square with k
+            degrees where nothing is missing.
         blocks: Score by block, shape (b, k).
-        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty where there are many.
-        share: Power of its contribution over that of the noise, over the rows of the equations where it shows.
+        weights: Inner products of the orthonormal regressors by block, shape (b, k, k); empty where
+        there are many.
+        share: Power of its contribution over that of the noise, over the rows of the equations
+            where it shows.
     """
 
     name: str
@@ -74,7 +77,9 @@ class Candidate:
 
     @property
     def preference(self) -> float:
-        """How far the data prefer it to nothing, in standard errors of the gain by blocks; infinite without weights."""
+        """How far the data prefer it to nothing, in standard errors of the gain by blocks; infinite
+        without weights.
+        """
         if not len(self.weights):
             return math.inf
         score = np.sum(self.blocks, axis=0)
@@ -102,8 +107,8 @@ class Stack:
         block: Block of each row, shape (n,).
         blocks: Number of blocks.
         gather: Sums over blocks, one sparse matrix for each equation, shape (b, n_e).
-        cache: Regressors that do not depend on the nominal values, by term and shape; shared between stacks of the
-            same recordings.
+        cache: Regressors that do not depend on the nominal values, by term and shape; shared
+            between stacks of the same recordings.
         own: Those that do.
     """
 
@@ -128,9 +133,11 @@ class Stack:
         return slice(0, 0)
 
     def only(self, names: Collection[str]) -> Stack:
-        """Return the rows in which regressors of these equations can differ from zero once all is projected out.
+        """Return the rows in which regressors of these equations can differ from zero once all is
+        projected out.
 
-        What is granted may tie equations together; where nothing does, most rows need not be looked at.
+        What is granted may tie equations together; where nothing does, most rows need not be looked
+        at.
         """
         wanted = tied(names, self._granted_in)
         key = frozenset(e.name for e in self.equations if e.name in wanted)
@@ -147,12 +154,19 @@ class Stack:
     @cached_property
     def _granted_in(self) -> list[set[str]]:
         """The equations in which each granted column shows."""
-        shown = {e.name: np.linalg.norm(self.granted[self.part(e.name)], axis=0) > ROUNDING for e in self.equations}
-        return [{name for name, some in shown.items() if some[k]} for k in range(self.granted.shape[1])]
+        shown = {
+            e.name: np.linalg.norm(self.granted[self.part(e.name)], axis=0) > ROUNDING
+            for e in self.equations
+        }
+        return [
+            {name for name, some in shown.items() if some[k]} for k in range(self.granted.shape[1])
+        ]
 
     def _restricted(self, names: Collection[str]) -> Stack:
         kept = [k for k, e in enumerate(self.equations) if e.name in names]
-        rows = np.concatenate([np.arange(len(self.residual))[self.part(self.equations[k].name)] for k in kept])
+        rows = np.concatenate(
+            [np.arange(len(self.residual))[self.part(self.equations[k].name)] for k in kept]
+        )
         return replace(
             self,
             equations=tuple(self.equations[k] for k in kept),
@@ -167,7 +181,9 @@ class Stack:
         """Return the rows of an effect's regressors, by equation, shape (n_e, k)."""
         key = (term.name, shape)
         late = term.at_angle and self.nominal.late_s != 0.0
-        kept = self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
+        kept = (
+            self.own.get(key, {}) if late else {**self.cache.get(key, {}), **self.own.get(key, {})}
+        )
         # What adds to the drive's torque does so in motion and at breakaway alike.
         once = cache(_made)
         found = {
@@ -184,7 +200,9 @@ class Stack:
         return found
 
     def whitened(self, columns: Mapping[str, Array]) -> Array:
-        """Return regressors as whitened rows of the whole stack, nothing projected, shape (n, k)."""
+        """Return regressors as whitened rows of the whole stack, nothing projected, shape (n,
+        k).
+        """
         width = max(c.shape[1] for c in columns.values())
         out = np.zeros((len(self.residual), width))
         for equation in self.equations:
@@ -203,7 +221,9 @@ class Stack:
         return out
 
     def without(self, names: Collection[str]) -> Stack:
-        """Return the stack with the torque's tangent short of these names; the residual stays as it is."""
+        """Return the stack with the torque's tangent short of these names; the residual stays as it
+        is.
+        """
         basis = [
             _orthonormal(e.tangent[:, [k for k, name in enumerate(e.names) if name not in names]])
             if e.name == "torque" and set(e.names) & set(names)
@@ -214,12 +234,19 @@ class Stack:
 
     def sums(self, values: Array) -> Array:
         """Return sums over blocks, shape (b, k)."""
-        return np.asarray(sum(g @ values[self.part(e.name)] for e, g in zip(self.equations, self.gather, strict=True)))
+        return np.asarray(
+            sum(
+                g @ values[self.part(e.name)]
+                for e, g in zip(self.equations, self.gather, strict=True)
+            )
+        )
 
     def candidate(
         self, name: str, shape: Shape, columns: Mapping[str, Array], positive: Sequence[int] = ()
     ) -> Candidate | None:
-        """Score regressors; None where they are absorbed, hardly active, or ask for an unphysical sign."""
+        """Score regressors; None where they are absorbed, hardly active, or ask for an unphysical
+        sign.
+        """
         if not columns:
             return None
         here = self.only(columns.keys())
@@ -262,7 +289,9 @@ class Stack:
         )
 
     def independent(self, name: str, equation: str, columns: Array) -> Candidate | None:
-        """Score regressors of one equation of which some may be absorbed: the directions that are left count."""
+        """Score regressors of one equation of which some may be absorbed: the directions that are
+        left count.
+        """
         number = next(k for k, e in enumerate(self.equations) if e.name == equation)
         rows, basis, sigma = self.part(equation), self.basis[number], self.equations[number].sigma
         granted = self.granted[rows]
@@ -279,7 +308,9 @@ class Stack:
         sums = np.asarray(self.gather[number] @ products)
         gain = float(score @ score)
         share, chance = gain / len(columns), float(len(score))
-        return Candidate(name, (), score * sigma, gain, chance, wald(score, sums), sums, NO_WEIGHTS, share)
+        return Candidate(
+            name, (), score * sigma, gain, chance, wald(score, sums), sums, NO_WEIGHTS, share
+        )
 
     def term(self, term: Term, shape: Shape) -> Candidate | None:
         """Score one effect at one shape."""
@@ -302,7 +333,9 @@ def _made(make: Columns, view: View, nominal: Nominal, shape: Shape) -> Array:
 def bound(
     term: Term, equation: str, nominal: Nominal, shape: Shape, made: Callable[..., Array] = _made
 ) -> Callable[[View], Array]:
-    """Return regressors of one equation as a function of the view alone; ``made`` may remember what it has made."""
+    """Return regressors of one equation as a function of the view alone; ``made`` may remember what
+    it has made.
+    """
     make = term.columns[equation]
     if term.at_angle and equation == "torque" and nominal.late_s:
         return lambda view: made(make, behind(view, nominal.late_s), nominal, shape)
@@ -316,7 +349,9 @@ def wald(score: Array, sums: Array) -> float:
 
 
 def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None = None) -> Stack:
-    """Stack equations at the nominal values; ``like`` lends blocks and cache of the same recordings."""
+    """Stack equations at the nominal values; ``like`` lends blocks and cache of the same
+    recordings.
+    """
     basis = []
     residuals = []
     for equation in equations:
@@ -328,11 +363,15 @@ def stacked(equations: Sequence[Equation], nominal: Nominal, like: Stack | None 
     gather = gather_of(equations, block, blocks) if like is None else like.gather
     cache = {} if like is None else like.cache
     nothing = np.zeros((len(residual), 0))
-    return Stack(tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache)
+    return Stack(
+        tuple(equations), nominal, tuple(basis), nothing, residual, block, blocks, gather, cache
+    )
 
 
 def _lengths(columns: Array) -> Array:
-    """Return the norm of each column; numpy's own takes a pass over all rows for every step of it."""
+    """Return the norm of each column; numpy's own takes a pass over all rows for every step of
+    it.
+    """
     return np.asarray(np.sqrt(np.einsum("ij,ij->j", columns, columns)))
 
 

@@ -11,12 +11,18 @@ from identification.diagnosis.view import View
 from identification.recording import Array
 
 LONG_S = 0.3
-"""Rests shorter than this say nothing: while torque rises fast, a rest outlasts the torque that ends it."""
+"""Rests shorter than this say nothing: while torque rises fast, a rest outlasts the torque that
+ends it.
+"""
 WITHSTOOD = 1.5
-"""Torque of a rest over the greatest at which a rest of any other recording ended, from which on it is told."""
+"""Torque of a rest over the greatest at which a rest of any other recording ended, from which on it
+is told.
+"""
 LEAST_BREAKAWAYS = 12
 LEAST_SHARE, CROWDED = 0.25, 3.0
-"""Share of the mismatch that is left, and that share over the share of the rows, from which on a recording is told."""
+"""Share of the mismatch that is left, and that share over the share of the rows, from which on a
+recording is told.
+"""
 MOST_OF_IT = 0.8
 """Share of a recording's mismatch that lies in the stretch that is named."""
 
@@ -24,8 +30,8 @@ MOST_OF_IT = 0.8
 def standing(views: Sequence[View], unit: str) -> tuple[str, ...]:
     """Say where a joint stands under more torque than a rest withstood in any other recording.
 
-    Friction at rest is no equation, only a limit: what breaks it does not show in the mismatch. A drive that protects
-    itself goes on logging the torque that it was asked for.
+    Friction at rest is no equation, only a limit: what breaks it does not show in the mismatch. A
+    drive that protects itself goes on logging the torque that it was asked for.
 
     Args:
         views: All recordings.
@@ -36,7 +42,11 @@ def standing(views: Sequence[View], unit: str) -> tuple[str, ...]:
 
 def _standing(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
     # Friction at rest grows with the load, so that lighter recordings set no limit.
-    others = [v for v in views if v is not view and v.recording.contact_force >= view.recording.contact_force]
+    others = [
+        v
+        for v in views
+        if v is not view and v.recording.contact_force >= view.recording.contact_force
+    ]
     ended = [np.abs(v.raw_torque[v.breakaways - 1]) for v in others if len(v.breakaways)]
     torques = np.concatenate(ended) if ended else np.zeros(0)
     if len(torques) < LEAST_BREAKAWAYS:
@@ -50,8 +60,10 @@ def _standing(view: View, views: Sequence[View], unit: str) -> Iterator[str]:
         place = float(np.median(view.angle[first:last]))
         where = f"{place:.4g} m" if linear else f"{np.rad2deg(place):.1f} deg"
         yield (
-            f"{view.recording.name}: from {view.time[first]:.2f} to {view.time[last - 1]:.2f} s the joint stands at "
-            f"{where} under {torque:.2g} {unit}, where elsewhere no rest withstood more than {limit:.2g}: that torque "
+            f"{view.recording.name}: from {view.time[first]:.2f} to {view.time[last - 1]:.2f} s "
+            f"the joint stands at "
+            f"{where} under {torque:.2g} {unit}, where elsewhere no rest withstood more than "
+            f"{limit:.2g}: that torque "
             "did not reach it (a drive that cut it off), or something held it"
         )
 
@@ -72,8 +84,10 @@ def crowded(traces: Sequence[ResidualTrace]) -> tuple[str, ...]:
             if share >= LEAST_SHARE and share >= CROWDED * usual:
                 first, last = shortest(trace.time, trace.after**2)
                 lines.append(
-                    f"{trace.recording}: {100.0 * share:.0f} % of the {equation} mismatch that is left is in it, where "
-                    f"{100.0 * usual:.0f} % of the rows are, most of it from {first:.2f} to {last:.2f} s"
+                    f"{trace.recording}: {100.0 * share:.0f} % of the {equation} mismatch that is "
+                    f"left is in it, where "
+                    f"{100.0 * usual:.0f} % of the rows are, most of it from {first:.2f} to "
+                    f"{last:.2f} s"
                 )
     return tuple(lines)
 

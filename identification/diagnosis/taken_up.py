@@ -1,6 +1,8 @@
-"""Effects that the nominal constants take up whole, so that no recording of this kind can show them.
+"""Effects that the nominal constants take up whole, so that no recording of this kind can show
+them.
 
-A gear that passes 80 % of the torque, and friction is all its load, is a bench whose constants are all 1/0.8 as large.
+A gear that passes 80 % of the torque, and friction is all its load, is a bench whose constants are
+all 1/0.8 as large.
 """
 
 from __future__ import annotations
@@ -17,8 +19,8 @@ from identification.diagnosis.terms.term import Context, Term
 def taken_up(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
     """Return the names of effects of which the nominal tangent leaves nothing, whatever their size.
 
-    Only effects of one shape are asked: what has several does not fit into the nominal model's with all of them.
-    Breakaways are not: their tangent allows for lateness, which no effect does.
+    Only effects of one shape are asked: what has several does not fit into the nominal model's with
+    all of them. Breakaways are not: their tangent allows for lateness, which no effect does.
 
     Args:
         baseline: The nominal model's fit.
@@ -35,7 +37,9 @@ def taken_up(baseline: Joint, terms: Sequence[Term]) -> tuple[str, ...]:
         if not columns:
             continue
         whole = stack.whitened(columns)
-        before, after = (np.linalg.norm(rows[judging], axis=0) for rows in (whole, stack.projected(whole)))
+        before, after = (
+            np.linalg.norm(rows[judging], axis=0) for rows in (whole, stack.projected(whole))
+        )
         if np.all(before > 0.0) and np.all(after < ABSORBED * before):
             found.append(term.name)
     return tuple(found)

@@ -1,4 +1,6 @@
-"""Effects that recordings cannot show because of what was not recorded: an origin of their angles, a common clock."""
+"""Effects that recordings cannot show because of what was not recorded: an origin of their angles,
+a common clock.
+"""
 
 from __future__ import annotations
 
@@ -16,13 +18,18 @@ PLACED = (
     "position_dependent_friction",
     "load_position_dependence",
 )
-"""Effects at a place, of which recordings that do not share an origin of their angles say nothing."""
+"""Effects at a place, of which recordings that do not share an origin of their angles say
+nothing.
+"""
 DRIFTING = ("coulomb_drift", "viscous_thermal_drift")
-"""Effects of running time, which recordings on clocks of their own do not have: in the order in which they happen to be
-listed anything drifts that differs between them."""
+"""Effects of running time, which recordings on clocks of their own do not have: in the order in
+which they happen to be listed anything drifts that differs between them.
+"""
 
 
-def unsought(fitted: Sequence[Recording], views: Sequence[View]) -> tuple[frozenset[str], tuple[str, ...]]:
+def unsought(
+    fitted: Sequence[Recording], views: Sequence[View]
+) -> tuple[frozenset[str], tuple[str, ...]]:
     """Return effects that are not to be sought, and warnings that say so.
 
     Args:
@@ -34,13 +41,15 @@ def unsought(fitted: Sequence[Recording], views: Sequence[View]) -> tuple[frozen
     if without_origin(views):
         names.update(PLACED)
         warnings.append(
-            "angles were not recorded, only speeds: each recording counts them from where it began, so that effects at "
+            "angles were not recorded, only speeds: each recording counts them from where it "
+            "began, so that effects at "
             f"a place ({_titles(PLACED)}) are not sought, and phases are each recording's own"
         )
     if not one_clock(fitted):
         names.update(DRIFTING)
         warnings.append(
-            f"the recordings have no clock in common, so that what drifts with running time ({_titles(DRIFTING)}) is "
+            f"the recordings have no clock in common, so that what drifts with running time "
+            f"({_titles(DRIFTING)}) is "
             "not sought"
         )
     return frozenset(names), tuple(warnings)

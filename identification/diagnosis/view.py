@@ -1,7 +1,8 @@
-"""One recording as the diagnosis sees it: full-rate signals on an even grid, and the filter to the stated bandwidth.
+"""One recording as the diagnosis sees it: full-rate signals on an even grid, and the filter to the
+stated bandwidth.
 
-Every regressor of every effect is built from these at the full rate and then passes the same filter as the mismatch, so
-that no filter imitates physics.
+Every regressor of every effect is built from these at the full rate and then passes the same filter
+as the mismatch, so that no filter imitates physics.
 """
 
 from __future__ import annotations
@@ -26,17 +27,27 @@ from identification.prepare import (
     without_rare,
 )
 from identification.recording import Array, Recording, RecordingError
-from identification.signals import BoolArray, Decimator, central_difference, decimator, resample, smooth
+from identification.signals import (
+    BoolArray,
+    Decimator,
+    central_difference,
+    decimator,
+    resample,
+    smooth,
+)
 
 LEAST_STEADY = 0.1
 """Share of the motion of all recordings that must be steady, for the rest to be left out."""
 SAME_ENCODER = 1e-9
-"""Greatest difference of motor and joint angle, over the travel, at which one encoder was read under two names."""
+"""Greatest difference of motor and joint angle, over the travel, at which one encoder was read
+under two names.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless said.
+    """Signals of one recording on its even grid, SI, at the joint; arrays have shape (m,) unless
+    said.
 
     Each is its own key: what is computed from one is kept for as long as it is asked for.
 
@@ -50,7 +61,8 @@ class View:
         acceleration: rad/s^2.
         torque: Drive torque less known loads, N m.
         raw_torque: The same before any filter, for what happens within a few samples.
-        twist: Acceleration of the motor before the joint's where friction follows the joint, else zero, rad/s^2.
+        twist: Acceleration of the motor before the joint's where friction follows the joint, else
+        zero, rad/s^2.
         known: Known loads (a declared weight that turns with the joint), N m.
         hanging: The same without their inertia, N m.
         moment: F_P L1, N m.
@@ -67,9 +79,10 @@ class View:
         supply: V; None without it.
         temperature: deg C; None without it.
         low_pass: To the stated bandwidth.
-        moving: Which of its outputs no sample at rest, reversing or in unsteady motion has touched, shape (n,).
-        unsteady: The same, unsteady motion allowed: where hardly any motion is steady, as at a crawl against cogging,
-            that is how this machine moves, and it is kept.
+        moving: Which of its outputs no sample at rest, reversing or in unsteady motion has touched,
+        shape (n,).
+        unsteady: The same, unsteady motion allowed: where hardly any motion is steady, as at a
+            crawl against cogging, that is how this machine moves, and it is kept.
         breakaways: Samples at which a rest ends, shape (e,).
         behind: The same with its motion late, by how late, s, as it was last asked for.
     """
@@ -113,7 +126,9 @@ class View:
     @cached_property
     def rotor_acceleration(self) -> Array:
         """The motor's acceleration at the joint, rad/s^2."""
-        return np.asarray(central_difference(self.motor_speed, self.step) / self.recording.bench.gear_ratio)
+        return np.asarray(
+            central_difference(self.motor_speed, self.step) / self.recording.bench.gear_ratio
+        )
 
     @cached_property
     def transmitted(self) -> Array:
@@ -153,26 +168,33 @@ def views(
     Args:
         recordings: Any.
         bandwidth_Hz: Of the filter.
-        valve_side: Take angle and speed from the joint encoder even if the motor's is finer: where the transmission
-            gives, friction acts on the valve's motion.
-        campaign: All recordings made, in their order: what warms goes on warming during those that are not looked at.
+        valve_side: Take angle and speed from the joint encoder even if the motor's is finer: where
+            the transmission gives, friction acts on the valve's motion.
+        campaign: All recordings made, in their order: what warms goes on warming during those that
+            are not looked at.
 
     Raises:
         RecordingError: A recording that cannot be brought to this bandwidth.
     """
     every = campaign or recordings
     starts = dict(zip(map(id, every), run_starts(every), strict=True))
-    found = _one_origin([_view(r, k, starts[id(r)], bandwidth_Hz, valve_side) for k, r in enumerate(recordings)])
-    if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(np.sum(v.unsteady) for v in found):
+    found = _one_origin(
+        [_view(r, k, starts[id(r)], bandwidth_Hz, valve_side) for k, r in enumerate(recordings)]
+    )
+    if sum(np.sum(v.moving) for v in found) >= LEAST_STEADY * sum(
+        np.sum(v.unsteady) for v in found
+    ):
         return found
     return tuple(replace(v, moving=v.unsteady) for v in found)
 
 
 def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
-    """Return the views with the motor's angle counted from one origin, as the joint's encoder has it.
+    """Return the views with the motor's angle counted from one origin, as the joint's encoder has
+    it.
 
-    A motor encoder that counts from power-on loses its origin between recordings, and what is periodic in the motor's
-    angle its phase. It is lost where the encoders' difference changes between recordings by more than it does in any.
+    A motor encoder that counts from power-on loses its origin between recordings, and what is
+    periodic in the motor's angle its phase. It is lost where the encoders' difference changes
+    between recordings by more than it does in any.
     """
     both = [v for v in found if v.lag is not None]
     if len(both) < 2:
@@ -185,12 +207,15 @@ def _one_origin(found: Sequence[View]) -> tuple[View, ...]:
     return tuple(replace(v, motor=v.motor - gear * zeros.get(v.index, 0.0)) for v in found)
 
 
-def _view(recording: Recording, index: int, start: float, bandwidth_Hz: float, valve_side: bool) -> View:
+def _view(
+    recording: Recording, index: int, start: float, bandwidth_Hz: float, valve_side: bool
+) -> View:
     grid, rate = uniform_grid(recording), 1.0 / recording.period
     low_pass = decimator(rate, bandwidth_Hz)
     if len(grid) < 2 * low_pass.half + 8:
         raise RecordingError(
-            f"{recording.name}: {len(grid)} samples are fewer than a bandwidth of {bandwidth_Hz:.3g} Hz needs "
+            f"{recording.name}: {len(grid)} samples are fewer than a bandwidth of "
+            f"{bandwidth_Hz:.3g} Hz needs "
             f"({2 * low_pass.half + 8}); ask for a higher bandwidth or leave it out"
         )
     cutoff = POSITION_BANDWIDTH * bandwidth_Hz
@@ -260,7 +285,9 @@ def _motion(
 
 
 def _hanging(recording: Recording, angle: Array) -> tuple[Array, float]:
-    """Return the torque of a declared weight that turns with the joint, N m, and its inertia, kg m^2."""
+    """Return the torque of a declared weight that turns with the joint, N m, and its inertia, kg
+    m^2.
+    """
     pendulum = recording.pendulum
     if pendulum is None:
         return np.zeros(len(angle)), 0.0
@@ -276,7 +303,9 @@ def _channel(recording: Recording, name: str, grid: Array) -> Array | None:
 
 
 def _voltage(recording: Recording, grid: Array) -> Array | None:
-    """Return the voltage, NaN where the power stage is off; None where it was not measured beside the current."""
+    """Return the voltage, NaN where the power stage is off; None where it was not measured beside
+    the current.
+    """
     values = recording.channels.get("voltage")
     if values is None or "current" not in recording.channels:
         return None
@@ -326,6 +355,8 @@ def torque_per_ampere(view: View) -> float:
 
 
 def without_origin(views: Sequence[View]) -> bool:
-    """Whether recordings count their angles each from where it began, as speed alone was recorded in them."""
+    """Whether recordings count their angles each from where it began, as speed alone was recorded
+    in them.
+    """
     unknown = [v for v in views if not v.recording.channels.keys() & {"angle", "motor_angle"}]
     return len(views) > 1 and len(unknown) > 0

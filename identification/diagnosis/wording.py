@@ -1,8 +1,9 @@
 """Findings in plain sentences, with values and intervals in units that engineers read.
 
-A sentence of the catalogue names parameters in braces. After the colon stands the unit to print (``{gap_rad:deg}``;
-with ``abs`` before it the size without its sign), or two words to choose from by sign (``{torque_Nm:?higher/lower}``).
-``{recordings}`` names the recordings in which the effect shows.
+A sentence of the catalogue names parameters in braces. After the colon stands the unit to print
+(``{gap_rad:deg}``; with ``abs`` before it the size without its sign), or two words to choose from
+by sign (``{torque_Nm:?higher/lower}``). ``{recordings}`` names the recordings in which the effect
+shows.
 """
 
 from __future__ import annotations
@@ -38,7 +39,9 @@ _CHOICE = "?"
 _PROPER = {"coulomb": "Coulomb", "stribeck": "Stribeck"}
 
 
-def sentence(entry: Entry, estimates: Mapping[str, Estimate], recordings: Sequence[str] = ()) -> str:
+def sentence(
+    entry: Entry, estimates: Mapping[str, Estimate], recordings: Sequence[str] = ()
+) -> str:
     """Return the finding of one effect with its parameters, values first and 90 % intervals behind.
 
     Args:
@@ -105,7 +108,9 @@ def _field(estimate: Estimate, form: str) -> str:
 
 
 def _places(width: float) -> int | None:
-    """Decimals that show an interval of this width by one figure or two; None for sizes that need exponents."""
+    """Decimals that show an interval of this width by one figure or two; None for sizes that need
+    exponents.
+    """
     exponent = math.floor(math.log10(width))
     places = -exponent + (1 if width / 10.0**exponent < 3.0 else 0)
     return max(places, 0) if places <= 6 and exponent <= 5 else None

@@ -1,4 +1,6 @@
-"""The default method: variable projection, then prediction errors where those are accepted (docs/method.md)."""
+"""The default method: variable projection, then prediction errors where those are accepted
+(docs/method.md).
+"""
 
 from __future__ import annotations
 
@@ -10,11 +12,21 @@ from time import perf_counter
 import numpy as np
 
 from identification.estimate.equation_error import variable_projection as varpro
-from identification.estimate.equation_error.regression import Stage, loaded_stage, require_motion, unloaded_stage
+from identification.estimate.equation_error.regression import (
+    Stage,
+    loaded_stage,
+    require_motion,
+    unloaded_stage,
+)
 from identification.estimate.likelihood.bootstrap import bootstrap
 from identification.estimate.likelihood.profile import profiles
 from identification.estimate.likelihood.refinement import Found, noise_of, refine
-from identification.estimate.uncertainty.parameter_table import fit_of, parameter_table, trace_of, units_of
+from identification.estimate.uncertainty.parameter_table import (
+    fit_of,
+    parameter_table,
+    trace_of,
+    units_of,
+)
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
 from identification.model.parameters import STRIBECK_TERMS, SYSTEM_PARAMETERS
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
@@ -36,11 +48,14 @@ def identify(
     """Identify the nine parameters in two stages (five where nothing is loaded).
 
     Args:
-        dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once at the end.
-        bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what each bears.
+        dataset: Recordings and what is declared or fixed; ``validate`` recordings are scored once
+        at the end.
+        bandwidth_Hz: Of torque and regressors; None chooses the least over the recordings of what
+        each bears.
         rng: Draws the segments of the bootstrap.
         progress: Called with a stage's name and the share done.
-        profile: Whether to profile the likelihood of every parameter as well, which takes several times as long.
+        profile: Whether to profile the likelihood of every parameter as well, which takes several
+        times as long.
         draws: Bootstrap draws, 0 for none.
 
     Raises:
@@ -56,7 +71,9 @@ def identify(
     tell("unloaded", 0.0)
     every = [prepare(r, bandwidth_Hz) for r in dataset.recordings]
     active = [p for p in every if p.recording.role == "fit"]
-    stage_of = {stage: [p for p in active if p.recording.stage == stage] for stage in ("unloaded", "loaded")}
+    stage_of = {
+        stage: [p for p in active if p.recording.stage == stage] for stage in ("unloaded", "loaded")
+    }
     model = dataset.model
     values, stages = solve_stages(stage_of["unloaded"], stage_of["loaded"], model, tell)
     names = free_names(values, model)
@@ -72,7 +89,10 @@ def identify(
     parameters = parameter_table(active, values, found.spread, model, found.floors)
     for p in active:
         if not np.any(p.used):
-            warnings.append(f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} Hz")
+            warnings.append(
+                f"{p.recording.name}: no sample is in motion and resolved at {p.bandwidth_Hz:.3g} "
+                f"Hz"
+            )
     return Identification(
         method="default",
         motion=fitted[0].bench.motion,
@@ -106,14 +126,21 @@ def _asked(
 ) -> tuple[tuple[Profile, ...], tuple[Resampled, ...], list[str]]:
     """Return profiles and bootstrap as far as asked for, and why not where there are none."""
     if found.taken is None:
-        what = " and ".join(w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked)
-        return (), (), [f"no {what}: of the prediction errors alone, which were not taken"] if what else []
+        what = " and ".join(
+            w for w, asked in (("profiles", profile), ("bootstrap", draws)) if asked
+        )
+        return (
+            (),
+            (),
+            [f"no {what}: of the prediction errors alone, which were not taken"] if what else [],
+        )
     curves: tuple[Profile, ...] = ()
     resampled: tuple[Resampled, ...] = ()
     # Both are about the maximum of the likelihood; they are shifted as the estimate was.
     moved = {name: found.values[name] - found.taken.values[name] for name in found.taken.names}
     if profile:
-        # With the covariance that is stated, which includes replicates and the uncertainty of the bias.
+        # With the covariance that is stated, which includes replicates and the uncertainty of the
+        # bias.
         stated = replace(found.taken, covariance=found.spread.covariance)
         walked = profiles(stated, units, lambda share: tell("profiles", share))
         curves = tuple(curve.moved(moved[curve.name]) for curve in walked)
@@ -130,7 +157,8 @@ def solve_stages(
     """Solve both stages by variable projection; return all values by name and how each search went.
 
     Raises:
-        RecordingError: A stage without motion, or loaded recordings alone, which cannot tell system from load friction.
+        RecordingError: A stage without motion, or loaded recordings alone, which cannot tell system
+            from load friction.
     """
     values: dict[str, float] = {}
     stages: list[Convergence] = []
@@ -142,7 +170,8 @@ def solve_stages(
         missing = [n for n in SYSTEM_PARAMETERS if n not in model.fixed]
         if missing:
             raise RecordingError(
-                "no unloaded recording to fit: system and load friction cannot be told apart at one load; record an "
+                "no unloaded recording to fit: system and load friction cannot be told apart at "
+                "one load; record an "
                 f"unloaded stage, or fix {', '.join(missing)}"
             )
         values = {n: float(v) for n, v in model.fixed.items()}
@@ -176,7 +205,9 @@ def _solve(stage: Stage) -> tuple[dict[str, float], Convergence]:
 
 
 def free_names(values: Mapping[str, float], model: Model) -> tuple[str, ...]:
-    """Return the names that the data are asked for: not fixed, and not a Stribeck term that is absent."""
+    """Return the names that the data are asked for: not fixed, and not a Stribeck term that is
+    absent.
+    """
     falling = [names for names in STRIBECK_TERMS if names[1] in values]
     flat = {names for names in falling if not values[names[1]] > values[names[0]]}
     absent = {static for _, static, _ in flat} | {speed for _, _, speed in flat}

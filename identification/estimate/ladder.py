@@ -1,8 +1,8 @@
 """The friction ladder: every rung fitted to one dataset and scored on its validation recordings.
 
-Intervals are over recordings: those to fit and those to score are drawn with replacement, the same draws for every
-rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Samples within a recording are too correlated to
-count as independent.
+Intervals are over recordings: those to fit and those to score are drawn with replacement, the same
+draws for every rung (Efron and Tibshirani, An Introduction to the Bootstrap, ch. 8). Samples within
+a recording are too correlated to count as independent.
 """
 
 from __future__ import annotations
@@ -46,7 +46,8 @@ class Rung:
         result: The fit to all recordings to fit.
         train: Torque error on them, in the fit's unit.
         scored: Torque error on the recordings set aside; None without any.
-        angle: Angle error of the simulated loop there (or on the fitted ones), rad (m); None without a controller.
+        angle: Angle error of the simulated loop there (or on the fitted ones), rad (m); None
+        without a controller.
         best: Share of the draws in which this rung has the least torque error on what was scored.
     """
 
@@ -81,7 +82,9 @@ def climb(
     tell = progress or (lambda _what, _share: None)
     loaded = [r.name for r in dataset.recordings if r.stage == "loaded"]
     if loaded:
-        raise RecordingError(f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out")
+        raise RecordingError(
+            f"{loaded[0]}: the ladder is of the unloaded friction; take loaded recordings out"
+        )
     to_fit = dataset.part("fit")
     to_score = dataset.part("validate") or to_fit
     if not to_fit:
@@ -124,7 +127,9 @@ def _scored(result: Identification, scores: Sequence[Score]) -> Interval | None:
     return None if value is None else _interval(value, [s.torque for s in scores])
 
 
-def _angle(result: Identification, prepared: Sequence[Prepared], scores: Sequence[Score]) -> Interval:
+def _angle(
+    result: Identification, prepared: Sequence[Prepared], scores: Sequence[Score]
+) -> Interval:
     sums = pooled(compare(p, replay(p.recording, result.fitted, result.alpha)) for p in prepared)
     return _interval(sums.angle_rms, [s.angle for s in scores if s.angle is not None])
 

@@ -1,4 +1,6 @@
-"""Bootstrap of the friction ladder: one rung fitted to a draw of recordings and scored on another."""
+"""Bootstrap of the friction ladder: one rung fitted to a draw of recordings and scored on
+another.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ from identification.simulate.closed_loop import replay
 from identification.simulate.score import Sums, compare, pooled
 
 COARSE, FINE, NEAR = 12, 17, 1.8
-"""Trial Stribeck speeds over the whole range and near that of the fit to all recordings, and how far near reaches."""
+"""Trial Stribeck speeds over the whole range and near that of the fit to all recordings, and how
+far near reaches.
+"""
 STEP_S = 1e-3
 """Integration step: it costs 0.04 mrad rms on errors of 20 mrad and more."""
 
@@ -44,8 +48,9 @@ class Score:
 class Redraw:
     """Fits one rung by the equation error to a draw of recordings and scores it on another draw.
 
-    Each recording is reduced once, at every trial Stribeck speed, to the triangle of its QR decomposition; a draw is
-    then fitted from the stacked triangles. Between the trial speeds the cost is taken as a parabola in log omega_s.
+    Each recording is reduced once, at every trial Stribeck speed, to the triangle of its QR
+    decomposition; a draw is then fitted from the stacked triangles. Between the trial speeds the
+    cost is taken as a parabola in log omega_s.
 
     Args:
         model: The rung.
@@ -56,7 +61,12 @@ class Redraw:
     """
 
     def __init__(
-        self, model: Model, fitted: Sequence[Prepared], scored: Sequence[Prepared], centre: float, simulated: bool
+        self,
+        model: Model,
+        fitted: Sequence[Prepared],
+        scored: Sequence[Prepared],
+        centre: float,
+        simulated: bool,
     ) -> None:
         self._alpha = model.alpha
         self._fitted, self._scored = fitted, scored
@@ -64,7 +74,9 @@ class Redraw:
         self._stage = unloaded_stage(fitted, model)
         self._speeds = _trial_speeds(*self._stage.speed_range(), centre)
         self._alone = [replace(self._stage, prepared=(p,)) for p in fitted]
-        self._triangles = [[_triangle(stage, float(w)) for stage in self._alone] for w in self._speeds]
+        self._triangles = [
+            [_triangle(stage, float(w)) for stage in self._alone] for w in self._speeds
+        ]
 
     def __call__(self, to_fit: Indices, to_score: Indices) -> Score:
         """Fit the recordings ``to_fit`` and score those ``to_score``; both may repeat."""
@@ -90,7 +102,9 @@ class Redraw:
         omega_s, coefficients = float(self._speeds[best]), tried[best][0]
         if 0 < best < len(costs) - 1:
             between = _vertex(np.log(self._speeds[best - 1 : best + 2]), costs[best - 1 : best + 2])
-            triangles = {int(k): _triangle(self._alone[k], math.exp(between)) for k in np.unique(drawn)}
+            triangles = {
+                int(k): _triangle(self._alone[k], math.exp(between)) for k in np.unique(drawn)
+            }
             finer, cost = _solved([triangles[int(k)] for k in drawn], *bounds)
             if cost < costs[best]:
                 omega_s, coefficients = math.exp(between), finer

@@ -1,7 +1,8 @@
 """The default method on recordings too long for memory: the same two steps, piece by piece.
 
-The equation error is decimated to 2.5 times its bandwidth as ever, which keeps all it uses; only the velocity stays at
-the full rate. The prediction errors pass over the pieces (:mod:`identification.estimate.likelihood.long_refinement`).
+The equation error is decimated to 2.5 times its bandwidth as ever, which keeps all it uses; only
+the velocity stays at the full rate. The prediction errors pass over the pieces
+(:mod:`identification.estimate.likelihood.long_refinement`).
 """
 
 from __future__ import annotations
@@ -17,7 +18,12 @@ from identification.estimate.default import Progress, free_names, solve_stages
 from identification.estimate.equation_error.block_sandwich import block_sandwich
 from identification.estimate.likelihood import acceptance
 from identification.estimate.likelihood.long_refinement import refine_pieces
-from identification.estimate.likelihood.refinement import floors_of, joint_convergence, noise_of, spread_of
+from identification.estimate.likelihood.refinement import (
+    floors_of,
+    joint_convergence,
+    noise_of,
+    spread_of,
+)
 from identification.estimate.uncertainty.parameter_table import (
     fit_of,
     parameter_table,
@@ -26,12 +32,21 @@ from identification.estimate.uncertainty.parameter_table import (
     units_of,
 )
 from identification.estimate.uncertainty.tradeoff import least_pinned, tradeoffs
-from identification.prepare import Prepared, default_bandwidth, joint_angle, prepare, resting, torque_unit
+from identification.prepare import (
+    Prepared,
+    default_bandwidth,
+    joint_angle,
+    prepare,
+    resting,
+    torque_unit,
+)
 from identification.recording import Dataset, Recording
 from identification.result import Identification, MeasuredNoise, Starts
 
 LONG_SAMPLES = 200_000
-"""Samples to fit, over all recordings, above which memory is bounded; below, all of them at once are quicker."""
+"""Samples to fit, over all recordings, above which memory is bounded; below, all of them at once
+are quicker.
+"""
 PIECE_SAMPLES = 60_000
 _SEARCH_SAMPLES = 6000
 """Samples before the end of a piece in which a rest to cut at is looked for."""
@@ -46,7 +61,8 @@ def identify_any_length(
     profile: bool = False,
     draws: int = 0,
 ) -> Identification:
-    """Identify by the default method, in pieces where the recordings are long; see :func:`default.identify`.
+    """Identify by the default method, in pieces where the recordings are long; see
+    :func:`default.identify`.
 
     Raises:
         RecordingError: The recordings cannot pin the model; the message says what is missing.
@@ -54,12 +70,18 @@ def identify_any_length(
     fitted = dataset.part("fit")
     if sum(len(r.time) for r in fitted) <= LONG_SAMPLES:
         return default.identify(
-            dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, profile=profile, draws=draws
+            dataset,
+            bandwidth_Hz=bandwidth_Hz,
+            rng=rng,
+            progress=progress,
+            profile=profile,
+            draws=draws,
         )
     found = identify_long(dataset, bandwidth_Hz=bandwidth_Hz, progress=progress)
     if profile or draws:
         limit = (
-            f"no profiles or bootstrap: they are of recordings of {LONG_SAMPLES} samples together at most; cut them "
+            f"no profiles or bootstrap: they are of recordings of {LONG_SAMPLES} samples together "
+            f"at most; cut them "
             "shorter"
         )
         found = replace(found, warnings=(*found.warnings, limit))
@@ -67,12 +89,16 @@ def identify_any_length(
 
 
 def pieces(recording: Recording) -> list[Recording]:
-    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at rest where it rests; channels are views."""
+    """Cut a recording into pieces of about ``PIECE_SAMPLES``, at rest where it rests; channels are
+    views.
+    """
     n, start = len(recording.time), 0
     found = []
     while start < n:
         stop = n if n - start < 1.5 * PIECE_SAMPLES else _cut(recording, start + PIECE_SAMPLES)
-        found.append(replace(recording, channels={c: v[start:stop] for c, v in recording.channels.items()}))
+        found.append(
+            replace(recording, channels={c: v[start:stop] for c, v in recording.channels.items()})
+        )
         start = stop
     return found
 
@@ -120,7 +146,11 @@ def identify_long(
         warnings.append(f"values are those of the equation error at {bandwidth_Hz:.3g} Hz: {fault}")
         spread = block_sandwich(fit, values, names, model.alpha)
     else:
-        values, spread, floors = dict(refined.values), spread_of(refined), floors_of(refined.names, refined.floor)
+        values, spread, floors = (
+            dict(refined.values),
+            spread_of(refined),
+            floors_of(refined.names, refined.floor),
+        )
         noise = noise_of(refined, torque_unit(heads[0]))
     tell("joint", 1.0)
     return Identification(
@@ -149,9 +179,13 @@ def _of(prepared: Sequence[Prepared], stage: str) -> list[Prepared]:
 
 
 def _cut(recording: Recording, near: int) -> int:
-    """Return where to cut before ``near``: the middle of the last rest there, or ``near`` itself."""
+    """Return where to cut before ``near``: the middle of the last rest there, or ``near``
+    itself.
+    """
     window = slice(near - _SEARCH_SAMPLES, near)
-    angle = joint_angle(replace(recording, channels={c: v[window] for c, v in recording.channels.items()}))
+    angle = joint_angle(
+        replace(recording, channels={c: v[window] for c, v in recording.channels.items()})
+    )
     if angle is None:
         return near
     edges = np.flatnonzero(np.diff(np.concatenate(([0], resting(angle).astype(np.int64), [0]))))

@@ -1,4 +1,6 @@
-"""Transfer of an identification: its error on other recordings, of another day, unit, mass or load."""
+"""Transfer of an identification: its error on other recordings, of another day, unit, mass or
+load.
+"""
 
 from __future__ import annotations
 
@@ -62,8 +64,8 @@ class Transfer:
 def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfer:
     """Score a fitted model on other recordings, and compare it with what they say alone.
 
-    The other recordings are identified with the same model and bandwidth; those that their own campaign sets aside stay
-    set aside.
+    The other recordings are identified with the same model and bandwidth; those that their own
+    campaign sets aside stay set aside.
 
     Args:
         first: The fit to carry over.
@@ -71,23 +73,32 @@ def transfer(first: Identification, dataset: Dataset, other: Dataset) -> Transfe
         other: Recordings it has not seen.
 
     Raises:
-        RecordingError: The other recordings cannot bear the model, or hold one that it was fitted to.
+        RecordingError: The other recordings cannot bear the model, or hold one that it was fitted
+            to.
     """
     seen = {r.sha256 for r in dataset.part("fit") if r.sha256}
     recordings = other.part("fit")
     known = [r.name for r in recordings if r.sha256 in seen]
     if known:
-        raise RecordingError(f"{known[0]}: was fitted to already; score on recordings that were not")
+        raise RecordingError(
+            f"{known[0]}: was fitted to already; score on recordings that were not"
+        )
     loaded = [r.name for r in recordings if r.stage == "loaded"]
     if loaded and not set(LOAD_PARAMETERS) & first.fitted.keys():
-        raise RecordingError(f"{loaded[0]}: loaded, and the model to score was fitted to unloaded recordings only")
+        raise RecordingError(
+            f"{loaded[0]}: loaded, and the model to score was fitted to unloaded recordings only"
+        )
     mine, theirs = dataset.recordings[0].bench.motion, other.recordings[0].bench.motion
     if mine != theirs:
         raise RecordingError(f"a {mine} bench cannot be scored on a {theirs} one")
     bandwidth_Hz = first.fit.bandwidth_Hz
     own = identify(Dataset(recordings, dataset.model), bandwidth_Hz=bandwidth_Hz)
     prepared = [prepare(r, bandwidth_Hz) for r in recordings]
-    names = [name for name in first.parameters if name in own.parameters and name not in dataset.model.fixed]
+    names = [
+        name
+        for name in first.parameters
+        if name in own.parameters and name not in dataset.model.fixed
+    ]
     return Transfer(
         fit=fit_of(prepared, first.fitted, first.alpha),
         own=own.fit,

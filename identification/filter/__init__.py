@@ -1,1 +1,3 @@
-"""Recordings and model to prediction errors: motion segments, Kalman filter, noise, likelihood, breakaway times."""
+"""Recordings and model to prediction errors: motion segments, Kalman filter, noise, likelihood,
+breakaway times.
+"""

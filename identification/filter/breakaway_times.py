@@ -1,4 +1,6 @@
-"""Breakaway times: optimised with the parameters held, or eliminated from a problem's normal equations."""
+"""Breakaway times: optimised with the parameters held, or eliminated from a problem's normal
+equations.
+"""
 
 from __future__ import annotations
 
@@ -34,10 +36,13 @@ class Reduced:
     count: int
 
 
-def optimise_breakaway_times(problem: Problem, threshold: float = np.inf, rounds: int = ROUNDS) -> None:
+def optimise_breakaway_times(
+    problem: Problem, threshold: float = np.inf, rounds: int = ROUNDS
+) -> None:
     """Minimise the Huber cost of each segment over its breakaway time, the parameters held.
 
-    By Gauss-Newton with one step length per segment: a step that raises its segment's cost is undone and shortened.
+    By Gauss-Newton with one step length per segment: a step that raises its segment's cost is
+    undone and shortened.
     """
     count, m = len(problem.free), problem.breakaways
     owners = problem.owners

@@ -1,14 +1,16 @@
-"""One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured torque (M14 to M21).
+"""One-step prediction errors of the joint angle: an extended Kalman filter driven by the measured
+torque (M14 to M21).
 
-The measured torque is a noisy mean over each period and the encoder is quantised, so neither an output error (which
-drifts with the torque noise) nor an equation error (which differentiates the encoder) is the right residual. The filter
-has the state (angle, speed), with J domega/dt = torque - friction(omega) + noise and y = angle + noise; where the
-torque noise has a correlated part, that is a third state, a first-order process that is held over each period. The
-normalised innovations are white when the model is right, and their sum of squares is the likelihood (Ljung, System
+The measured torque is a noisy mean over each period and the encoder is quantised, so neither an
+output error (which drifts with the torque noise) nor an equation error (which differentiates the
+encoder) is the right residual. The filter has the state (angle, speed), with J domega/dt = torque -
+friction(omega) + noise and y = angle + noise; where the torque noise has a correlated part, that is
+a third state, a first-order process that is held over each period. The normalised innovations are
+white when the model is right, and their sum of squares is the likelihood (Ljung, System
 Identification, 2nd ed., 7.3 and 10.5).
 
-A motion segment that starts from rest starts at the angle of rest with speed zero, at its breakaway time. Repeated
-readings at rest do not reduce the error of the angle below the quantisation error.
+A motion segment that starts from rest starts at the angle of rest with speed zero, at its breakaway
+time. Repeated readings at rest do not reduce the error of the angle below the quantisation error.
 """
 
 from __future__ import annotations
@@ -21,20 +23,24 @@ from identification.model.parameters import INERTIA, OFFSET
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled, inlined
 
-# Noise of one evaluation: of the torque, its white part, N m rms; of the angle, rad^2; of the torque, its correlated
-# part, N m rms, and the time over which that is correlated, s; of the angle, the part that stays the same while the
-# shaft rests, rad^2.
+# Noise of one evaluation: of the torque, its white part, N m rms; of the angle, rad^2; of the
+# torque, its correlated part, N m rms, and the time over which that is correlated, s; of the angle,
+# the part that stays the same while the shaft rests, rad^2.
 WHITE, ANGLE, CORRELATED, CORRELATION_TIME, STAYING = range(5)
 
 _LEAST_SPEED = 1e-7
 _SLIP = 0.7
-"""Mean square of the excess of a random walk held at zero or above over a free one, under a drift that rises through
-zero, in natural units (M21); simulated in the tests."""
+"""Mean square of the excess of a random walk held at zero or above over a free one, under a drift
+that rises through zero, in natural units (M21); simulated in the tests.
+"""
 
 
 State = tuple[float, float, float, float, float, float, float, float, float]
-"""Angle, speed, and their covariance: variance of the angle, covariance, variance of the speed. Then the correlated
-torque noise, and its covariance with the angle, with the speed, and its variance, which is zero without such noise."""
+"""Angle, speed, and their covariance: variance of the angle, covariance, variance of the speed.
+
+Then the correlated torque noise, and its covariance with the angle, with the speed, and its
+variance, which is zero without such noise.
+"""
 
 
 @inlined
@@ -90,11 +96,13 @@ def _predict(
 
 
 @inlined
-def _reading_at_rest(here: float, p11: float, error: float, angle_noise: float, staying: float) -> tuple[float, float]:
+def _reading_at_rest(
+    here: float, p11: float, error: float, angle_noise: float, staying: float
+) -> tuple[float, float]:
     """Return the angle of rest and its variance after one more reading with this ``error`` (M20).
 
-    The part ``staying`` of the reading's variance ``angle_noise`` is the same for all readings at rest, so that further
-    readings reduce only the rest of it.
+    The part ``staying`` of the reading's variance ``angle_noise`` is the same for all readings at
+    rest, so that further readings reduce only the rest of it.
     """
     unknown = p11 - staying
     if unknown > 0.0:
@@ -105,11 +113,14 @@ def _reading_at_rest(here: float, p11: float, error: float, angle_noise: float, 
 
 
 @inlined
-def _corrected(state: State, error: float, variance: float, new: float, unsure: float, side: float) -> State:
-    """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps its sign ``side``.
+def _corrected(
+    state: State, error: float, variance: float, new: float, unsure: float, side: float
+) -> State:
+    """Return the state after a reading with this ``error`` and ``variance`` (M19); the speed keeps
+    its sign ``side``.
 
-    ``new`` is the share of the period since the breakaway; it makes the filter smooth in the breakaway time. ``unsure``
-    is added to the variance of the speed.
+    ``new`` is the share of the period since the breakaway; it makes the filter smooth in the
+    breakaway time. ``unsure`` is added to the variance of the speed.
     """
     angle, omega, p11, p12, p22, hidden, p13, p23, p33 = state
     g1 = p11 / variance
@@ -141,11 +152,13 @@ def _corrected(state: State, error: float, variance: float, new: float, unsure: 
 
 @compiled
 def _slip_variance(noise: float, period: float, rise: float, inertia: float) -> float:
-    """Return the mean square speed that noise causes before the mean torque reaches the static limit, (rad/s)^2 (M21).
+    """Return the mean square speed that noise causes before the mean torque reaches the static
+    limit, (rad/s)^2 (M21).
 
-    At rest friction balances any torque backwards, so that noise moves the joint forward only: a random walk held at
-    zero from below, under the drift ``rise`` t / ``inertia`` (``rise`` in N m/s) that passes zero at the limit. Walk
-    and drift are of one size over the time (noise^2 period / rise^2)^(1/3).
+    At rest friction balances any torque backwards, so that noise moves the joint forward only: a
+    random walk held at zero from below, under the drift ``rise`` t / ``inertia`` (``rise`` in N
+    m/s) that passes zero at the limit. Walk and drift are of one size over the time (noise^2 period
+    / rise^2)^(1/3).
     """
     diffusion = noise * noise * period
     alike = math.pow(diffusion / (rise * rise), 1.0 / 3.0)
@@ -171,10 +184,12 @@ def innovations(
     speeds: Array,
     hiddens: Array,
 ) -> None:
-    """Fill ``out`` with the innovations of every segment and ``spread`` with their deviations (M18); also the states.
+    """Fill ``out`` with the innovations of every segment and ``spread`` with their deviations
+    (M18); also the states.
 
     Args:
-        segments: Table of motion segments, shape (m, 4); columns of :mod:`identification.filter.segment_table`.
+        segments: Table of motion segments, shape (m, 4); columns of
+        :mod:`identification.filter.segment_table`.
         breakaway_times: Breakaway time of each segment, s, shape (m,).
         time: s, shape (n,).
         angle: Joint angle, rad, shape (n,).
@@ -182,10 +197,11 @@ def innovations(
         slope: Its slope within that period, N m/s, shape (n,).
         moment: F_P L1, N m, shape (n,).
         extra_inertia: Known inertia added to J, kg m^2.
-        noise: Places ``WHITE`` to ``STAYING`` above, shape (5,). The torque noise is divided by the inertia on trial:
-            the true torque is unknown, and taking the measured one for it would bias J.
-        steps: Integration steps in the period that ends at each sample, shape (n,); fixed beforehand, so that the
-            innovations are smooth in the parameters.
+        noise: Places ``WHITE`` to ``STAYING`` above, shape (5,). The torque noise is divided by the
+            inertia on trial: the true torque is unknown, and taking the measured one for it would
+            bias J.
+        steps: Integration steps in the period that ends at each sample, shape (n,); fixed
+            beforehand, so that the innovations are smooth in the parameters.
         unsure: Variance added to the speed's at each sample, (rad/s)^2, shape (n,).
         p: Vector of :mod:`identification.model.parameters`.
         out: Innovations, rad, shape (n,); samples outside segments are left alone.
@@ -202,7 +218,9 @@ def innovations(
         if segments[j, TORQUE_RATE] > 0:
             begin = breakaway_times[j]
             omega = side * _LEAST_SPEED
-            p22 = _slip_variance(noise[WHITE], time[first] - time[first - 1], segments[j, TORQUE_RATE], inertia)
+            p22 = _slip_variance(
+                noise[WHITE], time[first] - time[first - 1], segments[j, TORQUE_RATE], inertia
+            )
         else:
             begin = time[first - 1]
             omega = speeds[first - 1]
@@ -218,7 +236,10 @@ def innovations(
                 if correlated:
                     kept = math.exp(-period / noise[CORRELATION_TIME])
                     hidden, p13, p23 = kept * hidden, kept * p13, kept * p23
-                    p33 = kept * kept * p33 + (1.0 - kept * kept) * noise[CORRELATED] * noise[CORRELATED]
+                    p33 = (
+                        kept * kept * p33
+                        + (1.0 - kept * kept) * noise[CORRELATED] * noise[CORRELATED]
+                    )
                 here, omega, p11, p12, p22, hidden, p13, p23, p33 = _predict(
                     (here, omega, p11, p12, p22, hidden, p13, p23, p33),
                     start,

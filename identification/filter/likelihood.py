@@ -1,4 +1,6 @@
-"""Prediction errors, ties and their derivatives over free parameters and breakaway times (M22, M23)."""
+"""Prediction errors, ties and their derivatives over free parameters and breakaway times (M22,
+M23).
+"""
 
 from __future__ import annotations
 
@@ -31,16 +33,20 @@ from identification.numerics.levenberg_marquardt import huber
 from identification.recording import Model
 
 _FARTHEST_LOG = 6.0
-"""Greatest change of a logarithm in one fit, so that the arithmetic of the filter does not overflow."""
+"""Greatest change of a logarithm in one fit, so that the arithmetic of the filter does not
+overflow.
+"""
 _TIME_SCALE_S = 1e-3
 _SHIFTS_S = tuple(2.5e-4 * k for k in range(-16, 17) if k)
 """Grid of other breakaway times."""
 PARAMETER_STEP, _LEAST_SCALE = 1e-4, 1e-3
 _TIME_STEP = 1e-3
 _FORGOTTEN = math.pi**2 / 3.0
-"""Exponent of the part of the quantisation error that noise of the angle leaves the same at every reading (M20): the
-first harmonic of that error, averaged over noise of variance v, falls by exp(-(2 pi)^2 v / (12 q)), where q is a
-twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3 (1956) 266)."""
+"""Exponent of the part of the quantisation error that noise of the angle leaves the same at every
+reading (M20): the first harmonic of that error, averaged over noise of variance v, falls by exp(-(2
+pi)^2 v / (12 q)), where q is a twelfth of the step squared (Widrow, IRE Trans. Circuit Theory 3
+(1956) 266).
+"""
 _LEAST_GAIN = 0.5
 """Least gain in a segment's Huber cost for its breakaway to move."""
 _LEAST_SHARED = 30000.0
@@ -48,11 +54,13 @@ _LEAST_SHARED = 30000.0
 
 
 class Problem:
-    """Residuals and Jacobian of one fit: free parameters first, then the breakaway times of all segments.
+    """Residuals and Jacobian of one fit: free parameters first, then the breakaway times of all
+    segments.
 
     Attributes:
         motions: Recordings with their segments.
-        start: Parameters about which it is linearised, vector of :mod:`identification.model.parameters`.
+        start: Parameters about which it is linearised, vector of
+        :mod:`identification.model.parameters`.
         free: Places of the free parameters in that vector.
         statics: Fixed static levels: place of the Coulomb level, place of the rise, value.
         noise: Noise of torque and angle.
@@ -60,8 +68,8 @@ class Problem:
         evaluations: Runs of the filter so far.
         iterations: Iterations of searches so far.
         solution_chi2: Chi-square of every solution of the estimating equations (M29).
-        search_ends: End of every search: whether the Stribeck speed is unresolved, deviance, parameters, breakaway
-            times.
+        search_ends: End of every search: whether the Stribeck speed is unresolved, deviance,
+            parameters, breakaway times.
         step: Difference of a coordinate for slopes, over its size.
         correlated_torque: Filtered correlated noise of the last run, N m, per recording.
         breakaways: Number of segments.
@@ -70,12 +78,19 @@ class Problem:
     """
 
     def __init__(
-        self, motions: Sequence[Motion], start: Array, free: Sequence[int], model: Model, noise: Noise
+        self,
+        motions: Sequence[Motion],
+        start: Array,
+        free: Sequence[int],
+        model: Model,
+        noise: Noise,
     ) -> None:
         self.motions = tuple(motions)
         self.start = start
         self.free = tuple(free)
-        self.statics = [(COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF]
+        self.statics = [
+            (COULOMB_OF[n], INDEX[n], v) for n, v in model.fixed.items() if n in COULOMB_OF
+        ]
         self.noise = noise
         self.breakaway_times = [np.zeros(len(m.table)) for m in motions]
         self.evaluations = 0
@@ -108,12 +123,18 @@ class Problem:
     @property
     def lengths(self) -> NDArray[np.int64]:
         """Samples of each segment, shape (m,)."""
-        return np.bincount(self.owners[: len(self.owners) - self.breakaways], minlength=self.breakaways)
+        return np.bincount(
+            self.owners[: len(self.owners) - self.breakaways], minlength=self.breakaways
+        )
 
     @property
     def matching_count(self) -> Array:
-        """Number of matching half cycles of every residual's segment, itself included, shape (r,)."""
-        counts = np.concatenate([np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions])
+        """Number of matching half cycles of every residual's segment, itself included, shape
+        (r,).
+        """
+        counts = np.concatenate(
+            [np.sum(m.matching, axis=1).astype(np.float64) for m in self.motions]
+        )
         return np.asarray(counts[self.owners])
 
     def origin(self) -> Array:
@@ -126,7 +147,9 @@ class Problem:
         p = self.start.copy()
         for value, k in zip(x, self.free, strict=False):
             if k in LOGARITHMIC:
-                p[k] = self.start[k] * np.exp(np.clip(value - np.log(self.start[k]), -_FARTHEST_LOG, _FARTHEST_LOG))
+                p[k] = self.start[k] * np.exp(
+                    np.clip(value - np.log(self.start[k]), -_FARTHEST_LOG, _FARTHEST_LOG)
+                )
             else:
                 p[k] = value
         for coulomb, rise, static in self.statics:
@@ -134,7 +157,9 @@ class Problem:
         return p
 
     def run(self, p: Array, times: Sequence[Array], noise: Noise) -> tuple[Array, Array]:
-        """Filter every recording; return the innovations inside segments and their standard deviations, rad."""
+        """Filter every recording; return the innovations inside segments and their standard
+        deviations, rad.
+        """
         self.evaluations += 1
         one, other = self._halves
         if other:
@@ -145,29 +170,43 @@ class Problem:
         else:
             self._filter(one, p, times, noise)
         errors = [out[m.inside] for m, out in zip(self.motions, self._out, strict=True)]
-        deviations = [spread[m.inside] for m, spread in zip(self.motions, self._spread, strict=True)]
+        deviations = [
+            spread[m.inside] for m, spread in zip(self.motions, self._spread, strict=True)
+        ]
         return np.concatenate(errors), np.concatenate(deviations)
 
-    def _filter(self, pieces: Sequence[tuple[int, slice]], p: Array, times: Sequence[Array], noise: Noise) -> None:
-        """Filter some segments: number of a recording and rows of its table. Another thread may run meanwhile."""
+    def _filter(
+        self, pieces: Sequence[tuple[int, slice]], p: Array, times: Sequence[Array], noise: Noise
+    ) -> None:
+        """Filter some segments: number of a recording and rows of its table.
+
+        Another thread may run meanwhile.
+        """
         for j, rows in pieces:
             m, out, spread, speeds = self.motions[j], self._out[j], self._spread[j], self._speeds[j]
             variance = m.angle_variance + noise.angle**2
             staying = m.angle_variance * math.exp(-_FORGOTTEN * noise.angle**2 / m.angle_variance)
-            level = np.array([noise.torque, variance, noise.correlated, noise.correlation_s, staying])
+            level = np.array(
+                [noise.torque, variance, noise.correlated, noise.correlation_s, staying]
+            )
             innovations(
                 m.table[rows], times[j][rows], m.time, m.angle, m.torque, m.slope, m.moment,
-                m.extra_inertia, level, m.steps, m.unsure, p, out, spread, speeds, self.correlated_torque[j],
+                m.extra_inertia, level, m.steps, m.unsure, p, out, spread, speeds,
+                self.correlated_torque[j],
             )  # fmt: skip
 
     @cached_property
     def _halves(self) -> tuple[list[tuple[int, slice]], list[tuple[int, slice]]]:
-        """Two sets of segments that take about equal time: number of the recording and rows of its table.
+        """Two sets of segments that take about equal time: number of the recording and rows of its
+        table.
 
-        The second set is empty where a second thread would not save time. A segment that does not start from rest
-        continues the one before it and stays with it.
+        The second set is empty where a second thread would not save time. A segment that does not
+        start from rest continues the one before it and stays with it.
         """
-        costs = [[float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]] for m in self.motions]
+        costs = [
+            [float(np.sum(m.steps[int(a) : int(b)])) for a, b in m.table[:, : LAST + 1]]
+            for m in self.motions
+        ]
         whole = sum(map(sum, costs))
         left = 0.5 * whole if whole > _LEAST_SHARED else math.inf
         parts: tuple[list[tuple[int, slice]], list[tuple[int, slice]]] = ([], [])
@@ -198,7 +237,9 @@ class Problem:
         return [b + s for b, s in zip(self.breakaway_times, np.split(shift, cuts), strict=True)]
 
     def predictions(self, x: Array) -> tuple[Array, Array]:
-        """Return innovations, rad, then ties (M22), N m, and the standard deviations of both, shape (r,)."""
+        """Return innovations, rad, then ties (M22), N m, and the standard deviations of both, shape
+        (r,).
+        """
         p = self.parameters(x)
         times = self.times(x)
         errors, deviations = self.run(p, times, self.noise)
@@ -208,7 +249,9 @@ class Problem:
         ]
         return np.concatenate([errors, *ends]), self._inflated(deviations)
 
-    def derivatives(self, x: Array, errors: Array, deviations: Array) -> tuple[BlockArrow, BlockArrow]:
+    def derivatives(
+        self, x: Array, errors: Array, deviations: Array
+    ) -> tuple[BlockArrow, BlockArrow]:
         """Return d errors / d x over the deviations, and d log deviations / d x, by differences."""
 
         def change(there: Array) -> Array:
@@ -219,7 +262,9 @@ class Problem:
         return self._arrow(parameters[0], times[0]), self._arrow(parameters[1], times[1])
 
     def residuals(self, x: Array) -> Array:
-        """Return the errors of :meth:`predictions` over the deviations of the last :meth:`hold_weights`."""
+        """Return the errors of :meth:`predictions` over the deviations of the last
+        :meth:`hold_weights`.
+        """
         errors, _ = self.predictions(x)
         return np.asarray(errors / self._deviation)
 
@@ -229,7 +274,8 @@ class Problem:
         return self._arrow(parameters[0], times[0])
 
     def _differences(self, x: Array, change: Callable[[Array], Array]) -> tuple[Array, Array]:
-        """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in the breakaway times.
+        """Return the slopes of ``change`` from ``x``, of shape (k, r): in the parameters, and in
+        the breakaway times.
 
         One run serves all breakaway times, because no residual depends on two of them.
         """
@@ -248,11 +294,12 @@ class Problem:
         return BlockArrow(parameters, times, self.owners, self.breakaways)
 
     def move_breakaways(self, threshold: float) -> bool:
-        """Move each breakaway time to the best of a grid of times around it; return whether any moved.
+        """Move each breakaway time to the best of a grid of times around it; return whether any
+        moved.
 
-        Noisy torque crosses the static limit more than once, so that a breakaway time has several minima, and one
-        segment in the wrong one shifts the static limit by several standard errors. Segments share no breakaway time,
-        so that each is judged by its own Huber cost.
+        Noisy torque crosses the static limit more than once, so that a breakaway time has several
+        minima, and one segment in the wrong one shifts the static limit by several standard errors.
+        Segments share no breakaway time, so that each is judged by its own Huber cost.
         """
         origin, count = self.origin(), len(self.free)
         owners = self.owners

@@ -18,7 +18,8 @@ class Noise:
     Attributes:
         torque: White part of the torque noise, N m rms over a period.
         angle: Noise of the angle beyond the quantisation of its encoder, rad rms.
-        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero without one.
+        correlated: Correlated part of the torque noise, a first-order process, N m rms; zero
+        without one.
         correlation_s: Time over which its autocorrelation falls to 1/e, s.
     """
 
@@ -36,12 +37,18 @@ class Noise:
         """Return the same noise with the white part of the torque noise multiplied by a factor."""
         return replace(self, torque=factor * self.torque)
 
-    def drawn(self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float) -> Array:
-        """Return independent rows of torque noise times ``share``, N m, one sample every ``period`` s."""
+    def drawn(
+        self, rng: np.random.Generator, shape: tuple[int, int], period: float, share: float
+    ) -> Array:
+        """Return independent rows of torque noise times ``share``, N m, one sample every ``period``
+        s.
+        """
         white = np.asarray(share * self.torque * rng.standard_normal(shape), dtype=np.float64)
         if self.correlated == 0.0:
             return white
         pole = math.exp(-period / self.correlation_s)
         shocks = share * self.correlated * rng.standard_normal(shape)
         shocks[:, 1:] *= math.sqrt(1.0 - pole * pole)
-        return np.asarray(white + signal.lfilter([1.0], [1.0, -pole], shocks, axis=1), dtype=np.float64)
+        return np.asarray(
+            white + signal.lfilter([1.0], [1.0, -pole], shocks, axis=1), dtype=np.float64
+        )

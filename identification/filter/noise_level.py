@@ -1,4 +1,6 @@
-"""Levels of torque and angle noise from the recordings, and the deviance that they minimise (M24 to M26)."""
+"""Levels of torque and angle noise from the recordings, and the deviance that they minimise (M24 to
+M26).
+"""
 
 from __future__ import annotations
 
@@ -27,20 +29,27 @@ _SIMPLEX_CORRELATED = (
     (0.0, -1.0, 0.0, 0.5),
 )
 _MOST_CORRELATED = 90
-"""Start of the search for the noise, in logarithms over its first value, and runs of the filter at most."""
+"""Start of the search for the noise, in logarithms over its first value, and runs of the filter at
+most.
+"""
 _SHARES, _PERIODS = (0.5, 1.5), (3.0, 10.0, 30.0, 100.0)
-"""Correlated parts tried first: standard deviation over the white part, correlation time in periods."""
+"""Correlated parts tried first: standard deviation over the white part, correlation time in
+periods.
+"""
 
 
 def torque_noise(motions: Sequence[Motion]) -> float:
-    """Return the torque scatter: by third differences inside segments and median absolute deviation, N m rms."""
+    """Return the torque scatter: by third differences inside segments and median absolute
+    deviation, N m rms.
+    """
     differences = [np.diff(m.torque, n=3)[m.inside[3:]] for m in motions]
     spread = np.median(np.abs(np.concatenate(differences)))
     return float(1.4826 * spread / np.sqrt(20.0))
 
 
 def likeliest_noise(problem: Problem) -> Noise:
-    """Return the noise of least deviance at a problem's start, with a correlated part where its own has one.
+    """Return the noise of least deviance at a problem's start, with a correlated part where its own
+    has one.
 
     Args:
         problem: Its parameters and breakaway times are held; the search starts from its noise.
@@ -68,27 +77,37 @@ def likeliest_noise(problem: Problem) -> Noise:
 
 
 def first_correlated_noise(problem: Problem) -> Noise:
-    """Return the noise of least deviance among a few with a correlated part, as a start of the search."""
+    """Return the noise of least deviance among a few with a correlated part, as a start of the
+    search.
+    """
     period = max(m.recording.period for m in problem.motions)
     tried = [
-        replace(problem.noise, correlated=share * problem.noise.torque, correlation_s=periods * period)
+        replace(
+            problem.noise, correlated=share * problem.noise.torque, correlation_s=periods * period
+        )
         for share in _SHARES
         for periods in _PERIODS
     ]
-    return min(tried, key=lambda noise: deviance(*problem.run(problem.start, problem.breakaway_times, noise)))
+    return min(
+        tried,
+        key=lambda noise: deviance(*problem.run(problem.start, problem.breakaway_times, noise)),
+    )
 
 
 def repeating_share(problem: Problem) -> float:
-    """Return the share of the filtered correlated noise that matching half cycles have in common (M26).
+    """Return the share of the filtered correlated noise that matching half cycles have in common
+    (M26).
 
-    Noise does not repeat; physics that the model lacks does. One where a recording has no matching half cycles of the
-    same direction.
+    Noise does not repeat; physics that the model lacks does. One where a recording has no matching
+    half cycles of the same direction.
     """
     problem.run(problem.start, problem.breakaway_times, problem.noise)
     common, power = 0.0, 0.0
     for m, hidden in zip(problem.motions, problem.correlated_torque, strict=True):
         first, last = m.table[:, [FIRST, LAST]].astype(np.int64).T
-        same = m.matching & m.matching.T & np.equal.outer(m.table[:, DIRECTION], m.table[:, DIRECTION])
+        same = (
+            m.matching & m.matching.T & np.equal.outer(m.table[:, DIRECTION], m.table[:, DIRECTION])
+        )
         pairs = np.argwhere(np.triu(same, 1))
         if len(pairs) == 0:
             return 1.0
@@ -101,5 +120,7 @@ def repeating_share(problem: Problem) -> float:
 
 
 def deviance(errors: Array, deviations: Array, clip: float = HUBER_THRESHOLD) -> float:
-    """Return -2 log likelihood of innovations with these standard deviations, outliers clipped (M24)."""
+    """Return -2 log likelihood of innovations with these standard deviations, outliers clipped
+    (M24).
+    """
     return float(np.sum(2.0 * np.log(deviations) + np.minimum((errors / deviations) ** 2, clip**2)))

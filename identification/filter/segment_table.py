@@ -3,5 +3,6 @@
 from __future__ import annotations
 
 FIRST, LAST, DIRECTION, TORQUE_RATE = range(4)
-"""First sample, sample after the last, direction of motion (1 or -1), and how fast the torque rises before the
-breakaway, N m/s; zero where the segment does not start from rest."""
+"""First sample, sample after the last, direction of motion (1 or -1), and how fast the torque rises
+before the breakaway, N m/s; zero where the segment does not start from rest.
+"""

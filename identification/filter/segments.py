@@ -1,4 +1,6 @@
-"""Motion segments of a recording, from one rest to the next, and what the filter needs of them (M5, M11)."""
+"""Motion segments of a recording, from one rest to the next, and what the filter needs of them (M5,
+M11).
+"""
 
 from __future__ import annotations
 
@@ -18,15 +20,21 @@ from identification.signals import quantum
 LEAD = 12
 """Samples before the first visible motion at which a segment starts."""
 TAIL = 20
-"""Samples before the next rest at which a segment ends, because the filter cannot know that the joint will stop."""
+"""Samples before the next rest at which a segment ends, because the filter cannot know that the
+joint will stop.
+"""
 LEAST_COUNTS = 20.0
 """Encoder steps that a segment moves at least."""
 FINE_STEPS = 8.0
 """Integration steps per sample near rest, where friction falls steeply."""
 STEPS = 4.0
-"""Integration steps per sample elsewhere: under a slow sine friction falls over all of its speeds."""
+"""Integration steps per sample elsewhere: under a slow sine friction falls over all of its
+speeds.
+"""
 ONSET_STEPS = 32.0
-"""Integration steps per sample right after a breakaway, where friction's fall multiplies the error of every step."""
+"""Integration steps per sample right after a breakaway, where friction's fall multiplies the error
+of every step.
+"""
 FINE_SAMPLES = 30
 RISING = 20
 """Samples before the first visible motion over which the torque's rate of rise is taken."""
@@ -77,7 +85,9 @@ class Motion:
     angle_variance: float
 
     def torque_at(self, when: Array) -> Array:
-        """Return the torque at any time, linear between the centres of the periods it was averaged over, N m."""
+        """Return the torque at any time, linear between the centres of the periods it was averaged
+        over, N m.
+        """
         return np.interp(when, self.time - 0.5 * self.recording.period, self.torque)
 
     @property
@@ -87,23 +97,30 @@ class Motion:
 
     @property
     def matching(self) -> BoolArray:
-        """Whether two segments are matching half cycles (M11), in either direction, shape (m, m); true on the diagonal.
+        """Whether two segments are matching half cycles (M11), in either direction, shape (m, m);
+        true on the diagonal.
 
         A segment without a match matches all segments of its recording.
         """
         first, last = self.table[:, [FIRST, LAST]].astype(np.int64).T
         since = np.linspace(0.0, float(np.max(last - first)), INSTANTS).astype(np.int64)
-        half_cycles = self.angle[np.minimum(first[:, None] + since, last[:, None] - 1)] - self.angle[first, None]
+        half_cycles = (
+            self.angle[np.minimum(first[:, None] + since, last[:, None] - 1)]
+            - self.angle[first, None]
+        )
         half_cycles *= self.table[:, DIRECTION, None]
         reach = np.max(np.abs(half_cycles), axis=1)
         matching = np.empty((len(first), len(first)), dtype=bool)
         for j, half_cycle in enumerate(half_cycles):
-            matching[j] = np.max(np.abs(half_cycles - half_cycle), axis=1) <= ALIKE * np.maximum(reach, reach[j])
+            matching[j] = np.max(np.abs(half_cycles - half_cycle), axis=1) <= ALIKE * np.maximum(
+                reach, reach[j]
+            )
         matching[np.sum(matching, axis=1) < 2] = True
         return matching
 
     def static_crossing(self, static: Array | float) -> Array:
-        """Return when the torque of each segment first reaches ``static``, at visible motion at the latest, s, (m,).
+        """Return when the torque of each segment first reaches ``static``, at visible motion at the
+        latest, s, (m,).
 
         ``static`` is one level for all, N m, or one for each, shape (m,).
         """
@@ -121,7 +138,9 @@ class Motion:
                 out[j] = when[0]
             else:
                 k = int(above[0])
-                out[j] = when[k - 1] + (when[k] - when[k - 1]) * excess[k - 1] / (excess[k - 1] - excess[k])
+                out[j] = when[k - 1] + (when[k] - when[k - 1]) * excess[k - 1] / (
+                    excess[k - 1] - excess[k]
+                )
         return np.minimum(out, self.time[self.seen.astype(np.int64)])
 
     def peak_torque(self) -> float:
@@ -134,10 +153,12 @@ class Motion:
 
 
 def motion(recording: Recording) -> Motion | None:
-    """Return the motion segments of a recording that start from rest, or None where the filter does not apply.
+    """Return the motion segments of a recording that start from rest, or None where the filter does
+    not apply.
 
-    It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque or current and at
-    least two segments. Single samples may be missing or late; segments with longer gaps are left out.
+    It applies to evenly sampled recordings with a quantised joint or motor angle, a measured torque
+    or current and at least two segments. Single samples may be missing or late; segments with
+    longer gaps are left out.
     """
     if not ({"torque", "current"} & recording.channels.keys()):
         return None
@@ -190,11 +211,14 @@ def motion(recording: Recording) -> Motion | None:
     )
 
 
-def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array) -> Array:
+def _unsure(
+    time: Array, angle: Array, step: float, velocity: Array, table: Array, seen: Array
+) -> Array:
     """Return the variance added to the speed's where a segment almost stops, (rad/s)^2, shape (n,).
 
-    Whether the joint stops there or moves on depends on the noise, which the fall of friction multiplies. A filter that
-    is linear about its prediction would be too certain, and one such segment would outweigh all others.
+    Whether the joint stops there or moves on depends on the noise, which the fall of friction
+    multiplies. A filter that is linear about its prediction would be too certain, and one such
+    segment would outweigh all others.
     """
     period = float(np.median(np.diff(time)))
     fastest = float(np.quantile(np.abs(velocity), 0.99))
@@ -208,7 +232,9 @@ def _unsure(time: Array, angle: Array, step: float, velocity: Array, table: Arra
 
 
 def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
-    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite where none rises."""
+    """Return the rate of rise of the torque before each breakaway, N m/s, shape (m,); infinite
+    where none rises.
+    """
     out = np.empty(len(table))
     for j, (side, last) in enumerate(zip(table[:, DIRECTION], seen.astype(np.int64), strict=True)):
         window = slice(max(last + 1 - RISING, 0), last + 1)
@@ -218,7 +244,8 @@ def _rises(time: Array, torque: Array, table: Array, seen: Array) -> Array:
 
 
 def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
-    """Return the table of segments that start from rest and have no gaps, and the first sample that visibly moved.
+    """Return the table of segments that start from rest and have no gaps, and the first sample that
+    visibly moved.
 
     The torque's rate of rise is left at one.
     """
@@ -249,6 +276,8 @@ def _table(angle: Array, step: float, holes: BoolArray) -> tuple[Array, Array]:
 
 
 def _reverses(angle: Array, side: float, step: float) -> bool:
-    """Return whether a segment turns back by more than the noise of its encoder without coming to rest."""
+    """Return whether a segment turns back by more than the noise of its encoder without coming to
+    rest.
+    """
     forward = side * angle
     return bool(np.max(np.maximum.accumulate(forward) - forward) > 3.0 * step)

@@ -1,1 +1,3 @@
-"""The nominal model: friction law, parameters, valve, gas generator, feed-forward; no recordings."""
+"""The nominal model: friction law, parameters, valve, gas generator, feed-forward; no
+recordings.
+"""

@@ -1,10 +1,12 @@
-"""Feed-forward torque from identified parameters (eq. 15), and torque pulses at the falling branch of friction.
+"""Feed-forward torque from identified parameters (eq. 15), and torque pulses at the falling branch
+of friction.
 
-Friction follows the commanded speed, not the measured one, so that feed-forward does not affect stability. Where
-friction falls with speed (eq. 9 and 13 above rest) a softly held joint sticks and slips even if its mean torque is
-known: :mod:`identification.model.feedback` returns the damping that the falling branch takes, as far as the delay of a
-bus allows. Where that is too little, the torque is pulsed, which moves the joint through the falling branch many times
-a second instead of in a slower limit cycle.
+Friction follows the commanded speed, not the measured one, so that feed-forward does not affect
+stability. Where friction falls with speed (eq. 9 and 13 above rest) a softly held joint sticks and
+slips even if its mean torque is known: :mod:`identification.model.feedback` returns the damping
+that the falling branch takes, as far as the delay of a bus allows. Where that is too little, the
+torque is pulsed, which moves the joint through the falling branch many times a second instead of in
+a slower limit cycle.
 """
 
 from __future__ import annotations
@@ -18,19 +20,30 @@ from identification.model.friction import load_coefficient, system_friction
 from identification.numerics.arrays import Array
 
 SMOOTHING_RAD_S = 1e-3
-"""Commanded speed over which the sign of friction changes: below what any encoder of this kind resolves in a cycle."""
+"""Commanded speed over which the sign of friction changes: below what any encoder of this kind
+resolves in a cycle.
+"""
 RISE_SHARE = 0.4
-"""Share of friction's rise toward rest in the mean torque under pulses: between them the joint rests on less."""
+"""Share of friction's rise toward rest in the mean torque under pulses: between them the joint
+rests on less.
+"""
 PULSE = (1.0, -0.5, -0.5)
-"""One pulse, a value a cycle, in pulse heights; its mean is none. Three cycles are the shortest with a rest."""
-_PULSE_SPEEDS = 2.0  # speed that a pulse gives the bare inertia, in speeds until which friction falls
+"""One pulse, a value a cycle, in pulse heights; its mean is none.
+
+Three cycles are the shortest with a rest.
+"""
+_PULSE_SPEEDS = (
+    2.0  # speed that a pulse gives the bare inertia, in speeds until which friction falls
+)
 _PULSE_END = 1.5  # commanded speed at which pulses fade, in the same
 _GRID_POINTS = 2000
 _GRID_SPAN = 4.0  # in Stribeck speeds; beyond, eq. 9 and 13 rise again
 
 
 def commanded_speed(angle: Array, period: float) -> Array:
-    """Return the speed at which each commanded angle is approached from the one before it, rad/s, shape (n,)."""
+    """Return the speed at which each commanded angle is approached from the one before it, rad/s,
+    shape (n,).
+    """
     return np.diff(angle, prepend=angle[:1]) / period
 
 
@@ -39,21 +52,28 @@ def motion(angle: Array, period: float) -> Array:
     return np.tanh(commanded_speed(angle, period) / SMOOTHING_RAD_S)
 
 
-def feedforward(angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float) -> Array:
-    """Return the joint torque to feed forward for a commanded motion, by eq. 15: friction, working load and inertia.
+def feedforward(
+    angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float
+) -> Array:
+    """Return the joint torque to feed forward for a commanded motion, by eq. 15: friction, working
+    load and inertia.
 
-    Where friction falls by more than damping gives back, a share of the rise and :func:`pulses` take the place of the
-    static friction, which fed forward as a whole would drive on a joint that has broken away.
+    Where friction falls by more than damping gives back, a share of the rise and :func:`pulses`
+    take the place of the static friction, which fed forward as a whole would drive on a joint that
+    has broken away.
 
     Args:
-        angle: Commanded joint angles, rad, one a period, shape (n,); each is reached at the end of its period.
+        angle: Commanded joint angles, rad, one a period, shape (n,); each is reached at the end of
+        its period.
         period: s.
-        parameters: ``Mc``, ``Ms``, ``omega_sf``, ``sigma_2``, ``J`` and, under load, the four of eq. 12; SI.
+        parameters: ``Mc``, ``Ms``, ``omega_sf``, ``sigma_2``, ``J`` and, under load, the four of
+        eq. 12; SI.
         alpha: Stribeck exponent.
         moment: Contact moment F_P L1, N m.
 
     Returns:
-        N m, shape (n,), for the period that ends at each angle. At the start of a motion it is the static friction.
+        N m, shape (n,), for the period that ends at each angle. At the start of a motion it is the
+        static friction.
     """
     beats = pulses(angle, period, parameters, alpha, moment)
     if np.any(beats):
@@ -68,13 +88,17 @@ def feedforward(angle: Array, period: float, parameters: Mapping[str, float], al
     return np.asarray(motion(angle, period) * friction + parameters["J"] * acceleration + beats)
 
 
-def pulses(angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float) -> Array:
-    """Return the torque pulses of a commanded motion, N m, shape (n,): none where damping outweighs friction's fall.
+def pulses(
+    angle: Array, period: float, parameters: Mapping[str, float], alpha: float, moment: float
+) -> Array:
+    """Return the torque pulses of a commanded motion, N m, shape (n,): none where damping outweighs
+    friction's fall.
 
-    On the falling branch a joint under a steady torque sticks or runs off. A cycle of more than the static friction and
-    two of less than the kinetic make a small step, over before it can grow. Of such a height that the inertia, left to
-    itself, would gain twice the speed until which friction falls, unless the torque between pulses turned against the
-    motion, and the teeth of the gear with it. Above the falling branch the pulses fade.
+    On the falling branch a joint under a steady torque sticks or runs off. A cycle of more than the
+    static friction and two of less than the kinetic make a small step, over before it can grow. Of
+    such a height that the inertia, left to itself, would gain twice the speed until which friction
+    falls, unless the torque between pulses turned against the motion, and the teeth of the gear
+    with it. Above the falling branch the pulses fade.
 
     Args:
         angle: As for :func:`feedforward`.
@@ -93,8 +117,11 @@ def pulses(angle: Array, period: float, parameters: Mapping[str, float], alpha: 
     return np.asarray(height * beat * fade * motion(angle, period))
 
 
-def falls_until(parameters: Mapping[str, float], alpha: float, moment: float, damping: float) -> float:
-    """Return the speed beyond which friction falls by no more than ``damping`` gives back, rad/s; 0 if it never does.
+def falls_until(
+    parameters: Mapping[str, float], alpha: float, moment: float, damping: float
+) -> float:
+    """Return the speed beyond which friction falls by no more than ``damping`` gives back, rad/s; 0
+    if it never does.
 
     Args:
         parameters: As for :func:`feedforward`.
@@ -112,7 +139,9 @@ def falls_until(parameters: Mapping[str, float], alpha: float, moment: float, da
 
 
 def _with_rise(parameters: Mapping[str, float], share: float, moment: float) -> dict[str, float]:
-    """Return the parameters with this share of the rise from Coulomb to static friction, eq. 9 and 12."""
+    """Return the parameters with this share of the rise from Coulomb to static friction, eq. 9 and
+    12.
+    """
     p = dict(parameters)
     p["Ms"] = p["Mc"] + share * (p["Ms"] - p["Mc"])
     if moment:

@@ -1,8 +1,10 @@
-"""The friction law, eq. 9, 12 and 13 (M1, M2): compiled for one speed, its expectation, and broadcasting over arrays.
+"""The friction law, eq. 9, 12 and 13 (M1, M2): compiled for one speed, its expectation, and
+broadcasting over arrays.
 
 With speed w >= 0, contact moment m and gear load g the magnitude of friction is
 
-    F = Mc + sigma_2 w + (dM + g dmu_g) e(w/omega_sf) + m (mu_c + mu_2 w + dmu e(w/omega_sL)) + g mu_gc
+    F = Mc + sigma_2 w + (dM + g dmu_g) e(w/omega_sf) + m (mu_c + mu_2 w + dmu e(w/omega_sL)) + g
+    mu_gc
 
 where e(x) = exp(-x^alpha). At rest F is the static limit (M3).
 """
@@ -75,11 +77,14 @@ def static_friction(moment: float, p: Array) -> float:
 
 
 @inlined
-def _falling(height: float, speed: float, omega_s: float, alpha: float, variance: float) -> tuple[float, float]:
-    """Return the expected falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope at ``speed`` > 0.
+def _falling(
+    height: float, speed: float, omega_s: float, alpha: float, variance: float
+) -> tuple[float, float]:
+    """Return the expected falling part ``height`` exp(-(speed/omega_s)^alpha), N m, and its slope
+    at ``speed`` > 0.
 
-    The mean over a speed of that ``variance`` to second order (M15); a variance above omega_s^2, where the expansion
-    does not hold, counts as omega_s^2.
+    The mean over a speed of that ``variance`` to second order (M15); a variance above omega_s^2,
+    where the expansion does not hold, counts as omega_s^2.
     """
     within = omega_s * omega_s
     rate = 1.0 / within
@@ -95,12 +100,16 @@ def _falling(height: float, speed: float, omega_s: float, alpha: float, variance
 
 
 @inlined
-def expected_friction(speed: float, variance: float, moment: float, p: Array) -> tuple[float, float]:
-    """Return the expected magnitude of friction, N m, and its slope, for an uncertain speed > 0 (M15).
+def expected_friction(
+    speed: float, variance: float, moment: float, p: Array
+) -> tuple[float, float]:
+    """Return the expected magnitude of friction, N m, and its slope, for an uncertain speed > 0
+    (M15).
 
     Args:
         speed: Magnitude of the mean, rad/s.
-        variance: Of the speed, (rad/s)^2; with zero this is :func:`friction`, in fewer operations where alpha is 2.
+        variance: Of the speed, (rad/s)^2; with zero this is :func:`friction`, in fewer operations
+        where alpha is 2.
         moment: Contact moment F_P L1, N m.
         p: Vector of :mod:`identification.model.parameters`.
     """
@@ -115,7 +124,9 @@ def expected_friction(speed: float, variance: float, moment: float, p: Array) ->
 
 
 def stribeck_shape(velocity: Array, omega_s: float, alpha: float) -> Array:
-    """Return sgn(omega) exp(-|omega/omega_s|^alpha), the falling part of eq. 9, shape of ``velocity``."""
+    """Return sgn(omega) exp(-|omega/omega_s|^alpha), the falling part of eq. 9, shape of
+    ``velocity``.
+    """
     return np.asarray(np.sign(velocity) * np.exp(-(np.abs(velocity / omega_s) ** alpha)))
 
 

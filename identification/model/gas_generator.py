@@ -1,4 +1,6 @@
-"""The gas generator of the paper, eq. 2 to 8: constants, equilibrium, pressure from a history of the valve's angle."""
+"""The gas generator of the paper, eq. 2 to 8: constants, equilibrium, pressure from a history of
+the valve's angle.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ LAYER_STEP = 2.5e-4
 
 @dataclass(frozen=True)
 class GasGenerator:
-    """Constants of eq. 2 to 8, SI. The paper gives the first four and the valve; the others are chosen.
+    """Constants of eq. 2 to 8, SI.
+
+    The paper gives the first four and the valve; the others are chosen.
 
     Attributes:
         rho_b: Density of the propellant, kg/m^3.
@@ -50,12 +54,20 @@ class GasGenerator:
         Raises:
             ValueError: A constant is not positive, n is not below 1, or gamma not above 1.
         """
-        numbers = {name: value for name, value in vars(self).items() if name not in ("valve", "p_c0")}
-        wrong = [f"{name} = {value:g}" for name, value in numbers.items() if not 0.0 < value < math.inf]
+        numbers = {
+            name: value for name, value in vars(self).items() if name not in ("valve", "p_c0")
+        }
+        wrong = [
+            f"{name} = {value:g}" for name, value in numbers.items() if not 0.0 < value < math.inf
+        ]
         if wrong:
-            raise ValueError(f"{', '.join(wrong)}: constants of the gas generator must be positive and finite")
+            raise ValueError(
+                f"{', '.join(wrong)}: constants of the gas generator must be positive and finite"
+            )
         if self.n >= 1.0:
-            raise ValueError(f"n = {self.n:g}: from 1 on the pressure has no stable equilibrium; n < 1")
+            raise ValueError(
+                f"n = {self.n:g}: from 1 on the pressure has no stable equilibrium; n < 1"
+            )
         if self.gamma <= 1.0:
             raise ValueError(f"gamma = {self.gamma:g}: specific heats have a ratio above 1")
 
@@ -90,10 +102,12 @@ class Burn(NamedTuple):
 
 
 def equilibrium_pressure(throat: Array | float, g: GasGenerator, *, exact: bool = True) -> Array:
-    """Return the pressure at which as much is burnt as flows out and fills the space that the web leaves, Pa.
+    """Return the pressure at which as much is burnt as flows out and fills the space that the web
+    leaves, Pa.
 
-    Eq. 8 has a closed form. Eq. 7, x = p^(1-n): x A_t/C_r + A_b a x^(1/(1-n)) / R_g T_g = rho_b A_b a, rises with x
-    from zero: one root, below that of eq. 8, found from there by Newton's steps, the left side being convex.
+    Eq. 8 has a closed form. Eq. 7, x = p^(1-n): x A_t/C_r + A_b a x^(1/(1-n)) / R_g T_g = rho_b A_b
+    a, rises with x from zero: one root, below that of eq. 8, found from there by Newton's steps,
+    the left side being convex.
 
     Args:
         throat: A_t, m^2.
@@ -141,7 +155,9 @@ def pressure_history(
     if start_pressure is None:
         start_pressure = float(equilibrium_pressure(areas[0, 0], g, exact=exact))
     if not start_pressure > 0.0:
-        raise ValueError(f"start pressure {start_pressure:g} Pa; nothing burns below zero: give a positive one")
+        raise ValueError(
+            f"start pressure {start_pressure:g} Pa; nothing burns below zero: give a positive one"
+        )
     c = constants(g, {}, start_pressure, g.V_0, exact=exact)
     out = np.empty((3, len(time)))
     kernel.march(np.ascontiguousarray(time, dtype=np.float64), areas, c, kernel.NOTHING, out)
@@ -149,14 +165,24 @@ def pressure_history(
 
 
 def constants(
-    g: GasGenerator, corrected: Mapping[str, float], start_pressure: float, start_volume: float, *, exact: bool = True
+    g: GasGenerator,
+    corrected: Mapping[str, float],
+    start_pressure: float,
+    start_volume: float,
+    *,
+    exact: bool = True,
 ) -> Array:
-    """Pack constants for the kernel; ``a``, ``n`` and ``C_r`` are taken from ``corrected`` where it has them."""
+    """Pack constants for the kernel; ``a``, ``n`` and ``C_r`` are taken from ``corrected`` where it
+    has them.
+    """
     C_r = corrected.get("C_r", g.C_r)
     RT = (g.Gamma * C_r) ** 2
     c = np.zeros(kernel.CONSTANTS_SIZE)
     c[kernel.DENSITY], c[kernel.BURNING_AREA] = g.rho_b, g.A_b
-    c[kernel.BURNING_COEFFICIENT], c[kernel.EXPONENT] = corrected.get("a", g.a), corrected.get("n", g.n)
+    c[kernel.BURNING_COEFFICIENT], c[kernel.EXPONENT] = (
+        corrected.get("a", g.a),
+        corrected.get("n", g.n),
+    )
     c[kernel.VELOCITY], c[kernel.ENERGY] = C_r, RT
     c[kernel.ENTHALPY] = g.gamma / (g.gamma - 1.0) * RT
     c[kernel.EXACT] = 1.0 if exact else 0.0
@@ -165,13 +191,19 @@ def constants(
 
 
 def throat_derivatives(angle: Array, valve: ValveGeometry) -> Array:
-    """Return A_t and its first and second derivative by the thickness of a layer on all rims, shape (3, n), m^2, m, 1.
+    """Return A_t and its first and second derivative by the thickness of a layer on all rims, shape
+    (3, n), m^2, m, 1.
 
-    A layer of thickness h makes d and D smaller by 2 h; the parabola goes through h = 0, 0.25 and 0.5 mm.
+    A layer of thickness h makes d and D smaller by 2 h; the parabola goes through h = 0, 0.25 and
+    0.5 mm.
     """
     h = LAYER_STEP
     bare, one, two = (
-        throat_area(angle, ValveGeometry(valve.d - 2.0 * k * h, valve.D - 2.0 * k * h, valve.b, valve.L1))
+        throat_area(
+            angle, ValveGeometry(valve.d - 2.0 * k * h, valve.D - 2.0 * k * h, valve.b, valve.L1)
+        )
         for k in range(3)
     )
-    return np.stack([bare, (4.0 * one - 3.0 * bare - two) / (2.0 * h), (bare - 2.0 * one + two) / h**2])
+    return np.stack(
+        [bare, (4.0 * one - 3.0 * bare - two) / (2.0 * h), (bare - 2.0 * one + two) / h**2]
+    )

@@ -1,13 +1,14 @@
 """The compiled march of the gas generator, eq. 2 to 8, with what may be missing from it.
 
-The state is (ln p, w, ln s): pressure, web burnt and the gas temperature over that of the flame. The stored gas is
-m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads
+The state is (ln p, w, ln s): pressure, web burnt and the gas temperature over that of the flame.
+The stored gas is m = p V / (R_g T_g s), so that its balance (eq. 4, 5) reads
 
-    d ln p/dt = (m_r - m_g) / m - (A_b r) / V + d ln s/dt,    dw/dt = r,    m ds/dt = m_r (1 - s) - s Q / h,
+    d ln p/dt = (m_r - m_g) / m - (A_b r) / V + d ln s/dt,
+    dw/dt = r,    m ds/dt = m_r (1 - s) - s Q / h,
 
-with the burnt mass m_r = rho_b A_b r, the outflow m_g = p A / (C_r sqrt(s)), and V = V_start + the volume that the web
-w has left. Eq. 8 lacks the term A_b r / V, and s = 1 where no heat is lost. Classical Runge-Kutta steps, as many in
-each sample period as the emptying of the chamber asks for.
+with the burnt mass m_r = rho_b A_b r, the outflow m_g = p A / (C_r sqrt(s)), and V = V_start + the
+volume that the web w has left. Eq. 8 lacks the term A_b r / V, and s = 1 where no heat is lost.
+Classical Runge-Kutta steps, as many in each sample period as the emptying of the chamber asks for.
 """
 
 from __future__ import annotations
@@ -53,8 +54,12 @@ _LONGEST = 0.25
 
 
 @compiled
-def rates(y: float, w: float, z: float, t: float, area: float, c: Array, e: Array) -> tuple[float, float, float]:
-    """Return the derivatives of ln p, w and ln s at ``t`` s of burning with an effective throat of ``area`` m^2."""
+def rates(
+    y: float, w: float, z: float, t: float, area: float, c: Array, e: Array
+) -> tuple[float, float, float]:
+    """Return the derivatives of ln p, w and ln s at ``t`` s of burning with an effective throat of
+    ``area`` m^2.
+    """
     root = math.exp(0.5 * z) if z != 0.0 else 1.0
     s = root * root
     taper = e[TAPER]
@@ -79,14 +84,20 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
 
     Args:
         time: Since ignition, s, shape (n,), increasing.
-        areas: Throat at each sample and its first and second derivative by the thickness of a deposit, shape (3, n).
+        areas: Throat at each sample and its first and second derivative by the thickness of a
+        deposit, shape (3, n).
         c: Constants.
         e: What is missing.
         out: Filled with pressure (Pa), web burnt (m) and the pressure's rate (Pa/s), shape (3, n).
     """
     y, w, z = math.log(c[START_PRESSURE]), 0.0, 0.0
     if e[HEAT_FLOW] != 0.0:
-        flow = c[DENSITY] * c[BURNING_AREA] * c[BURNING_COEFFICIENT] * (c[START_PRESSURE] / 1e6) ** c[EXPONENT]
+        flow = (
+            c[DENSITY]
+            * c[BURNING_AREA]
+            * c[BURNING_COEFFICIENT]
+            * (c[START_PRESSURE] / 1e6) ** c[EXPONENT]
+        )
         z = -math.log1p(e[HEAT_FLOW] * math.exp(-time[0] / e[HEAT_TIME]) / (flow * c[ENTHALPY]))
     layer = e[LAYER_RATE] * time[0]
     after = areas[0, 0] + layer * (areas[1, 0] + 0.5 * layer * areas[2, 0]) + e[LEAK]
@@ -105,8 +116,12 @@ def march(time: Array, areas: Array, c: Array, e: Array, out: Array) -> None:
             t = time[k - 1] + j * h
             a1 = before + (after - before) * (j + 0.5) / steps
             a2 = before + (after - before) * (j + 1) / steps
-            y2, w2, z2 = rates(y + 0.5 * h * y1, w + 0.5 * h * w1, z + 0.5 * h * z1, t + 0.5 * h, a1, c, e)
-            y3, w3, z3 = rates(y + 0.5 * h * y2, w + 0.5 * h * w2, z + 0.5 * h * z2, t + 0.5 * h, a1, c, e)
+            y2, w2, z2 = rates(
+                y + 0.5 * h * y1, w + 0.5 * h * w1, z + 0.5 * h * z1, t + 0.5 * h, a1, c, e
+            )
+            y3, w3, z3 = rates(
+                y + 0.5 * h * y2, w + 0.5 * h * w2, z + 0.5 * h * z2, t + 0.5 * h, a1, c, e
+            )
             y4, w4, z4 = rates(y + h * y3, w + h * w3, z + h * z3, t + h, a2, c, e)
             y += h / 6.0 * (y1 + 2.0 * y2 + 2.0 * y3 + y4)
             w += h / 6.0 * (w1 + 2.0 * w2 + 2.0 * w3 + w4)

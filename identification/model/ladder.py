@@ -1,7 +1,8 @@
 """The ladder of friction models a bench may be declared to have: which terms are in, as data.
 
-Terms are those of eq. 9, and two of the bracket of eq. 13 for the load a gear carries: ``mu_gc`` and ``mu_gs`` multiply
-the magnitude of a known load torque, a pendulum's m g l sin(angle - zero). The falling parts of both share omega_sf.
+Terms are those of eq. 9, and two of the bracket of eq. 13 for the load a gear carries: ``mu_gc``
+and ``mu_gs`` multiply the magnitude of a known load torque, a pendulum's m g l sin(angle - zero).
+The falling parts of both share omega_sf.
 """
 
 from __future__ import annotations

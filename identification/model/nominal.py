@@ -1,4 +1,6 @@
-"""Nominal values of the catalogue: the paper's (Sec. 4.2), inertia as the practical bench has it at the valve shaft."""
+"""Nominal values of the catalogue: the paper's (Sec. 4.2), inertia as the practical bench has it at
+the valve shaft.
+"""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
-"""The parameters of the nominal model: names, units, and places in the vector that compiled kernels take.
+"""The parameters of the nominal model: names, units, and places in the vector that compiled kernels
+take.
 
-The vector holds rises where tables hold static levels (dM = Ms - Mc, dmu = mu_s - mu_c), because a search bounds and
-regresses rises.
+The vector holds rises where tables hold static levels (dM = Ms - Mc, dmu = mu_s - mu_c), because a
+search bounds and regresses rises.
 """
 
 from __future__ import annotations
@@ -18,8 +19,14 @@ LOAD_PARAMETERS = ("mu_c", "mu_s", "omega_sL", "mu_2")
 """Found by the loaded fit (eq. 15)."""
 GEAR_PARAMETERS = ("mu_gc", "mu_gs")
 """Found by the unloaded fit where friction grows with a pendulum's torque."""
-STRIBECK_TERMS = (("Mc", "Ms", "omega_sf"), ("mu_c", "mu_s", "omega_sL"), ("mu_gc", "mu_gs", "omega_sf"))
-"""Coulomb level, static level and Stribeck speed of each part of friction that may rise toward rest."""
+STRIBECK_TERMS = (
+    ("Mc", "Ms", "omega_sf"),
+    ("mu_c", "mu_s", "omega_sL"),
+    ("mu_gc", "mu_gs", "omega_sf"),
+)
+"""Coulomb level, static level and Stribeck speed of each part of friction that may rise toward
+rest.
+"""
 
 UNITS_ROTARY: Mapping[str, str] = {
     "J": "kg m^2",
@@ -50,8 +57,11 @@ UNITS_LINEAR: Mapping[str, str] = {
 MC, SYSTEM_RISE, OMEGA_SF, SIGMA_2, INERTIA = range(5)
 MU_C, LOAD_RISE, OMEGA_SL, MU_2, OFFSET = range(5, 10)
 MU_GC, GEAR_RISE, ALPHA, WEIGHT, ZERO, SIZE = range(10, 16)
-"""Places in the vector. ``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) are of a declared pendulum, ``ALPHA`` is the
-Stribeck exponent."""
+"""Places in the vector.
+
+``WEIGHT`` (m g l, N m) and ``ZERO`` (rad) are of a declared pendulum, ``ALPHA`` is the Stribeck
+exponent.
+"""
 INDEX: Mapping[str, int] = {
     "Mc": MC,
     "Ms": SYSTEM_RISE,
@@ -86,7 +96,9 @@ def pack(values: Mapping[str, float], alpha: float) -> Array:
         if name in values:
             p[k] = values[name]
     p[MU_GC] = values.get("mu_gc", 0.0)
-    for (coulomb, static, _), k in zip(STRIBECK_TERMS, (SYSTEM_RISE, LOAD_RISE, GEAR_RISE), strict=True):
+    for (coulomb, static, _), k in zip(
+        STRIBECK_TERMS, (SYSTEM_RISE, LOAD_RISE, GEAR_RISE), strict=True
+    ):
         p[k] = max(values.get(static, 0.0) - values.get(coulomb, 0.0), 0.0)
     p[ALPHA] = alpha
     return p

@@ -1,11 +1,13 @@
 """Throat and impacted area of the swinging gate (Fig. 3), against its angle.
 
-A plate of width b with a hole of diameter d swings in its own plane on the radius L1 over an opening of diameter D.
-What the plate covers of the opening is the impacted area A_s, the rest is the throat: A_s + A_t = pi D^2/4.
+A plate of width b with a hole of diameter d swings in its own plane on the radius L1 over an
+opening of diameter D. What the plate covers of the opening is the impacted area A_s, the rest is
+the throat: A_s + A_t = pi D^2/4.
 
-Seen from the plate, the opening's centre lies L1 sin(theta) beside its middle line and 2 L1 sin(theta/2) from the
-hole's centre. Every area is then a sum of caps, discs cut by a straight line: the plate's edges cut the opening, and
-what opening and hole share is cut in two by the line through their crossings (their radical line).
+Seen from the plate, the opening's centre lies L1 sin(theta) beside its middle line and 2 L1
+sin(theta/2) from the hole's centre. Every area is then a sum of caps, discs cut by a straight line:
+the plate's edges cut the opening, and what opening and hole share is cut in two by the line through
+their crossings (their radical line).
 """
 
 from __future__ import annotations
@@ -40,11 +42,20 @@ class ValveGeometry:
         Raises:
             ValueError: A dimension is not positive, or the hole does not fit into the plate.
         """
-        small = [f"{name} = {value:g} m" for name, value in vars(self).items() if not 0.0 < value < math.inf]
+        small = [
+            f"{name} = {value:g} m"
+            for name, value in vars(self).items()
+            if not 0.0 < value < math.inf
+        ]
         if small:
-            raise ValueError(f"{', '.join(small)}: dimensions of the valve must be positive and finite")
+            raise ValueError(
+                f"{', '.join(small)}: dimensions of the valve must be positive and finite"
+            )
         if self.d > self.b:
-            raise ValueError(f"hole d = {self.d:g} m is wider than its plate, b = {self.b:g} m; they may be exchanged")
+            raise ValueError(
+                f"hole d = {self.d:g} m is wider than its plate, b = {self.b:g} m; they may be "
+                f"exchanged"
+            )
 
     @property
     def opening_area(self) -> float:
@@ -53,7 +64,9 @@ class ValveGeometry:
 
     @property
     def clearing_angle(self) -> float:
-        """Angle from which the plate covers nothing, rad; infinite where it is too wide for its arm."""
+        """Angle from which the plate covers nothing, rad; infinite where it is too wide for its
+        arm.
+        """
         reach = 0.5 * (self.b + self.D) / self.L1
         return math.asin(reach) if reach <= 1.0 else math.inf
 
@@ -66,7 +79,8 @@ def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
     """Return A_t, m^2, the shape of ``angle``.
 
     Args:
-        angle: Valve angle theta_r, rad, of any shape; 0 where hole and opening are concentric, within +-pi/2.
+        angle: Valve angle theta_r, rad, of any shape; 0 where hole and opening are concentric,
+        within +-pi/2.
         geometry: Dimensions.
     """
     angle = np.abs(angle)
@@ -80,12 +94,16 @@ def throat_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
 
 
 def impacted_area(angle: Array, geometry: ValveGeometry = PAPER) -> Array:
-    """Return A_s, m^2, the shape of ``angle``, on which the pressure difference acts (eq. 10); arguments as above."""
+    """Return A_s, m^2, the shape of ``angle``, on which the pressure difference acts (eq. 10);
+    arguments as above.
+    """
     return np.asarray(geometry.opening_area - throat_area(angle, geometry))
 
 
 def _cap(radius: float, distance: Array) -> Array:
-    """Return the area of a disc beyond a line at a signed distance from its centre; none or all where they miss."""
+    """Return the area of a disc beyond a line at a signed distance from its centre; none or all
+    where they miss.
+    """
     x = np.clip(distance, -radius, radius)
     chord = np.sqrt(np.maximum(radius**2 - x**2, 0.0))
     return np.asarray(radius**2 * np.arctan2(chord, x) - x * chord)

@@ -1,7 +1,9 @@
-"""Block-arrow least squares: every row depends on common parameters and on one own unknown of its block (M12).
+"""Block-arrow least squares: every row depends on common parameters and on one own unknown of its
+block (M12).
 
-Blocks share nothing but the parameters, so the Jacobian is kept as its common columns and one column of own slopes. As
-a dense matrix, 240 000 rows with 300 blocks take half a gigabyte, and their normal matrix takes minutes.
+Blocks share nothing but the parameters, so the Jacobian is kept as its common columns and one
+column of own slopes. As a dense matrix, 240 000 rows with 300 blocks take half a gigabyte, and
+their normal matrix takes minutes.
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ class Eliminated:
         scores: Each block's gradient of half the sum of squares, shape (m, p).
         cross: Rows of the own unknowns in the whole normal matrix, shape (m, p).
         pull: Gradient in each own unknown, shape (m,).
-        held: Diagonal of the own unknowns; infinite where a block does not depend on its own unknown, which then stays,
-            shape (m,).
+        held: Diagonal of the own unknowns; infinite where a block does not depend on its own
+            unknown, which then stays, shape (m,).
     """
 
     matrix: Array
@@ -34,7 +36,9 @@ class Eliminated:
     held: Array
 
     def own_step(self, step: Array) -> Array:
-        """Return the Newton step of the own unknowns that belongs to a step of the parameters, shape (m,)."""
+        """Return the Newton step of the own unknowns that belongs to a step of the parameters,
+        shape (m,).
+        """
         return -(self.pull + self.cross @ step) / self.held
 
 
@@ -55,14 +59,18 @@ class BlockArrow:
     blocks: int
 
     def product(self, weight: Array | None = None, other: BlockArrow | None = None) -> Array:
-        """Return the transpose of this times ``other`` (itself by default), rows weighted, shape (p + m, p + m)."""
+        """Return the transpose of this times ``other`` (itself by default), rows weighted, shape (p
+        + m, p + m).
+        """
         right = self if other is None else other
         weighted = self if weight is None else self.scaled(weight)
         p = self.parameters.shape[1]
         out = np.zeros((p + self.blocks, p + self.blocks))
         out[:p, :p] = weighted.parameters.T @ right.parameters
         out[p:, :p] = self._by_block(weighted.own, right.parameters)
-        out[:p, p:] = out[p:, :p].T if other is None else self._by_block(right.own, weighted.parameters).T
+        out[:p, p:] = (
+            out[p:, :p].T if other is None else self._by_block(right.own, weighted.parameters).T
+        )
         at = p + np.arange(self.blocks)
         out[at, at] = np.bincount(self.owners, weighted.own * right.own, self.blocks)
         return out
@@ -73,7 +81,9 @@ class BlockArrow:
         return np.concatenate([self.parameters.T @ vector, times])
 
     def along(self, directions: Array) -> Array:
-        """Return this times ``directions``, shape (p + m,) or (p + m, k): the change of every row."""
+        """Return this times ``directions``, shape (p + m,) or (p + m, k): the change of every
+        row.
+        """
         p = self.parameters.shape[1]
         own = self.own if directions.ndim == 1 else self.own[:, None]
         return np.asarray(self.parameters @ directions[:p] + own * directions[p:][self.owners])
@@ -86,14 +96,18 @@ class BlockArrow:
         p = self.parameters.shape[1]
         whole = self.product(weight)
         cross, own = whole[p:, :p], np.diag(whole)[p:]
-        pull = np.asarray(np.bincount(self.owners, self.own * weight * residual, self.blocks), dtype=np.float64)
+        pull = np.asarray(
+            np.bincount(self.owners, self.own * weight * residual, self.blocks), dtype=np.float64
+        )
         held = np.where(own > 0.0, own, np.inf)
         share = cross / held[:, None]
         scores = self._by_block(weight * residual, self.parameters) - share * pull[:, None]
         return Eliminated(whole[:p, :p] - cross.T @ share, scores, cross, pull, held)
 
     def information_by_block(self) -> Array:
-        """Return the information of each block on the parameters, own unknown eliminated (M12), shape (m, p, p)."""
+        """Return the information of each block on the parameters, own unknown eliminated (M12),
+        shape (m, p, p).
+        """
         p = self.parameters.shape[1]
         squares = np.zeros((self.blocks, p, p))
         for k, column in enumerate(self.parameters.T):
@@ -108,7 +122,9 @@ class BlockArrow:
         return replace(self, parameters=self.parameters * weight[:, None], own=self.own * weight)
 
     def mixed(self, share: Array, other: BlockArrow) -> BlockArrow:
-        """Return the weighted mean of this and another: ``share`` of each row of this, the rest of the other."""
+        """Return the weighted mean of this and another: ``share`` of each row of this, the rest of
+        the other.
+        """
         return replace(
             self,
             parameters=other.parameters + (self.parameters - other.parameters) * share[:, None],
@@ -128,6 +144,8 @@ class BlockArrow:
         return out
 
     def _by_block(self, own: Array, columns: Array) -> Array:
-        """Return the sum of ``own`` times each column over the rows of every block, shape (m, p)."""
+        """Return the sum of ``own`` times each column over the rows of every block, shape (m,
+        p).
+        """
         sums = [np.bincount(self.owners, own * column, self.blocks) for column in columns.T]
         return np.stack(sums, axis=-1) if sums else np.zeros((self.blocks, 0))

@@ -35,7 +35,9 @@ def bounded_least_squares(design: Design) -> tuple[Array, float]:
     p = design.columns.shape[1]
     scale = np.linalg.norm(design.columns, axis=0)
     scale[scale == 0.0] = 1.0
-    reduced: Array = np.asarray(np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r"))
+    reduced: Array = np.asarray(
+        np.linalg.qr(np.column_stack([design.columns / scale, design.target]), mode="r")
+    )
     matrix, right = reduced[:p, :p], reduced[:p, p]
     rest = float(reduced[p, p] ** 2) if reduced.shape[0] > p else 0.0
     low, high = design.low * scale, design.high * scale

@@ -25,7 +25,9 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def compiled_sums(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel of long sums, whose terms may be added in any order: several at a time, and fused."""
+    """Compile a kernel of long sums, whose terms may be added in any order: several at a time, and
+    fused.
+    """
     return _kept(function, error_model="numpy", fastmath={"reassoc", "contract"})
 
 

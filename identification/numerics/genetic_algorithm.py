@@ -1,18 +1,21 @@
 """A real-coded genetic algorithm in ask/tell form, blind to what it optimises.
 
-The paper (Sec. 4.2) gives population 40, at most 1000 generations, Gaussian mutation and crossover fraction 0.8, which
-are options of the Genetic Algorithm and Direct Search Toolbox; what the paper does not give is taken from that
-toolbox's documented defaults:
+The paper (Sec. 4.2) gives population 40, at most 1000 generations, Gaussian mutation and crossover
+fraction 0.8, which are options of the Genetic Algorithm and Direct Search Toolbox; what the paper
+does not give is taken from that toolbox's documented defaults:
 
 * fitness scaling by rank: the expectation of the individual of rank r is proportional to 1/sqrt(r);
-* stochastic uniform selection (Baker, 1987): equal steps along the line of expectations from one random start;
+* stochastic uniform selection (Baker, 1987): equal steps along the line of expectations from one
+  random start;
 * two elite individuals pass unchanged;
 * scattered crossover: every gene comes from either parent with probability 1/2;
-* Gaussian mutation of every gene with standard deviation scale (1 - shrink g/G) (high - low) at generation g of G;
+* Gaussian mutation of every gene with standard deviation scale (1 - shrink g/G) (high - low) at
+  generation g of G;
 * the first generation is uniform in the box.
 
-Two choices are this module's own: a gene that mutation throws out of the box is reflected back into it (clipping would
-pile the population up on the bounds), and there is no stall limit, so that the search runs for all its generations.
+Two choices are this module's own: a gene that mutation throws out of the box is reflected back into
+it (clipping would pile the population up on the bounds), and there is no stall limit, so that the
+search runs for all its generations.
 """
 
 from __future__ import annotations
@@ -30,9 +33,11 @@ class GeneticAlgorithm:
         low: Lower bounds, shape (d,).
         high: Upper bounds, shape (d,); above ``low``.
         population: Individuals per generation.
-        crossover_fraction: Share of the non-elite children made by crossover; the others are mutants.
+        crossover_fraction: Share of the non-elite children made by crossover; the others are
+        mutants.
         elite: Individuals that survive unchanged.
-        mutation_scale: Standard deviation of the first generation's mutation over the width of the box.
+        mutation_scale: Standard deviation of the first generation's mutation over the width of the
+        box.
         mutation_shrink: Share of that deviation lost, linearly, by the last generation.
         generations: Generations after which ``stop`` is true; the first, random one counts.
         rng: Source of all randomness.
@@ -57,13 +62,20 @@ class GeneticAlgorithm:
         self.low = np.array(low, dtype=float)
         self.high = np.array(high, dtype=float)
         if self.low.ndim != 1 or self.low.shape != self.high.shape or self.low.size == 0:
-            raise ValueError(f"bounds have shapes {self.low.shape} and {self.high.shape}; give two of one shape (d,)")
+            raise ValueError(
+                f"bounds have shapes {self.low.shape} and {self.high.shape}; give two of one "
+                f"shape (d,)"
+            )
         if not np.all(np.isfinite(self.low) & np.isfinite(self.high) & (self.low < self.high)):
-            raise ValueError(f"lower bounds {self.low} must be finite and below the upper bounds {self.high}")
+            raise ValueError(
+                f"lower bounds {self.low} must be finite and below the upper bounds {self.high}"
+            )
         if not 0 <= elite < population or not 0.0 <= crossover_fraction <= 1.0 or generations < 1:
             raise ValueError(
-                f"population {population}, elite {elite}, crossover fraction {crossover_fraction}, generations "
-                f"{generations}: need 0 <= elite < population, a fraction in 0..1 and at least 1 generation"
+                f"population {population}, elite {elite}, crossover fraction "
+                f"{crossover_fraction}, generations "
+                f"{generations}: need 0 <= elite < population, a fraction in 0..1 and at least 1 "
+                f"generation"
             )
         self.generations = generations
         self.generation = 0
@@ -113,13 +125,19 @@ class GeneticAlgorithm:
         mothers, fathers = parents[: self._crossed], parents[self._crossed : 2 * self._crossed]
         inherit = self._rng.random(mothers.shape) < 0.5
         children = np.where(inherit, mothers, fathers)
-        deviation = self._scale * (1.0 - self._shrink * self.generation / self.generations) * (self.high - self.low)
+        deviation = (
+            self._scale
+            * (1.0 - self._shrink * self.generation / self.generations)
+            * (self.high - self.low)
+        )
         originals = parents[2 * self._crossed :]
         mutants = originals + deviation * self._rng.standard_normal(originals.shape)
         return np.vstack([ranked[: self._elite], children, _reflect(mutants, self.low, self.high)])
 
 
-def _select(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
+def _select(
+    count: int, wanted: int, rng: np.random.Generator
+) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """Return ``wanted`` shuffled ranks by stochastic uniform selection on rank-scaled fitness."""
     expectation = 1.0 / np.sqrt(np.arange(1, count + 1))
     line = np.cumsum(expectation) / expectation.sum()

@@ -1,8 +1,9 @@
-"""Levenberg-Marquardt on the normal equations, with a Huber cost or the likelihood that goes with it.
+"""Levenberg-Marquardt on the normal equations, with a Huber cost or the likelihood that goes with
+it.
 
-The trust-region solvers of libraries decompose the whole Jacobian, 40 000 rows by a few dozen columns, at every step;
-the normal equations take a fraction of that time. Marquardt, J. SIAM 11 (1963) 431; Huber, Ann. Math. Statist. 35
-(1964) 73.
+The trust-region solvers of libraries decompose the whole Jacobian, 40 000 rows by a few dozen
+columns, at every step; the normal equations take a fraction of that time. Marquardt, J. SIAM 11
+(1963) 431; Huber, Ann. Math. Statist. 35 (1964) 73.
 """
 
 from __future__ import annotations
@@ -41,13 +42,17 @@ class Minimum:
 
 
 def huber(residual: Array, threshold: float) -> Array:
-    """Return r^2/2 within the threshold and threshold (|r| - threshold/2) beyond, shape of ``residual``."""
+    """Return r^2/2 within the threshold and threshold (|r| - threshold/2) beyond, shape of
+    ``residual``.
+    """
     size = np.minimum(np.abs(residual), threshold)
     return np.asarray(size * (np.abs(residual) - 0.5 * size))
 
 
 def huber_weight(residual: Array, threshold: float) -> Array:
-    """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, shape of ``residual``."""
+    """Return the weight of each residual: 1 within the threshold, threshold / |r| beyond, shape of
+    ``residual``.
+    """
     return np.asarray(np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)))
 
 
@@ -85,7 +90,9 @@ def minimise(
         weight = huber_weight(residual, threshold)
         return _normal(slope, weight), _back(slope, weight * residual)
 
-    return _descend(evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps)
+    return _descend(
+        evaluate, linearise, start, lambda gain, cost: gain <= tolerance * (cost + gain), most_steps
+    )
 
 
 def minimise_deviance(
@@ -97,14 +104,15 @@ def minimise_deviance(
     tolerance: float,
     most_steps: int = 25,
 ) -> Minimum:
-    """Minimise the negative log likelihood of errors whose deviations depend on x too, by damped scoring (M23).
+    """Minimise the negative log likelihood of errors whose deviations depend on x too, by damped
+    scoring (M23).
 
     Errors beyond the threshold count as in Huber's cost.
 
     Args:
         predictions: x to errors and their standard deviations, shape (n,).
-        derivatives: (x, errors and deviations there) to the derivatives of the errors, over their deviations, and of
-            the deviations' logarithms, shape (n, p).
+        derivatives: (x, errors and deviations there) to the derivatives of the errors, over their
+            deviations, and of the deviations' logarithms, shape (n, p).
         start: Shape (p,).
         threshold: Error over deviation up to which the cost is quadratic.
         tolerance: The search ends when a step lowers the cost by less.
@@ -113,7 +121,10 @@ def minimise_deviance(
 
     def evaluate(x: Array) -> tuple[float, tuple[Array, Array]]:
         error, deviation = predictions(x)
-        return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation))), (error, deviation)
+        return huber_cost(error / deviation, threshold) + float(np.sum(np.log(deviation))), (
+            error,
+            deviation,
+        )
 
     def linearise(x: Array, here: tuple[Array, Array]) -> tuple[Array, Array]:
         mean, spread = derivatives(x, *here)

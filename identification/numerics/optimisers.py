@@ -1,7 +1,7 @@
 """Searches over the unit cube, each from a start that does not depend on the answer.
 
-Each search may take :data:`BUDGET` evaluations and stops earlier by its own rule. It sees nothing but costs or
-residuals.
+Each search may take :data:`BUDGET` evaluations and stops earlier by its own rule. It sees nothing
+but costs or residuals.
 """
 
 from __future__ import annotations
@@ -35,7 +35,9 @@ class BoxProblem(Protocol):
         """Return the cost of every row of ``x``, shape (p, d), as shape (p,)."""
 
     def residuals(self, x: Array, /) -> Array:
-        """Return the residuals at ``x``, shape (d,); the cost is the root of their sum of squares."""
+        """Return the residuals at ``x``, shape (d,); the cost is the root of their sum of
+        squares.
+        """
 
 
 def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
@@ -48,7 +50,9 @@ def genetic_algorithm(problem: BoxProblem, rng: np.random.Generator) -> Array:
 
 
 def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """SciPy's, with its own settings (best1bin, 15 per coordinate, tolerance 0.01) and no polish."""
+    """SciPy's, with its own settings (best1bin, 15 per coordinate, tolerance 0.01) and no
+    polish.
+    """
     found = optimize.differential_evolution(
         lambda x: problem.costs(x.T),
         optimize.Bounds(np.zeros(problem.size), np.ones(problem.size)),
@@ -64,7 +68,9 @@ def differential_evolution(problem: BoxProblem, rng: np.random.Generator) -> Arr
 def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
     """CMA-ES of the ``cmaes`` library with its own settings, from the centre of the box."""
     bounds = np.column_stack([np.zeros(problem.size), np.ones(problem.size)])
-    search = CMA(np.full(problem.size, 0.5), _FIRST_SIGMA, bounds=bounds, seed=int(rng.integers(1 << 31)))
+    search = CMA(
+        np.full(problem.size, 0.5), _FIRST_SIGMA, bounds=bounds, seed=int(rng.integers(1 << 31))
+    )
     best, least, spent = np.full(problem.size, 0.5), np.inf, 0
     while not search.should_stop() and spent < BUDGET:
         points = np.array([search.ask() for _ in range(search.population_size)])
@@ -78,7 +84,9 @@ def cma_es(problem: BoxProblem, rng: np.random.Generator) -> Array:
 
 
 def multi_start(problem: BoxProblem, rng: np.random.Generator) -> Array:
-    """Bounded trust-region least squares of SciPy from random starts in the box; the best of them counts."""
+    """Bounded trust-region least squares of SciPy from random starts in the box; the best of them
+    counts.
+    """
     best, least = np.full(problem.size, 0.5), np.inf
     for start in rng.uniform(0.0, 1.0, (STARTS, problem.size)):
         found = optimize.least_squares(problem.residuals, start, bounds=(0.0, 1.0))

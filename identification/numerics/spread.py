@@ -28,7 +28,9 @@ class Spread:
         return self._half(float(self.covariance[k, k]))
 
     def half_width_above(self, name: str, base: str) -> float:
-        """Return that of ``name`` less ``base``; a ``base`` that was not fitted is known exactly."""
+        """Return that of ``name`` less ``base``; a ``base`` that was not fitted is known
+        exactly.
+        """
         if base not in self.names:
             return self.half_width(name)
         j, k = self.names.index(base), self.names.index(name)
@@ -47,7 +49,9 @@ class Spread:
 
 
 def correlation_samples(residual: Array) -> float:
-    """Return the correlation time of a series in samples: 1 + 2 sum of its autocorrelation up to the first zero."""
+    """Return the correlation time of a series in samples: 1 + 2 sum of its autocorrelation up to
+    the first zero.
+    """
     centred = residual - np.mean(residual)
     power = float(centred @ centred)
     if power == 0.0 or len(centred) < 4:

@@ -1,1 +1,4 @@
-"""Figures of recordings and fits. The only place that knows matplotlib; every function returns a ``Figure``."""
+"""Figures of recordings and fits.
+
+The only place that knows matplotlib; every function returns a ``Figure``.
+"""

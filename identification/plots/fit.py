@@ -28,7 +28,9 @@ from identification.result import Convergence, Identification, Trace
 _POINTS_PER_LOAD = 1500
 _LEAST_PERCENT = 1e-6  # deviations below this are rounding
 _FEW_TIMES = 3.0  # a cost that falls less than this is drawn on a linear scale
-_LINEAR_PERCENT = 10.0  # deviations beyond this are drawn on a logarithmic scale where some are far off
+_LINEAR_PERCENT = (
+    10.0  # deviations beyond this are drawn on a logarithmic scale where some are far off
+)
 _VARYING = math.inf  # contact moment of a load that varies
 LABELS = {
     "Mc": r"$M_c$",
@@ -49,7 +51,8 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
 
     Args:
         result: The fit.
-        moments: Recording to its contact moment F_P L1, N m; None where that varies, and no curve belongs to it.
+        moments: Recording to its contact moment F_P L1, N m; None where that varies, and no curve
+            belongs to it.
     """
     rotary = result.motion == "rotary"
     unit = result.torque_unit
@@ -66,7 +69,15 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         speeds = np.concatenate([t.velocity[moving(t)] for t in traces])
         torques = np.concatenate([t.friction[moving(t)] for t in traces])
         few = thinned(len(speeds), _POINTS_PER_LOAD)
-        axis.plot(speeds[few], torques[few], ".", color=color, markersize=5.0, alpha=0.3, label=f"measured, {name}")
+        axis.plot(
+            speeds[few],
+            torques[few],
+            ".",
+            color=color,
+            markersize=5.0,
+            alpha=0.3,
+            label=f"measured, {name}",
+        )
         top = float(np.max(np.abs(speeds), initial=0.0))
         curve = None
         if top > 0.0 and moment != _VARYING:
@@ -74,7 +85,8 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         if curve is not None:
             axis.plot(*curve, color=BLACK, linewidth=1.1, label=label)
         else:
-            # Some of the curve's parameters are not known by themselves; what they explain together is.
+            # Some of the curve's parameters are not known by themselves; what they explain together
+            # is.
             model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
             axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
         label = None
@@ -102,7 +114,11 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     costs = stage.cost_history if stage.cost_history is not None else np.array([stage.cost])
     for color, (name, history) in zip(CYCLE, stage.parameter_history.items(), strict=False):
         reference = (truth or {}).get(name, float(history[-1]))
-        deviation = np.abs(history - reference) / abs(reference) * 100.0 if reference else np.full(len(history), np.nan)
+        deviation = (
+            np.abs(history - reference) / abs(reference) * 100.0
+            if reference
+            else np.full(len(history), np.nan)
+        )
         shown = broken(deviation, deviation > _LEAST_PERCENT)
         upper.plot(_generations(history), shown, color=color, label=LABELS.get(name, name))
     upper.set_yscale("log")
@@ -110,7 +126,12 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     legend_above(upper, 6)
     lower.plot(_generations(costs), costs, color=BLUE, label=f"best {cost}")
     if stage.target is not None:
-        lower.axhline(stage.target, color=VERMILION, linestyle="--", label=f"target {stage.target:g} {stage.cost_unit}")
+        lower.axhline(
+            stage.target,
+            color=VERMILION,
+            linestyle="--",
+            label=f"target {stage.target:g} {stage.cost_unit}",
+        )
     floor = min(float(np.min(costs)), stage.target or math.inf)
     if 0.0 < _FEW_TIMES * floor < float(np.max(costs)):
         lower.set_yscale("log")
@@ -123,17 +144,29 @@ def convergence(stage: Convergence, truth: Mapping[str, float] | None = None) ->
     return made
 
 
-def intervals(results: Sequence[Identification], truth: Mapping[str, float] | None = None) -> Figure:
-    """Every parameter with its 90 % interval, in percent of the first result (or of the truth, where it is known)."""
+def intervals(
+    results: Sequence[Identification], truth: Mapping[str, float] | None = None
+) -> Figure:
+    """Every parameter with its 90 % interval, in percent of the first result (or of the truth,
+    where it is known).
+    """
     names = list(results[0].parameters)
     made, (axis,) = figure(1, height=1.4 + 0.42 * len(names))
     for k, (color, result) in enumerate(zip(CYCLE, results, strict=False)):
-        _interval_row(axis, result, names, results[0], truth, color, 0.22 * (k - 0.5 * (len(results) - 1)))
+        _interval_row(
+            axis, result, names, results[0], truth, color, 0.22 * (k - 0.5 * (len(results) - 1))
+        )
     axis.axvline(0.0, color=GREY, linewidth=0.9, linestyle="--")
     units = [results[0].parameters[name].unit.replace("^2", "$^2$") for name in names]
-    axis.set_yticks(range(len(names)), [f"{LABELS.get(n, n)} ({u})" for n, u in zip(names, units, strict=True)])
+    axis.set_yticks(
+        range(len(names)), [f"{LABELS.get(n, n)} ({u})" for n, u in zip(names, units, strict=True)]
+    )
     axis.set_ylim(len(names) - 0.4, -0.6)
-    axis.set_xlabel("deviation from the true value (%)" if truth else f"deviation from {results[0].method}'s value (%)")
+    axis.set_xlabel(
+        "deviation from the true value (%)"
+        if truth
+        else f"deviation from {results[0].method}'s value (%)"
+    )
     if max(abs(edge) for edge in axis.get_xlim()) > 4.0 * _LINEAR_PERCENT:
         axis.set_xscale("symlog", linthresh=_LINEAR_PERCENT)
     axis.margins(x=0.08)
@@ -167,9 +200,15 @@ def _interval_row(
         label = None
 
 
-def _curve(speed: Array, moment: float, values: Mapping[str, float], alpha: float) -> tuple[Array, Array] | None:
-    """Return fitted friction at both signs of ``speed``, or None where a parameter it needs is not identifiable."""
-    needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | ({"mu_c", "mu_s", "omega_sL", "mu_2"} if moment else set())
+def _curve(
+    speed: Array, moment: float, values: Mapping[str, float], alpha: float
+) -> tuple[Array, Array] | None:
+    """Return fitted friction at both signs of ``speed``, or None where a parameter it needs is not
+    identifiable.
+    """
+    needed = {"Mc", "Ms", "omega_sf", "sigma_2"} | (
+        {"mu_c", "mu_s", "omega_sL", "mu_2"} if moment else set()
+    )
     if not needed <= values.keys():
         return None
     both = np.concatenate([-speed[::-1], [np.nan], speed])

@@ -1,4 +1,6 @@
-"""Figures of a diagnosis: the mismatch against each coordinate and in time, its curve, and the rivals."""
+"""Figures of a diagnosis: the mismatch against each coordinate and in time, its curve, and the
+rivals.
+"""
 
 from __future__ import annotations
 
@@ -36,10 +38,12 @@ _DRAWN = {
 
 
 def maps(shown: Sequence[Map]) -> Figure:
-    """Mismatch against each coordinate, largest share first: mean and simultaneous band before, mean after.
+    """Mismatch against each coordinate, largest share first: mean and simultaneous band before,
+    mean after.
 
     Args:
-        shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on one vertical scale.
+        shown: Maps of one equation, at least one; the eight with the largest shares are drawn, on
+            one vertical scale.
     """
     ranked = sorted(shown, key=lambda m: -m.share)[:_MOST_MAPS]
     columns = min(_COLUMNS, len(ranked))
@@ -59,7 +63,8 @@ def maps(shown: Sequence[Map]) -> Figure:
 
 
 def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
-    """Mismatch of one recording in time, before and after the correction, with the noise floor as a band.
+    """Mismatch of one recording in time, before and after the correction, with the noise floor as a
+    band.
 
     Args:
         one: The recording.
@@ -74,7 +79,15 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
         axis.plot(time, shown, color=color, linewidth=0.9, label=label)
     if noise_floor is not None:
         band = factor * noise_floor
-        axis.axhspan(-band, band, color=GREY, alpha=0.3, linewidth=0, zorder=3, label=f"noise floor {band:.2g} {unit}")
+        axis.axhspan(
+            -band,
+            band,
+            color=GREY,
+            alpha=0.3,
+            linewidth=0,
+            zorder=3,
+            label=f"noise floor {band:.2g} {unit}",
+        )
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel("time (s)")
     axis.set_ylabel(f"measured - model ({unit})")
@@ -95,7 +108,9 @@ def curve(missing: Curve) -> Figure:
 
 
 def rivals(effect: Effect) -> Figure:
-    """Confidence of an effect beside that of its rivals; those that the data cannot reject are filled."""
+    """Confidence of an effect beside that of its rivals; those that the data cannot reject are
+    filled.
+    """
     names = [effect.name, *(r.name for r in effect.rivals)]
     shares = [effect.confidence, *(r.confidence for r in effect.rivals)]
     open_ones = [True, *(r.why_not == "" for r in effect.rivals)]
@@ -104,7 +119,9 @@ def rivals(effect: Effect) -> Figure:
         color = BLUE if row == 0 else SKY
         face = color if kept else "none"
         axis.barh(row, share, height=0.6, facecolor=face, edgecolor=color, linewidth=1.2)
-        axis.text(share + 0.01, row, f"{share:.2g}{'' if kept else ', rejected'}", va="center", fontsize=8)
+        axis.text(
+            share + 0.01, row, f"{share:.2g}{'' if kept else ', rejected'}", va="center", fontsize=8
+        )
     axis.set_yticks(range(len(names)), names)
     axis.set_ylim(len(names) - 0.5, -0.5)
     axis.set_xlim(0.0, 1.15)
@@ -118,16 +135,31 @@ def _map(axis: Axes, one: Map) -> None:
     factor, residual_unit = _shown_unit(one.residual_unit)
     order = np.argsort(one.centre, kind="stable")
     x = along * one.centre[order]
-    low, high, mean, after = (factor * series[order] for series in (one.low, one.high, one.mean, one.after))
-    axis.fill_between(x, low, high, color=VERMILION, alpha=0.22, linewidth=0, label="90 % band, all bins at once")
+    low, high, mean, after = (
+        factor * series[order] for series in (one.low, one.high, one.mean, one.after)
+    )
+    axis.fill_between(
+        x, low, high, color=VERMILION, alpha=0.22, linewidth=0, label="90 % band, all bins at once"
+    )
     axis.plot(x, mean, color=VERMILION, linewidth=1.5, marker="o", markersize=3.0, label="before")
-    axis.plot(x, after, color=BLUE, linewidth=1.3, linestyle="--", marker="s", markersize=2.5, label="after")
+    axis.plot(
+        x,
+        after,
+        color=BLUE,
+        linewidth=1.3,
+        linestyle="--",
+        marker="s",
+        markersize=2.5,
+        label="after",
+    )
     axis.axhline(0.0, color=BLACK, linewidth=0.6)
     axis.set_xlabel(_labelled(one.coordinate, unit))
     axis.xaxis.set_major_locator(MaxNLocator(6, integer=one.coordinate == "direction"))
     sided = " against the motion" if one.against_motion else ""
     axis.set_ylabel(f"mismatch{sided} ({residual_unit})")
-    axis.set_title(f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left")
+    axis.set_title(
+        f"{one.coordinate}: {100.0 * one.share:.2g} % of the mismatch", fontsize=9, loc="left"
+    )
 
 
 def _shown_unit(unit: str) -> tuple[float, str]:
@@ -140,4 +172,6 @@ def _labelled(coordinate: str, unit: str) -> str:
 
 
 def _quantity(equation: str) -> str:
-    return {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}.get(equation, "torque")
+    return {"transmission": "angle", "voltage": "voltage", "pressure": "pressure"}.get(
+        equation, "torque"
+    )

@@ -1,4 +1,6 @@
-"""Figures of how sure an estimate is: likelihood profiles, and where the starts of a search ended."""
+"""Figures of how sure an estimate is: likelihood profiles, and where the starts of a search
+ended.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,8 @@ _TOP = 3.0
 
 
 def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figure:
-    """Return a panel for each profile: deviance against the parameter, the 90 % range, and the interval beside it.
+    """Return a panel for each profile: deviance against the parameter, the 90 % range, and the
+    interval beside it.
 
     Args:
         curves: One or more.
@@ -37,7 +40,9 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
                 axis.axvline(end, color=BLUE, linewidth=0.9, linestyle=":")
         p = by_name[curve.name]
         if p.low is not None and p.high is not None:
-            axis.plot([p.low, p.high], [0.0, 0.0], color=VERMILION, linewidth=4.0, solid_capstyle="butt")
+            axis.plot(
+                [p.low, p.high], [0.0, 0.0], color=VERMILION, linewidth=4.0, solid_capstyle="butt"
+            )
         axis.set_ylim(-0.3, _TOP * LEVEL)
         axis.ticklabel_format(axis="x", useOffset=False)
         axis.tick_params(labelsize=7)
@@ -47,19 +52,29 @@ def profiles(curves: Sequence[Profile], parameters: Sequence[Parameter]) -> Figu
         axis.set_ylabel("deviance (1)", fontsize=8)
     for axis in axes[len(curves) :]:
         axis.remove()
-    made.suptitle("Likelihood profiles (blue, 90 % range dotted) and 90 % intervals (red)", fontsize=11)
+    made.suptitle(
+        "Likelihood profiles (blue, 90 % range dotted) and 90 % intervals (red)", fontsize=11
+    )
     return made
 
 
 def waterfall(starts: Sequence[Starts]) -> Figure:
-    """Return where the starts of each search ended, the best first, on a logarithmic scale above the least."""
+    """Return where the starts of each search ended, the best first, on a logarithmic scale above
+    the least.
+    """
     made, axes = figure(1, len(starts), width=4.5 * len(starts), height=3.2)
     for axis, search in zip(axes, starts, strict=True):
         ends = np.sort(np.array(search.ends))
         solved = search.absolute
         shown = ends if solved else ends - ends[0]
         limit = search.reached if solved else search.reached - float(ends[0])
-        axis.plot(np.arange(1, len(ends) + 1), np.maximum(shown, 0.01 * limit), "o-", color=BLACK, markersize=5)
+        axis.plot(
+            np.arange(1, len(ends) + 1),
+            np.maximum(shown, 0.01 * limit),
+            "o-",
+            color=BLACK,
+            markersize=5,
+        )
         axis.axhline(limit, color=GREY, linewidth=0.9, linestyle="--")
         axis.set_yscale("log")
         axis.set_xlim(0.5, len(ends) + 0.5)

@@ -1,4 +1,6 @@
-"""Figures of a blind proof: how often an effect of some strength is found, and what it is taken for."""
+"""Figures of a blind proof: how often an effect of some strength is found, and what it is taken
+for.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def confusion_matrix(table: Mapping[str, Mapping[str, int]]) -> Figure:
     Args:
         table: True name -> name given -> how often.
     """
-    given = sorted({name for row in table.values() for name in row}, key=lambda name: (name not in table, name))
+    given = sorted(
+        {name for row in table.values() for name in row}, key=lambda name: (name not in table, name)
+    )
     shares = np.zeros((len(table), len(given)))
     for i, row in enumerate(table.values()):
         for name, times in row.items():

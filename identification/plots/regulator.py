@@ -17,7 +17,9 @@ _COLORS = (VERMILION, BLUE)
 _MM2 = 1e6
 
 
-def tracking(time: Array, command: Array, angles: Mapping[str, Array], errors: Mapping[str, Array]) -> Figure:
+def tracking(
+    time: Array, command: Array, angles: Mapping[str, Array], errors: Mapping[str, Array]
+) -> Figure:
     """Angle with its command, and the error between them.
 
     Args:
@@ -28,7 +30,15 @@ def tracking(time: Array, command: Array, angles: Mapping[str, Array], errors: M
     """
     made, (top, bottom) = figure(2, height=6.0, sharex=True)
     few = thinned(len(time))
-    top.plot(time[few], np.rad2deg(command[few]), color=BLACK, linestyle="--", linewidth=1.0, zorder=3, label="command")
+    top.plot(
+        time[few],
+        np.rad2deg(command[few]),
+        color=BLACK,
+        linestyle="--",
+        linewidth=1.0,
+        zorder=3,
+        label="command",
+    )
     for color, (name, angle) in zip(_COLORS, angles.items(), strict=False):
         top.plot(time[few], np.rad2deg(angle[few]), color=color, linewidth=1.5, label=name)
     for color, (name, error) in zip(_COLORS, errors.items(), strict=False):
@@ -54,17 +64,29 @@ def errors(panels: Sequence[tuple[str, Array, Mapping[str, Array]]]) -> Figure:
 
 
 def speeds(panels: Sequence[tuple[str, Array, Array, Mapping[str, Array]]]) -> Figure:
-    """Joint speed against time, a panel each: name, time (s), commanded speed and measured speeds by name (rad/s)."""
+    """Joint speed against time, a panel each: name, time (s), commanded speed and measured speeds
+    by name (rad/s).
+    """
     made, axes = figure(len(panels), height=1.0 + 2.6 * len(panels), sharex=True)
     for axis, (name, time, commanded, measured) in zip(axes, panels, strict=True):
         few = thinned(len(time), 20000)
         for color, (how, speed) in zip(_COLORS, measured.items(), strict=False):
             axis.plot(time[few], np.rad2deg(speed[few]), color=color, linewidth=1.0, label=how)
-        axis.plot(time[few], np.rad2deg(commanded[few]), color=BLACK, linestyle="--", linewidth=1.0, label="command")
+        axis.plot(
+            time[few],
+            np.rad2deg(commanded[few]),
+            color=BLACK,
+            linestyle="--",
+            linewidth=1.0,
+            label="command",
+        )
         axis.set_title(name, fontsize=10, loc="left")
         axis.set_ylabel("joint speed (deg/s)")
         axis.set_yscale("symlog", linthresh=2.0)
-        axis.set_yticks([-100, -10, -2, -1, 0, 1, 2, 10, 100], ["-100", "-10", "-2", "-1", "0", "1", "2", "10", "100"])
+        axis.set_yticks(
+            [-100, -10, -2, -1, 0, 1, 2, 10, 100],
+            ["-100", "-10", "-2", "-1", "0", "1", "2", "10", "100"],
+        )
     axes[-1].set_xlabel("time (s)")
     legend_above(axes[0], 3)
     return made
@@ -75,8 +97,21 @@ def areas(angle_deg: Array, impacted: Array, throat: Array, clear_deg: float) ->
     made, (axis,) = figure(1, height=4.4)
     axis.plot(angle_deg, _MM2 * impacted, color=BLUE, label="impacted area $A_s$")
     axis.plot(angle_deg, _MM2 * throat, color=VERMILION, label="effective throat area $A_t$")
-    axis.plot(angle_deg, _MM2 * (impacted + throat), color=GREY, linestyle="--", linewidth=1.0, label="$A_s + A_t$")
-    axis.axvline(clear_deg, color=BLACK, linestyle=":", linewidth=1.0, label=f"plate clear, {clear_deg:.2f} deg")
+    axis.plot(
+        angle_deg,
+        _MM2 * (impacted + throat),
+        color=GREY,
+        linestyle="--",
+        linewidth=1.0,
+        label="$A_s + A_t$",
+    )
+    axis.axvline(
+        clear_deg,
+        color=BLACK,
+        linestyle=":",
+        linewidth=1.0,
+        label=f"plate clear, {clear_deg:.2f} deg",
+    )
     axis.set_xlabel("valve angle (deg)")
     axis.set_ylabel("area (mm$^2$)")
     legend_above(axis, 4)
@@ -84,24 +119,34 @@ def areas(angle_deg: Array, impacted: Array, throat: Array, clear_deg: float) ->
 
 
 def uniform(
-    speed: Array, panels: Sequence[tuple[str, Array, Mapping[str, Sequence[tuple[float, float, bool]]]]]
+    speed: Array,
+    panels: Sequence[tuple[str, Array, Mapping[str, Sequence[tuple[float, float, bool]]]]],
 ) -> Figure:
     """Points of the conventional method (eq. 14) beside the true friction.
 
     Args:
         speed: Of the curves, rad/s, shape (n,).
-        panels: Title, true friction in N m at ``speed``, and name to points (speed, friction, whether it was uniform).
+        panels: Title, true friction in N m at ``speed``, and name to points (speed, friction,
+            whether it was uniform).
     """
     made, axes = figure(1, len(panels), width=9.5, height=4.8)
     for axis, (title, truth, groups) in zip(axes, panels, strict=True):
         axis.plot(speed, truth, color=BLACK, linewidth=1.2, label="true friction")
-        for color, marker, (name, points) in zip((BLUE, VERMILION), "os", groups.items(), strict=False):
+        for color, marker, (name, points) in zip(
+            (BLUE, VERMILION), "os", groups.items(), strict=False
+        ):
             for filled in (True, False):
                 chosen = [(v, m) for v, m, even in points if even is filled]
                 label = name if filled else f"{name}, stick-slip"
                 if chosen:
                     face = color if filled else "none"
-                    axis.plot(*zip(*chosen, strict=True), marker, color=color, markerfacecolor=face, label=label)
+                    axis.plot(
+                        *zip(*chosen, strict=True),
+                        marker,
+                        color=color,
+                        markerfacecolor=face,
+                        label=label,
+                    )
         axis.set_xscale("log")
         axis.set_title(title, fontsize=10, loc="left")
         axis.set_xlabel("commanded speed (rad/s)")
@@ -111,7 +156,14 @@ def uniform(
     for axis in axes:
         for handle, label in zip(*axis.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
-    made.legend(list(handles.values()), list(handles), loc="outside upper center", ncols=5, fontsize=8, frameon=False)
+    made.legend(
+        list(handles.values()),
+        list(handles),
+        loc="outside upper center",
+        ncols=5,
+        fontsize=8,
+        frameon=False,
+    )
     return made
 
 
@@ -123,7 +175,9 @@ def closed_loop(
     current: Array,
     force: Array,
 ) -> Figure:
-    """Flow (kg/s), pressure (MPa), angle (rad), each a command and an answer; motor current (A), contact force (N)."""
+    """Flow (kg/s), pressure (MPa), angle (rad), each a command and an answer; motor current (A),
+    contact force (N).
+    """
     made, (top, second, third, last) = figure(4, height=9.5, sharex=True)
     few = thinned(len(time))
     for axis, pair, scale, label in (
@@ -133,7 +187,14 @@ def closed_loop(
     ):
         (asked_name, asked), (answer_name, answer) = pair.items()
         axis.plot(time[few], scale * answer[few], color=BLUE, linewidth=1.2, label=answer_name)
-        axis.plot(time[few], scale * asked[few], color=BLACK, linestyle="--", linewidth=1.0, label=asked_name)
+        axis.plot(
+            time[few],
+            scale * asked[few],
+            color=BLACK,
+            linestyle="--",
+            linewidth=1.0,
+            label=asked_name,
+        )
         axis.set_ylabel(label)
         legend_above(axis, 2)
     last.plot(time[few], current[few], color=BLUE, linewidth=0.8, label="motor current")
@@ -159,8 +220,8 @@ def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Fi
     """Current, pressure and area against the valve angle, a column for each speed (Fig. 4).
 
     Args:
-        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure, the steady one (MPa) and
-            impacted area (mm^2).
+        panels: Title, angle (deg), current (A; NaN where the motion is not uniform), pressure, the
+            steady one (MPa) and impacted area (mm^2).
     """
     made, axes = figure(3, len(panels), width=9.5, height=7.5, sharex=True)
     for column, (title, angle, current, pressure, steady, area) in enumerate(panels):
@@ -169,7 +230,9 @@ def sweep(panels: Sequence[tuple[str, Array, Array, Array, Array, Array]]) -> Fi
         top.set_title(title, fontsize=10, loc="left")
         top.set_ylim(bottom=0.0)
         middle.plot(angle, pressure, color=BLUE, linewidth=1.2, label="measured")
-        middle.plot(angle, steady, color=BLACK, linestyle="--", linewidth=1.0, label="steady at this angle")
+        middle.plot(
+            angle, steady, color=BLACK, linestyle="--", linewidth=1.0, label="steady at this angle"
+        )
         middle.set_ylim(bottom=0.0)
         bottom.plot(angle, area, color=BLUE, linewidth=1.2)
         bottom.set_xlabel("valve angle (deg)")

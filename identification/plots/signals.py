@@ -38,7 +38,15 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
     if "command" in recording.channels:
         asked = thinned(len(recording.time))
         command = recording.channels["command"][asked] * scale
-        top.plot(recording.time[asked], command, color=BLACK, linestyle="--", linewidth=0.9, zorder=3, label="command")
+        top.plot(
+            recording.time[asked],
+            command,
+            color=BLACK,
+            linestyle="--",
+            linewidth=0.9,
+            zorder=3,
+            label="command",
+        )
     top.plot(time, trace.angle[few] * scale, color=BLUE, linewidth=1.6, label="measured")
     top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
     middle.plot(time, trace.velocity[few], color=BLUE, linewidth=1.0, label="measured")
@@ -60,7 +68,8 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
 
 
 def residual(trace: Trace, motion: str, unit: str) -> Figure:
-    """What the model leaves over: against time, against velocity, and how it is spread; moving samples only.
+    """What the model leaves over: against time, against velocity, and how it is spread; moving
+    samples only.
 
     Args:
         trace: The recording as fitted.
@@ -86,7 +95,9 @@ def residual(trace: Trace, motion: str, unit: str) -> Figure:
     if kept.size:
         rms = float(np.sqrt(np.mean(kept**2)))
         for axis in (top, left):
-            axis.axhspan(-rms, rms, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {rms:.3g} {unit}")
+            axis.axhspan(
+                -rms, rms, color=ORANGE, alpha=0.25, linewidth=0, label=f"rms {rms:.3g} {unit}"
+            )
             legend_above(axis, 1)
     for axis in (top, left):
         axis.axhline(0.0, color=BLACK, linewidth=0.8)

@@ -21,18 +21,30 @@ def simulated(prepared: Prepared, response: Response) -> Figure:
     time = recording.time[few]
     measured = joint_angle(recording)
     if measured is not None:
-        top.plot(time, measured[few] * large, color=BLUE, linewidth=2.0, alpha=0.55, label="measured")
+        top.plot(
+            time, measured[few] * large, color=BLUE, linewidth=2.0, alpha=0.55, label="measured"
+        )
         middle.plot(time, (response.angle - measured)[few] * small, color=BLACK, linewidth=0.8)
     top.plot(time, response.angle[few] * large, color=VERMILION, linewidth=0.9, label="simulated")
     top.set_ylabel("joint angle (deg)" if rotary else "position (mm)")
     middle.set_ylabel("simulated - measured\n" + ("(mrad)" if rotary else "(um)"))
     few = thinned(len(prepared.time))
-    bottom.plot(prepared.time[few], prepared.drive_torque[few], color=BLUE, linewidth=2.0, alpha=0.55, label="measured")
+    bottom.plot(
+        prepared.time[few],
+        prepared.drive_torque[few],
+        color=BLUE,
+        linewidth=2.0,
+        alpha=0.55,
+        label="measured",
+    )
     torque = simulated_torque(prepared, response)
     bottom.plot(prepared.time[few], torque[few], color=VERMILION, linewidth=0.9, label="simulated")
     bottom.set_ylabel(f"{'torque' if rotary else 'force'} ({torque_unit(recording)})")
     bottom.set_xlabel("time (s)")
     for axis in (top, bottom):
         legend_above(axis, 2)
-    made.suptitle(f"{recording.name}: closed loop simulated from its first sample ({recording.role})", fontsize=11)
+    made.suptitle(
+        f"{recording.name}: closed loop simulated from its first sample ({recording.role})",
+        fontsize=11,
+    )
     return made

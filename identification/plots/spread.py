@@ -14,13 +14,15 @@ _FLOOR_PERCENT = 1e-6
 
 
 def spread(
-    errors: Mapping[str, Mapping[str, Sequence[float]]], printed: Mapping[str, float], names: Sequence[str]
+    errors: Mapping[str, Mapping[str, Sequence[float]]],
+    printed: Mapping[str, float],
+    names: Sequence[str],
 ) -> Figure:
     """Error of every parameter for every seed, one colour per method, beside the paper's own.
 
     Args:
-        errors: Method to parameter to its errors over the seeds, percent; those that are not finite are left out, and
-            those below 1e-6 % are drawn there.
+        errors: Method to parameter to its errors over the seeds, percent; those that are not finite
+            are left out, and those below 1e-6 % are drawn there.
         printed: Parameter to the error the paper prints, percent.
         names: Parameters, in the order to be shown.
     """
@@ -29,13 +31,29 @@ def spread(
         label: str | None = f"{method} method, each seed"
         for column, name in enumerate(names):
             shown = np.array([e for e in by_name.get(name, ()) if np.isfinite(e)])
-            place = column + 0.24 * (k - 0.5 * (len(errors) - 1)) + np.linspace(-0.08, 0.08, len(shown))
+            place = (
+                column + 0.24 * (k - 0.5 * (len(errors) - 1)) + np.linspace(-0.08, 0.08, len(shown))
+            )
             axis.plot(
-                place, np.maximum(shown, _FLOOR_PERCENT), "o", color=color, markersize=3.5, alpha=0.7, label=label
+                place,
+                np.maximum(shown, _FLOOR_PERCENT),
+                "o",
+                color=color,
+                markersize=3.5,
+                alpha=0.7,
+                label=label,
             )
             label = None
     columns = [column for column, name in enumerate(names) if printed.get(name, 0.0) > 0.0]
-    axis.plot(columns, [printed[names[c]] for c in columns], "_", color=BLACK, markersize=22, mew=2, label="printed")
+    axis.plot(
+        columns,
+        [printed[names[c]] for c in columns],
+        "_",
+        color=BLACK,
+        markersize=22,
+        mew=2,
+        label="printed",
+    )
     axis.set_yscale("log")
     axis.set_ylabel("error of the identified value (%)")
     axis.set_xticks(range(len(names)), [LABELS.get(name, name) for name in names])

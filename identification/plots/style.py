@@ -44,7 +44,9 @@ def figure(
 
 
 def mosaic(layout: str, *, width: float = 8.0, height: float = 5.0) -> tuple[Figure, list[Axes]]:
-    """Return a figure with axes laid out like ``"AA;BC"``, in the order of their letters' first occurrence."""
+    """Return a figure with axes laid out like ``"AA;BC"``, in the order of their letters' first
+    occurrence.
+    """
     made = _canvas(width, height)
     return made, _dress(list(made.subplot_mosaic(layout).values()))
 
@@ -79,23 +81,32 @@ def broken(values: Array, keep: NDArray[np.bool_]) -> Array:
 
 
 def continuing(time: Array) -> NDArray[np.bool_]:
-    """Return which samples come soon after the one before, shape (n,), where some have been left out (a joint at rest).
+    """Return which samples come soon after the one before, shape (n,), where some have been left
+    out (a joint at rest).
 
     A line broken at the others does not join what lies before such a gap to what lies after it.
     """
     steps = np.diff(time, prepend=time[:1])
-    return np.asarray(steps <= _GAP * np.median(steps[1:])) if time.size > 1 else np.ones(time.size, dtype=bool)
+    return (
+        np.asarray(steps <= _GAP * np.median(steps[1:]))
+        if time.size > 1
+        else np.ones(time.size, dtype=bool)
+    )
 
 
 def legend_above(axis: Axes, columns: int) -> Legend | None:
     """Add a legend above the axes, where it hides no data; none where nothing has a name."""
     if not axis.get_legend_handles_labels()[0]:
         return None
-    return axis.legend(loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=columns, fontsize=8, frameon=False)
+    return axis.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 0.985), ncols=columns, fontsize=8, frameon=False
+    )
 
 
 def png(made: Figure, dpi: int = 110) -> bytes:
-    """Return the figure as PNG, free of dates and versions so that equal figures are equal bytes."""
+    """Return the figure as PNG, free of dates and versions so that equal figures are equal
+    bytes.
+    """
     buffer = io.BytesIO()
     made.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
     return buffer.getvalue()

@@ -16,7 +16,9 @@ from identification.recording import Controller, Recording, RecordingError
 from identification.simulate import closed_loop_kernel as kernel
 
 STEP_S = 2.5e-4
-"""Greatest integration step: the error it leaves is far below what recordings show (tests/identification)."""
+"""Greatest integration step: the error it leaves is far below what recordings show
+(tests/identification).
+"""
 
 OPEN_LOOP = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
 """No controller: ``Inputs.added`` is the torque that drives the joint, N m."""
@@ -46,7 +48,8 @@ class Inputs:
     Attributes:
         time: s, increasing.
         command: rad.
-        scale: What multiplies the controller's output: the supply voltage where that is a duty, else 1.
+        scale: What multiplies the controller's output: the supply voltage where that is a duty,
+        else 1.
         added: Added to that product, in the output's unit.
         moment: F_P L1, N m.
     """
@@ -59,7 +62,8 @@ class Inputs:
 
 
 def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> Array:
-    """Return the vector of :mod:`identification.model.parameters` of the joint with the recording's pendulum on it.
+    """Return the vector of :mod:`identification.model.parameters` of the joint with the recording's
+    pendulum on it.
 
     Raises:
         RecordingError: There is no inertia to move.
@@ -71,14 +75,17 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
         body[WEIGHT] = pendulum.mass * recording.bench.gravity * pendulum.length
         body[ZERO] = pendulum.zero
     if not body[INERTIA] > 0.0:
-        raise RecordingError(f"{recording.name}: an inertia of {body[INERTIA]:g} cannot be simulated; fix J")
+        raise RecordingError(
+            f"{recording.name}: an inertia of {body[INERTIA]:g} cannot be simulated; fix J"
+        )
     return body
 
 
 def loop_of(controller: Controller, recording: Recording) -> Array:
     """Return the kernel's parameters of controller and drive, shape (5,).
 
-    A duty or a voltage drives the armature: torque = Km i (U - Ke i omega)/R, the inductance neglected.
+    A duty or a voltage drives the armature: torque = Km i (U - Ke i omega)/R, the inductance
+    neglected.
 
     Raises:
         RecordingError: A constant of the motor is missing.
@@ -86,15 +93,22 @@ def loop_of(controller: Controller, recording: Recording) -> Array:
     per_output, damping = 1.0, 0.0
     if controller.output != "torque":
         bench = recording.bench
-        if bench.resistance is None or bench.back_emf_constant is None or bench.torque_constant is None:
+        if (
+            bench.resistance is None
+            or bench.back_emf_constant is None
+            or bench.torque_constant is None
+        ):
             raise RecordingError(
-                f"{recording.name}: a controller with output {controller.output!r} needs bench.resistance, "
+                f"{recording.name}: a controller with output {controller.output!r} needs "
+                f"bench.resistance, "
                 "bench.back_emf_constant and bench.torque_constant"
             )
         per_output = bench.ampere_torque / bench.resistance
         damping = per_output * bench.back_emf_constant * bench.gear_ratio
     limit = math.inf if controller.limit is None else controller.limit
-    return np.array([controller.position_gain, controller.velocity_gain, limit, per_output, damping])
+    return np.array(
+        [controller.position_gain, controller.velocity_gain, limit, per_output, damping]
+    )
 
 
 def inputs_of(recording: Recording) -> Inputs:
@@ -106,13 +120,17 @@ def inputs_of(recording: Recording) -> Inputs:
     controller, channels = recording.controller, recording.channels
     if controller is None or "command" not in channels:
         raise RecordingError(
-            f"{recording.name}: a simulation needs a `command` channel and the `controller` it acts on"
+            f"{recording.name}: a simulation needs a `command` channel and the `controller` it "
+            f"acts on"
         )
     n = len(recording.time)
     scale = np.ones(n)
     if controller.output == "duty":
         if "supply_voltage" not in channels:
-            raise RecordingError(f"{recording.name}: a controller with output 'duty' needs a `supply_voltage` channel")
+            raise RecordingError(
+                f"{recording.name}: a controller with output 'duty' needs a `supply_voltage` "
+                f"channel"
+            )
         scale = channels["supply_voltage"]
     angle = joint_angle(recording)
     return Inputs(
@@ -124,7 +142,9 @@ def inputs_of(recording: Recording) -> Inputs:
     )
 
 
-def simulate(body: Array, loop: Array, inputs: Inputs, angle: float, velocity: float, step: float = STEP_S) -> Response:
+def simulate(
+    body: Array, loop: Array, inputs: Inputs, angle: float, velocity: float, step: float = STEP_S
+) -> Response:
     """Simulate a loop around a joint with set-valued friction from an initial state.
 
     Args:
@@ -142,14 +162,20 @@ def simulate(body: Array, loop: Array, inputs: Inputs, angle: float, velocity: f
         np.ascontiguousarray(column)
         for column in (inputs.time, inputs.command, inputs.scale, inputs.added, inputs.moment)
     )
-    kernel.closed_loop(time, command, scale, added, moment, body, loop, step, angles, speeds, torques)
+    kernel.closed_loop(
+        time, command, scale, added, moment, body, loop, step, angles, speeds, torques
+    )
     return Response(inputs.time, angles, speeds, torques)
 
 
-def replay(recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S) -> Response:
-    """Simulate a recording from its own command and first angle, at rest, with the fitted ``values``.
+def replay(
+    recording: Recording, values: Mapping[str, float], alpha: float, step: float = STEP_S
+) -> Response:
+    """Simulate a recording from its own command and first angle, at rest, with the fitted
+    ``values``.
 
-    Nothing measured later than the first sample enters but the command, the supply voltage and the declared loads.
+    Nothing measured later than the first sample enters but the command, the supply voltage and the
+    declared loads.
 
     Raises:
         RecordingError: Something the simulation needs is missing.

@@ -1,8 +1,9 @@
 """The loop in time: a sampled-data controller around a joint whose friction is set-valued at rest.
 
-J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. Speed by the trapezoidal rule, implicit in friction
-and solved by Newton; the controller acts on the angle in the middle of the step. A joint that would pass through zero
-stops there, and stays as long as the torque on it is within the static limit.
+J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. Speed by the trapezoidal rule,
+implicit in friction and solved by Newton; the controller acts on the angle in the middle of the
+step. A joint that would pass through zero stops there, and stays as long as the torque on it is
+within the static limit.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from identification.model.parameters import INERTIA, OFFSET, WEIGHT, ZERO
 from identification.numerics.arrays import Array
 from identification.numerics.compiled import compiled
 
-# Loop: output = clip(position_gain (command - angle) - velocity_gain speed, limit), times the signal `scale`, plus
-# `added`; torque = per_output output - damping speed.
+# Loop: output = clip(position_gain (command - angle) - velocity_gain speed, limit), times the
+# signal `scale`, plus `added`; torque = per_output output - damping speed.
 POSITION_GAIN, VELOCITY_GAIN, LIMIT, PER_OUTPUT, DAMPING = range(5)
 
 _ITERATIONS = 20
@@ -23,8 +24,12 @@ _EXACT = 1e-12
 
 
 @compiled
-def next_speed(speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array) -> float:
-    """Return the speed after ``h`` seconds under ``torque`` (N m, friction and damping not in it)."""
+def next_speed(
+    speed: float, torque: float, moment: float, gear: float, damping: float, h: float, body: Array
+) -> float:
+    """Return the speed after ``h`` seconds under ``torque`` (N m, friction and damping not in
+    it).
+    """
     inertia = body[INERTIA]
     side = 1.0 if speed > 0.0 else -1.0
     if speed == 0.0:
@@ -33,7 +38,8 @@ def next_speed(speed: float, torque: float, moment: float, gear: float, damping:
             return 0.0
     start = abs(speed)
     before = friction(start, moment, gear, body)[0] + damping * start
-    # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2, which has its root above 0 unless the joint stops.
+    # g(v) = J/h (v - start) - side torque + (F(start) + F(v))/2, which has its root above 0 unless
+    # the joint stops.
     rest = inertia / h * start + side * torque - 0.5 * before
     if rest <= 0.5 * friction(0.0, moment, gear, body)[0]:
         return 0.0
@@ -62,15 +68,18 @@ def closed_loop(
     speed: Array,
     torque: Array,
 ) -> None:
-    """Fill ``angle``, ``speed`` and ``torque`` (of the drive) at ``time``; their first samples are the initial state.
+    """Fill ``angle``, ``speed`` and ``torque`` (of the drive) at ``time``; their first samples are
+    the initial state.
 
     Args:
         time: s, shape (n,), increasing, not necessarily evenly.
         command: rad, shape (n,); linear between samples.
-        scale: What multiplies the controller's output, shape (n,): supply voltage, or 1; held from sample to sample.
+        scale: What multiplies the controller's output, shape (n,): supply voltage, or 1; held from
+        sample to sample.
         added: Added to that product, shape (n,); held.
         moment: F_P L1, N m, shape (n,); held.
-        body: Vector of :mod:`identification.model.parameters`; its inertia is that of joint and pendulum.
+        body: Vector of :mod:`identification.model.parameters`; its inertia is that of joint and
+        pendulum.
         loop: Shape (5,).
         step: Greatest integration step, s.
         angle: rad, shape (n,).
@@ -96,7 +105,9 @@ def closed_loop(
                 if k + 1 == len(time):
                     return
             hanging = -body[WEIGHT] * math.sin(middle - body[ZERO])
-            w_next = next_speed(w, drive + hanging - body[OFFSET], moment[k], abs(hanging), loop[DAMPING], h, body)
+            w_next = next_speed(
+                w, drive + hanging - body[OFFSET], moment[k], abs(hanging), loop[DAMPING], h, body
+            )
             q += 0.5 * h * (w + w_next)
             w = w_next
         angle[k + 1] = q

@@ -1,9 +1,10 @@
 """The drive's loop, estimated from recordings (M33).
 
-A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e from its target. The
-logged command reaches the loop some cycles late: whole cycles are searched, and the command and its derivatives are
-regressors for the rest of a cycle. Encoder steps and the loop's own delay would lower Kv, so the regression uses means
-over a few samples, with the joint's angle at the delay that fits best.
+A position P and velocity PI loop commands Kv (e' + (Kp + Ki) e + Kp Ki int e) of the distance e
+from its target. The logged command reaches the loop some cycles late: whole cycles are searched,
+and the command and its derivatives are regressors for the rest of a cycle. Encoder steps and the
+loop's own delay would lower Kv, so the regression uses means over a few samples, with the joint's
+angle at the delay that fits best.
 """
 
 from __future__ import annotations
@@ -24,7 +25,9 @@ _LATENESSES = range(7)
 _DELAYS_S = tuple(2e-4 * k for k in range(8))
 """Delay between the joint's motion and the loop's response."""
 _MISFIT = 0.15
-"""Greatest rms of the regression's residual, over that of the torque's changes, at which the loop is known."""
+"""Greatest rms of the regression's residual, over that of the torque's changes, at which the loop
+is known.
+"""
 _GAINS = 3
 
 
@@ -46,23 +49,33 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
     gains, misfit = fits[best]
     if misfit > _MISFIT or np.any(gains <= 0.0):
         return None
-    velocity, total, product = float(gains[0]), float(gains[1] / gains[0]), float(gains[2] / gains[0])
+    velocity, total, product = (
+        float(gains[0]),
+        float(gains[1] / gains[0]),
+        float(gains[2] / gains[0]),
+    )
     # Kp and Ki enter alike; where noise leaves them no real values, equal ones come nearest.
     half = 0.5 * total
     apart = math.sqrt(max(half * half - product, 0.0))
     usual = usual_loop(1.0, torque_limit, count)
     # Of the delay, what the filter on the speed does not explain is the torque's own.
-    lag = max(_least(_DELAYS_S, [m for _, m in fits], best) - 1.0 / (2.0 * math.pi * usual.filter_Hz), 0.0)
+    lag = max(
+        _least(_DELAYS_S, [m for _, m in fits], best) - 1.0 / (2.0 * math.pi * usual.filter_Hz), 0.0
+    )
     return Loop(half + apart, velocity, half - apart, usual.filter_Hz, torque_limit, count, lag)
 
 
 def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
-    """Return where a parabola through the least of evenly spaced misfits, squared, and its neighbours is least."""
+    """Return where a parabola through the least of evenly spaced misfits, squared, and its
+    neighbours is least.
+    """
     if not 0 < best < len(places) - 1:
         return places[best]
     before, here, after = (m * m for m in misfits[best - 1 : best + 2])
     bend = before - 2.0 * here + after
-    return places[best] + (0.5 * (before - after) / bend if bend > 0.0 else 0.0) * (places[1] - places[0])
+    return places[best] + (0.5 * (before - after) / bend if bend > 0.0 else 0.0) * (
+        places[1] - places[0]
+    )
 
 
 def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Array, float]:
@@ -89,10 +102,14 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
 
 
 def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, Array]:
-    """Return the regressors, gains first, shape (n, 6), and the torque at the joint, N m, shape (n,)."""
+    """Return the regressors, gains first, shape (n, 6), and the torque at the joint, N m, shape
+    (n,).
+    """
     time, period, channels = recording.time, recording.period, recording.channels
     angle = np.interp(time - delay, time, channels["motor_angle"]) / recording.bench.gear_ratio
-    command = np.concatenate([np.full(late, channels["command"][0]), channels["command"]])[: len(time)]
+    command = np.concatenate([np.full(late, channels["command"][0]), channels["command"]])[
+        : len(time)
+    ]
     away = command - angle
     middle = 0.5 * (away[1:] + away[:-1])
     pace = np.diff(command) / period
@@ -106,4 +123,6 @@ def _regressors(recording: Recording, late: int, delay: float) -> tuple[Array, A
     ]
     torque = recording.bench.ampere_torque * channels["current"][1:]
     share = np.full(_MEAN, 1.0 / _MEAN)
-    return np.column_stack([np.convolve(c, share, "valid") for c in columns]), np.convolve(torque, share, "valid")
+    return np.column_stack([np.convolve(c, share, "valid") for c in columns]), np.convolve(
+        torque, share, "valid"
+    )

@@ -87,7 +87,9 @@ def compare(prepared: Prepared, response: Response) -> Sums:
 
 
 def simulated_torque(prepared: Prepared, response: Response) -> Array:
-    """Return the simulated drive torque as the fit would have seen it, N m, at ``prepared.time``."""
+    """Return the simulated drive torque as the fit would have seen it, N m, at
+    ``prepared.time``.
+    """
     recording = prepared.recording
     series = resample(recording.time, response.torque, uniform_grid(recording))
     if prepared.filter.half:
@@ -97,4 +99,7 @@ def simulated_torque(prepared: Prepared, response: Response) -> Array:
 
 def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
     """Return the values with all friction times ``share``: what an error has to be seen beside."""
-    return {name: value * (share if name in FRICTION_PARAMETERS else 1.0) for name, value in values.items()}
+    return {
+        name: value * (share if name in FRICTION_PARAMETERS else 1.0)
+        for name, value in values.items()
+    }

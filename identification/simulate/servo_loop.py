@@ -1,7 +1,8 @@
-"""The nominal model in a position loop of a drive: joint with set-valued friction, in simulated time.
+"""The nominal model in a position loop of a drive: joint with set-valued friction, in simulated
+time.
 
-It simulates planned experiments, and the replicates by which the bias of an estimate is measured (M33 to M36). It
-shares nothing with the simulated bench.
+It simulates planned experiments, and the replicates by which the bias of an estimate is measured
+(M33 to M36). It shares nothing with the simulated bench.
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ class Loop:
         integral: Of the velocity loop, 1/s.
         filter_Hz: First-order filter on the measured speed.
         torque_limit: N m.
-        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. Its steps enter the torque
-            through the speed filter, and those of a target in whole counts through the feedforward.
+        count: Joint angle of one step of the drive's encoder, rad; 0 for an exact one. Its steps
+            enter the torque through the speed filter, and those of a target in whole counts through
+            the feedforward.
         lag: Of the torque behind the loop's output, s; 0 for none.
     """
 
@@ -89,19 +91,29 @@ def respond(
         moment: F_P L1, N m (eq. 13).
         alpha: Stribeck exponent.
         loop: The drive.
-        disturbance: Logged torque less the torque on the joint in each period, N m, shape (n,): the drive's current
-            loop follows the noise of its own sensor. None for none.
+        disturbance: Logged torque less the torque on the joint in each period, N m, shape (n,): the
+            drive's current loop follows the noise of its own sensor. None for none.
     """
     steps = max(1, math.ceil(STEPS * period / 1e-3))
     share = 1.0 - math.exp(-2.0 * math.pi * loop.filter_Hz * period / steps)
     lag = 1.0 - math.exp(-period / steps / loop.lag) if loop.lag > 0.0 else 1.0
-    own = [loop.position_gain, loop.velocity_gain, loop.integral, share, loop.torque_limit, loop.count, lag]
+    own = [
+        loop.position_gain,
+        loop.velocity_gain,
+        loop.integral,
+        share,
+        loop.torque_limit,
+        loop.count,
+        lag,
+    ]
     gains = np.array(own)
     angle, torque, peaks = np.empty_like(command), np.zeros_like(command), np.zeros(3)
     lost = np.zeros_like(command) if disturbance is None else disturbance
     if loop.count > 0.0:
         command = np.rint(command / loop.count) * loop.count
-    _follow(command, period, pack(parameters, alpha), moment, gains, steps, lost, angle, torque, peaks)
+    _follow(
+        command, period, pack(parameters, alpha), moment, gains, steps, lost, angle, torque, peaks
+    )
     return Response(angle, torque, float(peaks[0]), float(peaks[1]), float(peaks[2]))
 
 
@@ -118,7 +130,9 @@ def _follow(
     torque: Array,
     peaks: Array,
 ) -> None:
-    """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are linearly implicit."""
+    """Fill ``angle``, ``torque`` and ``peaks`` (speed, torque, following error); speed steps are
+    linearly implicit.
+    """
     h = period / steps
     static = static_friction(moment, p)
     theta, omega, seen, integral, measured, count = command[0], 0.0, 0.0, 0.0, command[0], gains[5]
@@ -152,7 +166,12 @@ def _follow(
                 omega = 0.0
             else:
                 force, grade = friction(speed, moment, 0.0, p)
-                speed += h * (side * drive - force) / p[INERTIA] / max(1.0 + 0.5 * h * grade / p[INERTIA], 0.5)
+                speed += (
+                    h
+                    * (side * drive - force)
+                    / p[INERTIA]
+                    / max(1.0 + 0.5 * h * grade / p[INERTIA], 0.5)
+                )
                 omega = side * max(speed, 0.0)
             theta += 0.5 * h * (before + omega)
             peaks[0] = max(peaks[0], abs(omega))

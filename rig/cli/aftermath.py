@@ -34,12 +34,17 @@ STATUS: Mapping[Ending, int] = {
 
 
 def conclude(
-    folder: RunFolder, outcome: Outcome, reference: Reference | None, json_file: Path | None, screen: Screen
+    folder: RunFolder,
+    outcome: Outcome,
+    reference: Reference | None,
+    json_file: Path | None,
+    screen: Screen,
 ) -> int:
-    """Check the labels, tell the operator the rest, write the page of the run, and return the exit status.
+    """Check the labels, tell the operator the rest, write the page of the run, and return the exit
+    status.
 
-    How the run ended was shown and written down before; nothing here can hide it. What the operator must know is told
-    before the page is drawn, which may take its time and may fail.
+    How the run ended was shown and written down before; nothing here can hide it. What the operator
+    must know is told before the page is drawn, which may take its time and may fail.
 
     Raises:
         InputError: ``json_file`` cannot be written.
@@ -59,7 +64,11 @@ def conclude(
         note_drive(outcome.error, outcome.safe.message)
         raise outcome.error
     status = BAD_VERDICT if wrong else STATUS[outcome.ending]
-    if status == DONE and screen.trouble is not None and not reader_gone(screen.trouble, terminal=screen.terminal):
+    if (
+        status == DONE
+        and screen.trouble is not None
+        and not reader_gone(screen.trouble, terminal=screen.terminal)
+    ):
         complain(f"storage error: the output cannot be written: {screen.trouble.strerror}")
         return DEVICE_FAILED
     return status
@@ -90,7 +99,9 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
     rows = [[s.name, s.stage, f"{s.weight_kg:g}", s.state] for s in record.stages]
     screen.say(table(["stage", "load", "weight kg", "state"], rows, right=[2]), err=False)
     part = record.parts[-1]
-    screen.say(f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False)
+    screen.say(
+        f"{part.cycles} cycles; recorded in {folder.recording}\n{summary(part.timing)}", err=False
+    )
     for warning in record.warnings:
         screen.say(f"warning: {warning}")
     if words := go_on_words(record, folder.path):
@@ -98,7 +109,10 @@ def _tell(folder: RunFolder, screen: Screen) -> None:
 
 
 def write_page(folder: Path, record: RunRecord, say: Callable[[str, bool], None]) -> None:
-    """Write the page of a run and say where it is; where it cannot be written, say that. Never raises."""
+    """Write the page of a run and say where it is; where it cannot be written, say that.
+
+    Never raises.
+    """
     try:
         say(f"page: {write_run_report(folder, record)}", True)
     except OSError as error:

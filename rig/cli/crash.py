@@ -1,7 +1,7 @@
 """What is said when this program itself breaks down, and where the traceback goes.
 
-What an operator has to know then travels with the exception as notes: how the drive was left, noted by
-whoever made it safe, and the folder of the run, noted by whoever opened it.
+What an operator has to know then travels with the exception as notes: how the drive was left, noted
+by whoever made it safe, and the folder of the run, noted by whoever opened it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from typing import Final
 from rig.common.provenance import utc_now, versions
 
 RUN_FILE: Final = "run.json"
-"""As in :mod:`rig.runs.run_record`, whose import takes a tenth of a second that ``rig --help`` does not have."""
+"""As in :mod:`rig.runs.run_record`, whose import takes a tenth of a second that ``rig --help`` does
+not have.
+"""
 _DRIVE: Final = "the drive: "
 _FOLDER: Final = "run folder: "
 _MOVES: Final = frozenset({"run", "resume", "jog"})
@@ -27,17 +29,21 @@ _LONGEST: Final = 300
 """Characters of an exception's message that are shown; all of it is in the traceback."""
 _STORAGE: Final = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS})
 _NOT_KNOWN: Final = (
-    "how the drive was left is not known; switch the main supply of a real bench off before approaching it"
+    "how the drive was left is not known; switch the main supply of a real bench "
+    "off before approaching it"
 )
 
 
 def note_drive(error: BaseException, words: str) -> None:
-    """Attach to an exception how the drive was left, e.g. "the drive is de-energised (read back: ...)"."""
+    """Attach to an exception how the drive was left, e.g. "the drive is de-energised (read back:
+    ...)".
+    """
     error.add_note(f"{_DRIVE}{words}")
 
 
 def drive_words(error: BaseException) -> str | None:
-    """Return how the drive was left, as noted on an exception or on one that led to it; the latest note counts.
+    """Return how the drive was left, as noted on an exception or on one that led to it; the latest
+    note counts.
 
     So does an exception with an attribute ``safe`` that has a ``message``
     (a :class:`rig.wiring.teardown.SafeState`).
@@ -54,7 +60,9 @@ def drive_words(error: BaseException) -> str | None:
 
 @contextmanager
 def noting_folder(folder: Path) -> Iterator[None]:
-    """Attach a run folder to every exception that passes, so that its traceback is written there."""
+    """Attach a run folder to every exception that passes, so that its traceback is written
+    there.
+    """
     try:
         yield
     except BaseException as error:
@@ -63,7 +71,9 @@ def noting_folder(folder: Path) -> Iterator[None]:
 
 
 def storage_words(error: OSError) -> str | None:
-    """Return what a full or read-only disk says, or None for every other error of the operating system."""
+    """Return what a full or read-only disk says, or None for every other error of the operating
+    system.
+    """
     if error.errno not in _STORAGE:
         return None
     place = f"{os.fsdecode(error.filename)}: " if isinstance(error.filename, str | bytes) else ""
@@ -116,7 +126,9 @@ def _in_one_line(error: BaseException) -> str:
     if said:
         words += f": {said[0][:_LONGEST]}"
     places = traceback.extract_tb(error.__traceback__)
-    return f"{words} ({Path(places[-1].filename).name}, line {places[-1].lineno})" if places else words
+    return (
+        f"{words} ({Path(places[-1].filename).name}, line {places[-1].lineno})" if places else words
+    )
 
 
 def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
@@ -126,14 +138,18 @@ def _page(found: str, drive: str | None, arguments: Sequence[str]) -> str:
         "arguments": " ".join(map(repr, arguments)),
         "folder": _quietly(os.getcwd),
         "system": _quietly(platform.platform),
-        "versions": _quietly(lambda: ", ".join(f"{name} {number}" for name, number in versions().items())),
+        "versions": _quietly(
+            lambda: ", ".join(f"{name} {number}" for name, number in versions().items())
+        ),
         "drive": drive or "this command does not move it",
     }
     return "".join(f"{name}: {value}\n" for name, value in head.items()) + f"\n{found}"
 
 
 def _quietly(ask: Callable[[], str]) -> str:
-    """Return an answer, or nothing where it cannot be had: the report must not break down itself."""
+    """Return an answer, or nothing where it cannot be had: the report must not break down
+    itself.
+    """
     try:
         return ask()
     except Exception:  # noqa: BLE001 - whatever broke the program may break this as well

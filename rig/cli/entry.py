@@ -1,4 +1,6 @@
-"""The ``rig`` command: finds its subcommands when they are asked for, and turns errors into exit statuses."""
+"""The ``rig`` command: finds its subcommands when they are asked for, and turns errors into exit
+statuses.
+"""
 
 from __future__ import annotations
 
@@ -21,27 +23,51 @@ from rig.common.errors import InputError, InUseError, StorageError
 from rig.terminal.output import Streams, complain
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
-    "new": ("rig.cli.commands.new:command", "Write a bench, sequence or campaign file to start from."),
+    "new": (
+        "rig.cli.commands.new:command",
+        "Write a bench, sequence or campaign file to start from.",
+    ),
     "run": ("rig.cli.commands.run:command", "Run a sequence on a bench."),
     "resume": ("rig.cli.commands.resume:command", "Go on with a run that stopped."),
     "jog": ("rig.cli.commands.jog:command", "Move a bench by hand, at low limits."),
-    "check": ("rig.cli.commands.check:command", "Connect to a bench and read it back; nothing moves."),
-    "identify": ("rig.cli.commands.identify:command", "Identify friction and inertia from a run or a campaign."),
-    "simulate": ("rig.cli.commands.simulate:command", "Predict recordings with a fitted model, and compare."),
-    "diagnose": ("rig.cli.commands.diagnose:command", "Say what physics was left out, and model it."),
+    "check": (
+        "rig.cli.commands.check:command",
+        "Connect to a bench and read it back; nothing moves.",
+    ),
+    "identify": (
+        "rig.cli.commands.identify:command",
+        "Identify friction and inertia from a run or a campaign.",
+    ),
+    "simulate": (
+        "rig.cli.commands.simulate:command",
+        "Predict recordings with a fitted model, and compare.",
+    ),
+    "diagnose": (
+        "rig.cli.commands.diagnose:command",
+        "Say what physics was left out, and model it.",
+    ),
     "effects": ("rig.cli.commands.effects:command", "List the effects that a diagnosis can name."),
     "paper": ("rig.cli.commands.paper:command", "Reproduce the paper's tables and figures."),
-    "prove": ("rig.cli.commands.prove:command", "Prove the diagnosis blind on rigs that hide physics."),
+    "prove": (
+        "rig.cli.commands.prove:command",
+        "Prove the diagnosis blind on rigs that hide physics.",
+    ),
     "export": ("rig.cli.commands.export:command", "Convert recordings for other tools."),
     "recover": ("rig.cli.commands.recover:command", "Mend a run whose writer died."),
-    "schema": ("rig.cli.commands.schema:command", "Write JSON Schemas, by which editors complete and check files."),
+    "schema": (
+        "rig.cli.commands.schema:command",
+        "Write JSON Schemas, by which editors complete and check files.",
+    ),
 }
 """Name to module and attribute, and the line shown by ``rig --help`` without importing them."""
 
 _SILENCE = logging.NullHandler()
 GARBAGE_THRESHOLD = 200_000
-"""Allocations between two garbage collections. What importing allocates stays for good, and the default of 700 would
-walk over it again and again: a tenth of a second of every command."""
+"""Allocations between two garbage collections.
+
+What importing allocates stays for good, and the default of 700 would walk over it again and again:
+a tenth of a second of every command.
+"""
 
 DONE, BAD_VERDICT, BAD_INPUT, STOPPED, DEVICE_FAILED, CRASHED = 0, 1, 2, 3, 4, 5
 """Exit statuses; the fourth also where a file cannot be written."""
@@ -56,7 +82,9 @@ class _HiddenError(Exception):
 
 
 class LazyGroup(click.Group):
-    """A group that imports a subcommand only when it is called, so that ``rig --help`` stays quick."""
+    """A group that imports a subcommand only when it is called, so that ``rig --help`` stays
+    quick.
+    """
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         """Return the names in the order of the table."""
@@ -72,15 +100,21 @@ class LazyGroup(click.Group):
         return command
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Complete names of subcommands from the table, importing none, and the options of the group."""
-        names = [CompletionItem(name, help=text) for name, (_, text) in COMMANDS.items() if name.startswith(incomplete)]
+        """Complete names of subcommands from the table, importing none, and the options of the
+        group.
+        """
+        names = [
+            CompletionItem(name, help=text)
+            for name, (_, text) in COMMANDS.items()
+            if name.startswith(incomplete)
+        ]
         return names + click.Command.shell_complete(self, ctx, incomplete)
 
     def invoke(self, ctx: click.Context) -> object:
         """Run the subcommand.
 
-        click takes the end of any file for Ctrl-C, and a broken pipe of any device for a reader of the output that went
-        away; both are errors of their own here.
+        click takes the end of any file for Ctrl-C, and a broken pipe of any device for a reader of
+        the output that went away; both are errors of their own here.
         """
         try:
             return super().invoke(ctx)
@@ -107,8 +141,9 @@ def cli(verbose: bool) -> None:
     if verbose:
         logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     else:
-        # Whatever matters of it comes as an error in this program's own words; without a handler it would be printed.
-        # matplotlib tells of folders that cannot be written, and goes on without them.
+        # Whatever matters of it comes as an error in this program's own words; without a handler it
+        # would be printed. matplotlib tells of folders that cannot be written, and goes on without
+        # them.
         for name in ("can", "canopen", "matplotlib"):
             logging.getLogger(name).addHandler(_SILENCE)
 
@@ -116,8 +151,9 @@ def cli(verbose: bool) -> None:
 def main() -> None:
     """Entry point: run the command line and exit with its status.
 
-    Worker threads of the linear algebra would spin beside the control loop, and make sums depend on their number; the
-    matrices here are too small to need them. Freezing spares the interpreter a last walk over everything as it exits.
+    Worker threads of the linear algebra would spin beside the control loop, and make sums depend on
+    their number; the matrices here are too small to need them. Freezing spares the interpreter a
+    last walk over everything as it exits.
     """
     streams = Streams()
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -184,7 +220,8 @@ def _broke_down(error: BaseException, arguments: list[str]) -> int:
 
 
 class _Threads:
-    """Words in place of a traceback for what breaks down in a second thread, or where nothing can be raised.
+    """Words in place of a traceback for what breaks down in a second thread, or where nothing can
+    be raised.
 
     Attributes:
         broken: Whether a thread broke down: what it was to compute is missing.
@@ -214,7 +251,9 @@ class _Threads:
 
 
 def _ended(error: BaseException, words: str, code: int) -> int:
-    """Say why a command ended, and how the drive was left where that is known; returns the status."""
+    """Say why a command ended, and how the drive was left where that is known; returns the
+    status.
+    """
     complain(words)
     drive = crash.drive_words(error)
     if drive is not None:

@@ -13,10 +13,12 @@ _LARGEST_BYTES = 1 << 25
 
 
 def keep_freed_memory() -> None:
-    """Have the C library keep what numpy frees, instead of returning it to the system array by array.
+    """Have the C library keep what numpy frees, instead of returning it to the system array by
+    array.
 
-    A series of 30 s is 240 kB; beyond 128 kB each one would be mapped, zeroed page by page at its first touch, and
-    unmapped again, which costs ten times what is done with it. Elsewhere than on Linux with glibc nothing is changed.
+    A series of 30 s is 240 kB; beyond 128 kB each one would be mapped, zeroed page by page at its
+    first touch, and unmapped again, which costs ten times what is done with it. Elsewhere than on
+    Linux with glibc nothing is changed.
     """
     if sys.platform != "linux":
         return

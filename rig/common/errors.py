@@ -9,17 +9,22 @@ class InputError(Exception):
     """A file the user wrote, or pointed at, cannot be used; the command line exits with status 2.
 
     Attributes:
-        problems: One line each, all that were found: ``file:line:column: path: message (got VALUE)`` for
-            configuration, ``file: row N: message`` for recordings.
+        problems: One line each, all that were found:
+            ``file:line:column: path: message (got VALUE)`` for configuration,
+            ``file: row N: message`` for recordings.
     """
 
     def __init__(self, problems: str | Iterable[str]) -> None:
-        self.problems: tuple[str, ...] = (problems,) if isinstance(problems, str) else tuple(problems)
+        self.problems: tuple[str, ...] = (
+            (problems,) if isinstance(problems, str) else tuple(problems)
+        )
         super().__init__("\n".join(self.problems))
 
 
 class StorageError(Exception):
-    """A recording, a run folder or a lock file cannot be written; the command line exits with status 4."""
+    """A recording, a run folder or a lock file cannot be written; the command line exits with
+    status 4.
+    """
 
 
 class InUseError(Exception):

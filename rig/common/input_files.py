@@ -29,7 +29,8 @@ def read_json(path: Path, remedy: str = "") -> Any:
         remedy: What to do where it cannot be read, for the message.
 
     Raises:
-        InputError: It cannot be read, is no JSON, or holds a number beyond every floating-point one.
+        InputError: It cannot be read, is no JSON, or holds a number beyond every floating-point
+            one.
     """
     return parse_json(path, read_utf8(path, remedy))
 
@@ -43,7 +44,9 @@ def read_utf8(path: Path, remedy: str = "") -> str:
     try:
         return read_bytes(path).decode("utf-8-sig")
     except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}{_after(remedy)}") from error
+        raise InputError(
+            f"{path}: cannot be read: {error.strerror or error}{_after(remedy)}"
+        ) from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: byte {error.start} is not UTF-8; is it a text file?") from error
 
@@ -63,17 +66,23 @@ def parse_json(path: Path, text: str) -> Any:
 
 
 def source_name(source: Path) -> str:
-    """Return the name of a run folder or campaign file, without its ending, wherever the path leads."""
+    """Return the name of a run folder or campaign file, without its ending, wherever the path
+    leads.
+    """
     return Path(os.path.realpath(source)).stem
 
 
 def is_file(path: Path) -> bool:
-    """Return whether there is a plain file that can be seen; never raises, as :meth:`pathlib.Path.is_file` may."""
+    """Return whether there is a plain file that can be seen; never raises, as
+    :meth:`pathlib.Path.is_file` may.
+    """
     return os.path.isfile(path)
 
 
 def is_folder(path: Path) -> bool:
-    """Return whether there is a folder that can be seen; never raises, as :meth:`pathlib.Path.is_dir` may."""
+    """Return whether there is a folder that can be seen; never raises, as
+    :meth:`pathlib.Path.is_dir` may.
+    """
     return os.path.isdir(path)
 
 

@@ -81,7 +81,10 @@ class Holder:
         other = f" on {self.what}" if self.what and self.what != what else ""
         user = f", user {self.user}" if self.user else ""
         host = f", computer {self.host}" if self.host and self.host != socket.gethostname() else ""
-        return f"`{self.command or 'a program'}`{other} (process {self.pid}{user}{host}){self._when(now)}"
+        return (
+            f"`{self.command or 'a program'}`{other} (process "
+            f"{self.pid}{user}{host}){self._when(now)}"
+        )
 
     def _when(self, now: datetime) -> str:
         """Return since when, and how long ago that is; nothing where the file does not say it."""

@@ -62,7 +62,9 @@ class Lock:
         taken_over: What a program that is gone had left locked, in words; None where nothing was.
     """
 
-    def __init__(self, held: Sequence[_Held] = (), taken_over: str | None = None, owner: Path | None = None) -> None:
+    def __init__(
+        self, held: Sequence[_Held] = (), taken_over: str | None = None, owner: Path | None = None
+    ) -> None:
         self.taken_over = taken_over
         self._held = tuple(held)
         self._owner = owner
@@ -94,12 +96,15 @@ class Lock:
         self.release()
 
 
-def hold_bench(name: str, resources: Iterable[Resource], command: str, folder: Path | None = None) -> Lock:
+def hold_bench(
+    name: str, resources: Iterable[Resource], command: str, folder: Path | None = None
+) -> Lock:
     """Lock everything that a bench consists of, or nothing.
 
     Args:
         name: Of the bench.
-        resources: Its parts; see :func:`rig.wiring.resources.resources`. Without any nothing is locked.
+        resources: Its parts; see :func:`rig.wiring.resources.resources`. Without any nothing is
+        locked.
         command: What locks it, such as ``rig run``.
         folder: Where the lock files are; :data:`LOCK_FOLDER` by default.
 
@@ -109,7 +114,10 @@ def hold_bench(name: str, resources: Iterable[Resource], command: str, folder: P
     """
     what, folder = f"bench {name}", folder or LOCK_FOLDER
     parts = {part.key: part for part in resources}
-    places = [_Place(f"{what} ({parts[key].label})", what, folder, file_name(key), True) for key in sorted(parts)]
+    places = [
+        _Place(f"{what} ({parts[key].label})", what, folder, file_name(key), True)
+        for key in sorted(parts)
+    ]
     return _hold(places, command)
 
 
@@ -127,7 +135,9 @@ def hold_folder(folder: Path, command: str) -> Lock:
     """
     if not os.path.isdir(folder):
         raise InputError(f"{folder}: no such folder; give the folder of a run")
-    place = _Place(f"run folder {folder}", f"run folder {os.path.realpath(folder)}", folder, OWNER_FILE, False)
+    place = _Place(
+        f"run folder {folder}", f"run folder {os.path.realpath(folder)}", folder, OWNER_FILE, False
+    )
     return _hold([place], command, owner=Path(os.path.realpath(folder)) / OWNER_FILE)
 
 
@@ -139,7 +149,8 @@ def inherited(descriptors: Iterable[int], folder: Path | None = None) -> Lock:
         folder: The run folder where that is among it.
     """
     return Lock(
-        [_Held(descriptor) for descriptor in descriptors], owner=None if folder is None else folder / OWNER_FILE
+        [_Held(descriptor) for descriptor in descriptors],
+        owner=None if folder is None else folder / OWNER_FILE,
     )
 
 
@@ -237,7 +248,9 @@ def _take(place: _Place) -> tuple[_Held, bytes]:
 
 
 def _attempt(place: _Place) -> _Held | Holder | None:
-    """Return the locked file, else its holder; None where that is not known, or the file is gone."""
+    """Return the locked file, else its holder; None where that is not known, or the file is
+    gone.
+    """
     fcntl = _fcntl(place)
     with _folder(place) as folder:
         item = _Held(_open(place, folder, fcntl))
@@ -260,7 +273,9 @@ def _fcntl(place: _Place) -> ModuleType:
         import fcntl
     except ImportError as error:
         # Windows has it not; without an owner a bench is not used.
-        raise StorageError(f"{place.subject}: this system cannot lock files; use Linux or macOS") from error
+        raise StorageError(
+            f"{place.subject}: this system cannot lock files; use Linux or macOS"
+        ) from error
     return fcntl
 
 
@@ -342,12 +357,16 @@ def _refusal(place: _Place, holder: Holder | None) -> str:
     """Return why a lock cannot be had, and what to do."""
     if holder is None:
         file = place.folder / place.file
-        return f"{place.subject} is in use by another program, which has not given its name; `fuser {file}` finds it"
+        return (
+            f"{place.subject} is in use by another program, which has not given its name; "
+            f"`fuser {file}` finds it"
+        )
     who = holder.words(place.what, utc_now())
     if holder.alive():
         return f"{place.subject} is in use by {who}; wait for it to end, or stop it"
     return (
-        f"{place.subject} is in use: {who} is gone, but a process that it started still holds it, as the guardian of a "
+        f"{place.subject} is in use: {who} is gone, but a process that it started still holds it, "
+        f"as the guardian of a "
         "drive does until the drive is off; wait for that to end"
     )
 
@@ -362,7 +381,10 @@ def _left_words(place: _Place, left: bytes) -> str:
 def _unusable(place: _Place, reason: str) -> str:
     """Return what is wrong with a lock file or its folder, and what to do."""
     if place.shared:
-        remedy = f"{place.folder} must be a folder that everyone may write to (mode 1777); remove what is in the way"
+        remedy = (
+            f"{place.folder} must be a folder that everyone may write to (mode 1777); remove "
+            f"what is in the way"
+        )
     else:
         remedy = "let this user write to it, or use a folder on a local disk"
     return f"{place.subject}: {place.folder / place.file} cannot be used: {reason}; {remedy}"

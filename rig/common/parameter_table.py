@@ -24,34 +24,54 @@ class Table:
     right: tuple[int, ...]
 
 
-def parameter_table(results: Sequence[Identification], truth: Mapping[str, float] | None = None) -> Table:
-    """Return one row per parameter, with value and 90 % interval by each method; columns without content are left out.
+def parameter_table(
+    results: Sequence[Identification], truth: Mapping[str, float] | None = None
+) -> Table:
+    """Return one row per parameter, with value and 90 % interval by each method; columns without
+    content are left out.
 
     The column ``floor`` is the half width that the Cramer-Rao bound allows the interval.
 
     Args:
         results: One per method; the first names the rows.
-        truth: True values, where a simulated bench lets them be known; adds the columns ``true`` and ``error``.
+        truth: True values, where a simulated bench lets them be known; adds the columns ``true``
+            and ``error``.
     """
     header = ["parameter"]
     for result in results:
         prefix = "" if len(results) == 1 else f"{result.method}: "
-        header += [f"{prefix}value", f"{prefix}90 % interval", f"{prefix}floor", *([f"{prefix}error"] if truth else [])]
+        header += [
+            f"{prefix}value",
+            f"{prefix}90 % interval",
+            f"{prefix}floor",
+            *([f"{prefix}error"] if truth else []),
+        ]
     header += ["unit", *(["true"] if truth else []), "note"]
     names = dict.fromkeys(name for result in results for name in result.parameters)
     rows = [_row(name, results, truth) for name in names]
     kept = [i for i in range(len(header)) if any(row[i] not in ("", "-") for row in rows)]
     numbers = [k for k, i in enumerate(kept) if header[i] not in ("parameter", "unit", "note")]
-    return Table(tuple(header[i] for i in kept), tuple(tuple(row[i] for i in kept) for row in rows), tuple(numbers))
+    return Table(
+        tuple(header[i] for i in kept),
+        tuple(tuple(row[i] for i in kept) for row in rows),
+        tuple(numbers),
+    )
 
 
 def parameter_notes(results: Sequence[Identification]) -> list[str]:
     """Return the reasons behind the last column of :func:`parameter_table`, a line each."""
-    return [f"{r.method}: {p.name}: {p.reason}" for r in results for p in r.parameters.values() if p.reason]
+    return [
+        f"{r.method}: {p.name}: {p.reason}"
+        for r in results
+        for p in r.parameters.values()
+        if p.reason
+    ]
 
 
 def pinned_notes(results: Sequence[Identification]) -> list[str]:
-    """Say for each method with intervals how many parameters the recordings pin, and which one the least."""
+    """Say for each method with intervals how many parameters the recordings pin, and which one the
+    least.
+    """
     lines = []
     for result in results:
         widths = {
@@ -63,7 +83,8 @@ def pinned_notes(results: Sequence[Identification]) -> list[str]:
             weakest = max(widths, key=lambda n: widths[n])
             count = f"{len(widths)} of {len(result.parameters)} parameters"
             lines.append(
-                f"{result.method}: pins {count}; the weakest is {weakest}, to {percent(100.0 * widths[weakest])}"
+                f"{result.method}: pins {count}; the weakest is {weakest}, to "
+                f"{percent(100.0 * widths[weakest])}"
             )
     return lines
 
@@ -83,7 +104,9 @@ def _error(value: float | None, true: float | None) -> str:
     return percent(None if value is None or not true else 100.0 * (value / true - 1.0))
 
 
-def _row(name: str, results: Sequence[Identification], truth: Mapping[str, float] | None) -> tuple[str, ...]:
+def _row(
+    name: str, results: Sequence[Identification], truth: Mapping[str, float] | None
+) -> tuple[str, ...]:
     cells = [name]
     notes: list[str] = []
     unit = ""
@@ -94,7 +117,11 @@ def _row(name: str, results: Sequence[Identification], truth: Mapping[str, float
             cells += ["-"] * (4 if truth else 3)
             continue
         unit = parameter.unit
-        cells += [number(parameter.value), interval(parameter.low, parameter.high), _floor(parameter)]
+        cells += [
+            number(parameter.value),
+            interval(parameter.low, parameter.high),
+            _floor(parameter),
+        ]
         if truth:
             cells.append(_error(parameter.value, true))
         if said := note(parameter):

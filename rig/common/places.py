@@ -28,7 +28,9 @@ def require_folder(path: Path, option: str) -> None:
     while not os.path.exists(above) and above != above.parent:
         above = above.parent
     if not is_folder(above):
-        raise InputError(f"{path}: cannot be made, as {above} is a file; give {option} another place")
+        raise InputError(
+            f"{path}: cannot be made, as {above} is a file; give {option} another place"
+        )
     if not os.access(above, os.W_OK | os.X_OK):
         raise InputError(f"{path}: {above} may not be written to; give {option} another place")
 
@@ -44,7 +46,10 @@ def require_file(path: Path | None, option: str) -> None:
     if is_folder(path):
         raise InputError(f"{path}: is a folder; give {option} a file")
     if not is_folder(path.parent):
-        raise InputError(f"{path}: the folder {path.parent} does not exist; make it, or give {option} another place")
+        raise InputError(
+            f"{path}: the folder {path.parent} does not exist; make it, or give {option} another "
+            f"place"
+        )
     judged = path.parent if is_file(path) or not os.path.exists(path) else path
     if not os.access(judged, os.W_OK):
         raise InputError(f"{path}: {judged} may not be written to; give {option} another place")
@@ -52,10 +57,12 @@ def require_file(path: Path | None, option: str) -> None:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Yield the name of a draft; it takes the place of ``path`` at the end, and is removed if there is no good end.
+    """Yield the name of a draft; it takes the place of ``path`` at the end, and is removed if there
+    is no good end.
 
-    No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link is followed, and what
-    is no plain file (a pipe, ``/dev/stdout``) is written straight, never replaced.
+    No reader ever sees half a file, and an earlier version survives a full disk or Ctrl-C. A link
+    is followed, and what is no plain file (a pipe, ``/dev/stdout``) is written straight, never
+    replaced.
     """
     if os.path.exists(path) and not is_file(path):
         yield path
@@ -90,7 +97,8 @@ def write_json(path: Path, record: Mapping[str, Any]) -> None:
     """
     text = json.dumps(record, indent=1)
     if "\\ud" in text:
-        # Bytes that were not decoded may be among the escapes, and strict readers of JSON refuse those.
+        # Bytes that were not decoded may be among the escapes, and strict readers of JSON refuse
+        # those.
         text = json.dumps(valid_record(record), indent=1)
     write_text(path, text + "\n")
 
@@ -106,4 +114,6 @@ def write_asked(path: Path | None, record: Mapping[str, Any]) -> None:
     try:
         write_json(path, record)
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; give --json another place") from error
+        raise InputError(
+            f"{path}: cannot be written: {error.strerror}; give --json another place"
+        ) from error

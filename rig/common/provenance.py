@@ -33,7 +33,9 @@ def utc_now() -> datetime:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of this program and of what a recording depends on, with the commit if there is one."""
+    """Return the versions of this program and of what a recording depends on, with the commit if
+    there is one.
+    """
     found = {name: version(name) for name in ("loadrig", "numpy", "canopen", "python-can", "mcap")}
     found["python"] = platform.python_version()
     commit = git_commit(Path(__file__).parents[2])

@@ -38,7 +38,11 @@ class Provenance:
 
     @classmethod
     def of(
-        cls, seed: int, recordings: Sequence[Recording], seconds: float, described_by: Path | None = None
+        cls,
+        seed: int,
+        recordings: Sequence[Recording],
+        seconds: float,
+        described_by: Path | None = None,
     ) -> Provenance:
         """Return the provenance of a result made just now from these recordings.
 
@@ -46,7 +50,8 @@ class Provenance:
             seed: Of the random generator.
             recordings: What was identified.
             seconds: Wall-clock time spent.
-            described_by: The campaign file, or a run's ``run.json``, which says what the recordings are.
+            described_by: The campaign file, or a run's ``run.json``, which says what the recordings
+                are.
 
         Raises:
             OSError: ``described_by`` cannot be read.
@@ -79,16 +84,22 @@ def identification_record(result: Identification, provenance: Provenance) -> dic
         "fitted": {name: finite(value) for name, value in result.fitted.items()},
         "parameters": {name: parameter_record(p) for name, p in result.parameters.items()},
         "fit": fit_record(result.fit),
-        "fit_by_recording": {name: fit_record(fit) for name, fit in result.fits_by_recording.items()},
+        "fit_by_recording": {
+            name: fit_record(fit) for name, fit in result.fits_by_recording.items()
+        },
         "evaluations": result.evaluations,
         "stages": [_stage_record(s) for s in result.stages],
-        "convergence": {s.stage: _history_record(s) for s in result.stages if s.cost_history is not None},
+        "convergence": {
+            s.stage: _history_record(s) for s in result.stages if s.cost_history is not None
+        },
         "warnings": list(result.warnings),
     }
 
 
 def parameter_record(parameter: Parameter) -> dict[str, Any]:
-    """Return one parameter; ``value`` is null where it is not identifiable, ``floor`` where it was not computed."""
+    """Return one parameter; ``value`` is null where it is not identifiable, ``floor`` where it was
+    not computed.
+    """
     return {
         "value": finite(parameter.value),
         "low": finite(parameter.low),
@@ -133,5 +144,7 @@ def _stage_record(stage: Convergence) -> dict[str, Any]:
 
 def _history_record(stage: Convergence) -> dict[str, Any]:
     costs = [] if stage.cost_history is None else [finite(v) for v in stage.cost_history]
-    histories = {name: [finite(v) for v in values] for name, values in stage.parameter_history.items()}
+    histories = {
+        name: [finite(v) for v in values] for name, values in stage.parameter_history.items()
+    }
     return {"cost": costs, "parameters": histories}

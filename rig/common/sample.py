@@ -1,4 +1,6 @@
-"""What one control cycle leaves behind: the row that is checked, recorded and later identified from."""
+"""What one control cycle leaves behind: the row that is checked, recorded and later identified
+from.
+"""
 
 from __future__ import annotations
 

@@ -24,7 +24,10 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], right: Sequence[
     widths = [max(len(line[i]) for line in (header, *rows)) for i in range(len(header))]
 
     def aligned(cells: Sequence[str]) -> str:
-        padded = (c.rjust(w) if i in right else c.ljust(w) for i, (c, w) in enumerate(zip(cells, widths, strict=True)))
+        padded = (
+            c.rjust(w) if i in right else c.ljust(w)
+            for i, (c, w) in enumerate(zip(cells, widths, strict=True))
+        )
         return _GAP.join(padded).rstrip()
 
     return "\n".join([aligned(header), _GAP.join("-" * w for w in widths), *map(aligned, rows)])
@@ -41,7 +44,9 @@ def interval(low: float | None, high: float | None) -> str:
 
 
 def percent(value: float | None) -> str:
-    """Return a share in percent with three significant digits (all of them from 1000 up), or a dash for None."""
+    """Return a share in percent with three significant digits (all of them from 1000 up), or a dash
+    for None.
+    """
     if value is None:
         return "-"
     return f"{value:.0f} %" if abs(value) >= 1000.0 else f"{value:.3g} %"

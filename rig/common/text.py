@@ -1,7 +1,8 @@
 """Text from the command line and from file names, made fit for files.
 
-Python carries bytes that its locale cannot decode as lone surrogates: the whole of a name like "Jürgen"
-in a C locale. They are no text: UTF-8 cannot hold them, and strict JSON readers refuse them.
+Python carries bytes that its locale cannot decode as lone surrogates: the whole of a name like
+"Jürgen" in a C locale. They are no text: UTF-8 cannot hold them, and strict JSON readers refuse
+them.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ from typing import Any
 
 
 def valid(text: str) -> str:
-    """Return what was meant where bytes of UTF-8 were not decoded; other bytes become escapes like ``\\xfc``."""
+    """Return what was meant where bytes of UTF-8 were not decoded; other bytes become escapes like
+    ``\\xfc``.
+    """
     try:
         text.encode("utf-8")
     except UnicodeEncodeError:

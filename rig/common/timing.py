@@ -29,7 +29,8 @@ class Histogram:
         self.worst_ns = max(self.worst_ns, duration_ns)
 
     def share_within_us(self, share: float) -> float | None:
-        """Return the end of the first bin that, with those below, holds ``share`` of all; the worst beyond the last.
+        """Return the end of the first bin that, with those below, holds ``share`` of all; the worst
+        beyond the last.
 
         None where nothing was counted.
         """
@@ -58,9 +59,12 @@ class Timing:
     """What is told about the time keeping of a run.
 
     Attributes:
-        lateness: How late cycles started; on a simulated bench held to real time, by the real clock.
-        answer: From a cycle's start until its answer had been collected: the age of a sample when it is judged.
-        missed_syncs: Cycles that were never sent because an earlier one was late by more than a period.
+        lateness: How late cycles started; on a simulated bench held to real time, by the real
+        clock.
+        answer: From a cycle's start until its answer had been collected: the age of a sample when
+        it is judged.
+        missed_syncs: Cycles that were never sent because an earlier one was late by more than a
+        period.
         lost_servo: Cycles in which the drive's answer was missing or bad.
         lost_encoder: The same of the joint encoder.
         oldest_s: The greatest age of the last fresh sample, s.
@@ -92,7 +96,8 @@ def summary(timing: Mapping[str, Any]) -> str:
     if late["p99_us"] is None or answer["p99_us"] is None:
         return "no cycle was completed"
     return (
-        f"lateness p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer p99 {answer['p99_us']:.0f} us; "
+        f"lateness p99 {late['p99_us']:.0f} us, worst {late['worst_us']:.0f} us; answer p99 "
+        f"{answer['p99_us']:.0f} us; "
         f"{timing['missed_syncs']} SYNCs missed, samples lost: {timing['lost_servo']} drive, "
         f"{timing['lost_encoder']} encoder; oldest {timing['oldest_sample_s'] * 1e3:.3g} ms"
     )

@@ -1,7 +1,8 @@
 """YAML text to a tree that remembers where each value was written.
 
-Only plain data: mappings with text keys, lists, and the scalars of the YAML 1.2 core schema, so that ``1e3`` is a
-number and ``on`` or ``2020-01-01`` stay text. Anchors may be used, within a limit on what they expand to.
+Only plain data: mappings with text keys, lists, and the scalars of the YAML 1.2 core schema, so
+that ``1e3`` is a number and ``on`` or ``2020-01-01`` stay text. Anchors may be used, within a limit
+on what they expand to.
 """
 
 from __future__ import annotations
@@ -129,7 +130,8 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
     """Parse one YAML document whose top level is a mapping.
 
     Returns:
-        The tree, and the duplicate keys as (mark, key, message); the first of the duplicates is the one in the tree.
+        The tree, and the duplicate keys as (mark, key, message); the first of the duplicates is the
+        one in the tree.
 
     Raises:
         DocumentError: Bad syntax, an empty document, or another top level.
@@ -140,13 +142,19 @@ def parse(text: str) -> tuple[Node, list[tuple[Mark, str, str]]]:
     except yaml.reader.ReaderError as error:
         before = text[: error.position]
         mark = Mark(before.count("\n") + 1, error.position - before.rfind("\n"))
-        raise DocumentError(f"character U+{ord(text[error.position]):04X} is not allowed in YAML", mark) from error
+        raise DocumentError(
+            f"character U+{ord(text[error.position]):04X} is not allowed in YAML", mark
+        ) from error
     except yaml.MarkedYAMLError as error:
-        raise DocumentError(_explain(error), _mark(error.problem_mark or error.context_mark)) from error
+        raise DocumentError(
+            _explain(error), _mark(error.problem_mark or error.context_mark)
+        ) from error
     if root is None:
         raise DocumentError("the file is empty")
     if not isinstance(root, yaml.MappingNode):
-        raise DocumentError("the top level must be a mapping of `key: value` lines", _mark(root.start_mark))
+        raise DocumentError(
+            "the top level must be a mapping of `key: value` lines", _mark(root.start_mark)
+        )
     builder = _Builder()
     return builder.build(root, ()), builder.duplicates
 
@@ -183,7 +191,11 @@ class _Builder:
             if key in children:
                 first = marks[key]
                 self.duplicates.append(
-                    (at, key, f"duplicate key {key!r}, first given on line {first.line}; remove one")
+                    (
+                        at,
+                        key,
+                        f"duplicate key {key!r}, first given on line {first.line}; remove one",
+                    )
                 )
                 continue
             marks[key] = at

@@ -1,6 +1,8 @@
-"""The bench file: machine constants, bus, devices, limits and, for the mock, the true machine behind the bus.
+"""The bench file: machine constants, bus, devices, limits and, for the mock, the true machine
+behind the bus.
 
-Units are in the names, at the edge of the program (``angle_max_deg``); everything past the properties here is SI.
+Units are in the names, at the edge of the program (``angle_max_deg``); everything past the
+properties here is SI.
 """
 
 from __future__ import annotations
@@ -169,7 +171,8 @@ class EncoderSection(Schema):
 
 
 class LimitsSection(Schema):
-    """Limits checked on every sample, and held by the drive as well where it has an object for them.
+    """Limits checked on every sample, and held by the drive as well where it has an object for
+    them.
 
     Attributes:
         angle_min_deg: Lowest joint angle, commanded or measured.
@@ -211,29 +214,45 @@ class LimitsSection(Schema):
     def _range_is_open(self) -> Self:
         if not self.supply_min_V < self.supply_max_V:
             raise ValueError(
-                f"supply_min_V {self.supply_min_V:g} must be below supply_max_V {self.supply_max_V:g}; swap them"
+                f"supply_min_V {self.supply_min_V:g} must be below supply_max_V "
+                f"{self.supply_max_V:g}; swap them"
             )
         if not self.angle_min_deg < self.angle_max_deg:
             raise ValueError(
-                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg {self.angle_max_deg:g}; swap them"
+                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
+                f"{self.angle_max_deg:g}; swap them"
             )
         return self
 
 
 def _servo_kind(section: object) -> object:
     """Return what kind of servo a section describes; CANopen where it does not say."""
-    return section.get("kind", "canopen") if isinstance(section, dict) else getattr(section, "kind", None)
+    return (
+        section.get("kind", "canopen")
+        if isinstance(section, dict)
+        else getattr(section, "kind", None)
+    )
 
 
 def _bus_kind(section: object) -> object:
-    """Return what kind of bus a section describes: CAN, whose interfaces have many names, or the one serial kind."""
-    name = section.get("interface") if isinstance(section, dict) else getattr(section, "interface", None)
+    """Return what kind of bus a section describes: CAN, whose interfaces have many names, or the
+    one serial kind.
+    """
+    name = (
+        section.get("interface")
+        if isinstance(section, dict)
+        else getattr(section, "interface", None)
+    )
     return "serial" if name == "epos_serial" else "can"
 
 
 def _encoder_kind(section: object) -> object:
     """Return what kind of encoder a section describes; CiA 406 where it does not say."""
-    return section.get("kind", "cia406") if isinstance(section, dict) else getattr(section, "kind", None)
+    return (
+        section.get("kind", "cia406")
+        if isinstance(section, dict)
+        else getattr(section, "kind", None)
+    )
 
 
 class Calibration(Schema):
@@ -281,15 +300,25 @@ class Bench(Schema):
     name: str
     machine: Constants
     bus: (
-        Annotated[Annotated[Bus, Tag("can")] | Annotated[SerialBus, Tag("serial")], Discriminator(_bus_kind)] | None
+        Annotated[
+            Annotated[Bus, Tag("can")] | Annotated[SerialBus, Tag("serial")],
+            Discriminator(_bus_kind),
+        ]
+        | None
     ) = Bus()
     servo: Annotated[
         Annotated[ServoSection, Tag("canopen")] | Annotated[DbcServoSection, Tag("dbc")],
-        Discriminator(_servo_kind, "servo_kind", "kind is unknown; known are canopen (the default) and dbc"),
+        Discriminator(
+            _servo_kind, "servo_kind", "kind is unknown; known are canopen (the default) and dbc"
+        ),
     ] = ServoSection()
     encoder: Annotated[
         Annotated[EncoderSection, Tag("cia406")] | Annotated[Amt21Section, Tag("amt21")],
-        Discriminator(_encoder_kind, "encoder_kind", "kind is unknown; known are cia406 (the default) and amt21"),
+        Discriminator(
+            _encoder_kind,
+            "encoder_kind",
+            "kind is unknown; known are cia406 (the default) and amt21",
+        ),
     ] = EncoderSection()
     pressure: PressureSection | None = None
     gas_generator: GasGeneratorSection | None = None
@@ -309,7 +338,8 @@ class Bench(Schema):
         period_ms = 1e3 / rate
         if abs(period_ms - round(period_ms)) > 1e-9:
             raise ValueError(
-                f"the period {period_ms:g} ms must be a whole number of milliseconds; try 1000, 500 or 250"
+                f"the period {period_ms:g} ms must be a whole number of milliseconds; try 1000, "
+                f"500 or 250"
             )
         return rate
 
@@ -325,12 +355,14 @@ class Bench(Schema):
                 raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
             if value and not _SMALLEST <= value <= 1.0 / _SMALLEST:
                 raise ValueError(
-                    f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}; no machine is built so, "
+                    f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}; no "
+                    f"machine is built so, "
                     "check exponent and unit"
                 )
         if machine is not None and not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
             raise ValueError(
-                f"loops.rate_Hz is {machine.loops.rate_Hz:g}; it must be {_LOOPS_HZ[0]:g} to {_LOOPS_HZ[1]:g} Hz"
+                f"loops.rate_Hz is {machine.loops.rate_Hz:g}; it must be {_LOOPS_HZ[0]:g} to "
+                f"{_LOOPS_HZ[1]:g} Hz"
             )
         return machine
 
@@ -342,10 +374,15 @@ class Bench(Schema):
         generator = machine.gas
         if not generator.pressure_exponent < 1.0:
             raise ValueError(
-                f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure is steady: below 1"
+                f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure "
+                f"is steady: below 1"
             )
-        if not generator.valve.hole_diameter_m < min(generator.valve.plate_width_m, generator.valve.opening_diameter_m):
-            raise ValueError("gas.valve.hole_diameter_m must be below plate_width_m and opening_diameter_m")
+        if not generator.valve.hole_diameter_m < min(
+            generator.valve.plate_width_m, generator.valve.opening_diameter_m
+        ):
+            raise ValueError(
+                "gas.valve.hole_diameter_m must be below plate_width_m and opening_diameter_m"
+            )
         return machine
 
     @model_validator(mode="after")
@@ -353,15 +390,25 @@ class Bench(Schema):
         if self.pressure is None:
             return self
         if isinstance(self.bus, SerialBus):
-            raise ValueError("a pressure transmitter of kind cia404 needs a CAN bus, but bus.interface is epos_serial")
+            raise ValueError(
+                "a pressure transmitter of kind cia404 needs a CAN bus, but bus.interface is "
+                "epos_serial"
+            )
         if isinstance(self.servo, DbcServoSection) and self.simulated:
-            raise ValueError("beside a simulated servo of kind dbc there is no pressure transmitter; remove `pressure`")
+            raise ValueError(
+                "beside a simulated servo of kind dbc there is no pressure transmitter; remove "
+                "`pressure`"
+            )
         if self.gas_generator is None:
-            raise ValueError("`pressure` needs `gas_generator` beside it: the contact force follows from its valve")
+            raise ValueError(
+                "`pressure` needs `gas_generator` beside it: the contact force follows from its "
+                "valve"
+            )
         limit = self.limits.pressure_MPa
         if limit is None or limit > self.pressure.range_MPa:
             raise ValueError(
-                f"`pressure` needs limits.pressure_MPa, at most its range_MPa {self.pressure.range_MPa:g} "
+                f"`pressure` needs limits.pressure_MPa, at most its range_MPa "
+                f"{self.pressure.range_MPa:g} "
                 f"(got {'none' if limit is None else f'{limit:g}'}); set it"
             )
         return self
@@ -370,7 +417,8 @@ class Bench(Schema):
     def _mock_is_described(self) -> Self:
         if self.simulated and self.mock is None:
             raise ValueError(
-                "bus.interface is mock but there is no 'mock' section; add the simulated machine's constants"
+                "bus.interface is mock but there is no 'mock' section; add the simulated "
+                "machine's constants"
             )
         return self
 
@@ -378,15 +426,31 @@ class Bench(Schema):
     def _devices_fit_the_bus(self) -> Self:
         if isinstance(self.bus, SerialBus):
             if isinstance(self.servo, DbcServoSection):
-                raise ValueError("a servo of kind dbc needs a CAN bus, but bus.interface is epos_serial; change one")
+                raise ValueError(
+                    "a servo of kind dbc needs a CAN bus, but bus.interface is epos_serial; "
+                    "change one"
+                )
             if isinstance(self.encoder, EncoderSection):
                 raise ValueError(
-                    "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; use amt21"
+                    "an encoder of kind cia406 needs a CAN bus, but bus.interface is epos_serial; "
+                    "use amt21"
                 )
-        if isinstance(self.encoder, Amt21Section) and (self.encoder.port == MOCK) is not self.simulated:
-            raise ValueError("bus and encoder must both be simulated (mock) or both real; change one")
-        if isinstance(self.encoder, Amt21Section) and isinstance(self.servo, DbcServoSection) and self.simulated:
-            raise ValueError("beside a simulated servo of kind dbc the encoder must be of kind cia406; change one")
+        if (
+            isinstance(self.encoder, Amt21Section)
+            and (self.encoder.port == MOCK) is not self.simulated
+        ):
+            raise ValueError(
+                "bus and encoder must both be simulated (mock) or both real; change one"
+            )
+        if (
+            isinstance(self.encoder, Amt21Section)
+            and isinstance(self.servo, DbcServoSection)
+            and self.simulated
+        ):
+            raise ValueError(
+                "beside a simulated servo of kind dbc the encoder must be of kind cia406; change "
+                "one"
+            )
         return self
 
     @property
@@ -433,7 +497,8 @@ def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
 def load_bench(name: str | Path) -> Document[Bench]:
     """Read a bench by path, or by the bare name of a packaged one (``practical``).
 
-    Where the drive has no watchdog, the limits of torque, current and speed are those of the file, cut.
+    Where the drive has no watchdog, the limits of torque, current and speed are those of the file,
+    cut.
 
     Raises:
         InputError: It is not there, or not valid; every problem with its place in the file.
@@ -443,11 +508,15 @@ def load_bench(name: str | Path) -> Document[Bench]:
     document.require((("mock", *path), text) for path, text in _hidden(bench.mock))
     frames: Sequence[tuple[int, int]] = cia402_servo.FRAMES
     if isinstance(bench.servo, DbcServoSection):
-        frames = cycle_frames(wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s)
+        frames = cycle_frames(
+            wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s
+        )
     if isinstance(bench.bus, SerialBus):
         document.require((("bus", "baud"), text) for text in overload(bench.bus, bench.cycle_s))
     elif bench.bus is not None:
-        document.require((("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench))
+        document.require(
+            (("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench)
+        )
     return in_force(document)
 
 
@@ -464,7 +533,9 @@ def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...]
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:
-    """Return a bench with the limits in force: cut, where nothing but this program watches the drive."""
+    """Return a bench with the limits in force: cut, where nothing but this program watches the
+    drive.
+    """
     bench = document.value
     if bench.watched:
         return document
@@ -475,13 +546,16 @@ def in_force(document: Document[Bench]) -> Document[Bench]:
 
 
 def bus_overload(servo: Sequence[tuple[int, int]], bus: Bus, bench: Bench) -> Iterator[str]:
-    """Yield what is wrong where a control cycle does not fit the bus, with these frames of the drive."""
+    """Yield what is wrong where a control cycle does not fit the bus, with these frames of the
+    drive.
+    """
     bitrate, cycle_s = bus.bitrate, bench.cycle_s
     bits = cycle_bits((*servo, *cia406.FRAMES, *(cia404.FRAMES if bench.pressure else ())))
     share = bits / (bitrate * cycle_s)
     if share > ANSWER_SHARE:
         shortest_ms = math.ceil(1e3 * bits / (bitrate * ANSWER_SHARE))
         yield (
-            f"too slow: a cycle of {cycle_s * 1e3:g} ms takes up to {bits:.0f} bits, {share:.0%} of the bus, limit "
+            f"too slow: a cycle of {cycle_s * 1e3:g} ms takes up to {bits:.0f} bits, {share:.0%} "
+            f"of the bus, limit "
             f"{ANSWER_SHARE:.0%}; raise it, or lower cycle_Hz to {1e3 / shortest_ms:g}"
         )

@@ -11,15 +11,22 @@ from rig.config.configuration import Document
 
 
 def calibration_records(bench: Bench, today: date) -> list[Mapping[str, Any]]:
-    """Return the bench's calibrations as ``run.json`` holds them; one is good through the day it is due."""
+    """Return the bench's calibrations as ``run.json`` holds them; one is good through the day it is
+    due.
+    """
     return [
-        {"device": c.device, "id": c.id, "due": c.due.isoformat(), "overdue": c.due < today} for c in bench.calibrations
+        {"device": c.device, "id": c.id, "due": c.due.isoformat(), "overdue": c.due < today}
+        for c in bench.calibrations
     ]
 
 
 def overdue(records: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return in words which of them are overdue."""
-    return [f"calibration {c['id']} of {c['device']} was due on {c['due']}" for c in records if c["overdue"]]
+    return [
+        f"calibration {c['id']} of {c['device']} was due on {c['due']}"
+        for c in records
+        if c["overdue"]
+    ]
 
 
 def overdue_problems(document: Document[Bench], today: date) -> list[str]:
@@ -33,7 +40,8 @@ def overdue_problems(document: Document[Bench], today: date) -> list[str]:
     return [
         document.problem(
             ("calibrations", index, "due"),
-            f"calibration {item.id} of {item.device} is overdue since then, and overdue_calibration is `refuse`; "
+            f"calibration {item.id} of {item.device} is overdue since then, and "
+            f"overdue_calibration is `refuse`; "
             "have it calibrated",
         )
         for index, item in enumerate(bench.calibrations)

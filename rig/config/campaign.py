@@ -28,8 +28,14 @@ def _known_term(name: str) -> str:
     if name in FITTED_TERMS:
         return name
     if name in EFFECTS:
-        remedy = "; a known weight is declared by `gravity:` of a recording" if name == "gravity_imbalance" else ""
-        raise ValueError(f"this version cannot fit the effect {name!r}, only {', '.join(FITTED_TERMS)}{remedy}")
+        remedy = (
+            "; a known weight is declared by `gravity:` of a recording"
+            if name == "gravity_imbalance"
+            else ""
+        )
+        raise ValueError(
+            f"this version cannot fit the effect {name!r}, only {', '.join(FITTED_TERMS)}{remedy}"
+        )
     raise ValueError(f"unknown effect; {nearest(name, [*FITTED_TERMS, *EFFECTS])}")
 
 
@@ -97,7 +103,9 @@ class BenchSection(Schema):
         constants = self.model_dump(exclude={"gas_generator"}, exclude_none=True)
         if self.gas_generator is None:
             return Bench(**constants)
-        return Bench(**constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1))
+        return Bench(
+            **constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1)
+        )
 
 
 class ModelSection(Schema):
@@ -112,7 +120,9 @@ class ModelSection(Schema):
 
     friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
     terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
-    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(default_factory=dict)
+    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(
+        default_factory=dict
+    )
 
     @field_validator("terms")
     @classmethod
@@ -125,7 +135,9 @@ class ModelSection(Schema):
     @field_validator("fixed")
     @classmethod
     def _physical(cls, fixed: dict[str, float]) -> dict[str, float]:
-        negative = [f"{name} = {value:g}" for name, value in fixed.items() if value < 0 and name != "offset"]
+        negative = [
+            f"{name} = {value:g}" for name, value in fixed.items() if value < 0 and name != "offset"
+        ]
         if negative:
             raise ValueError(f"must not be negative: {', '.join(negative)}")
         return fixed
@@ -221,7 +233,9 @@ class ChannelSection(Schema):
     @model_validator(mode="before")
     @classmethod
     def _short_form(cls, data: object) -> object:
-        return {"column": data} if isinstance(data, str | int) and not isinstance(data, bool) else data
+        return (
+            {"column": data} if isinstance(data, str | int) and not isinstance(data, bool) else data
+        )
 
 
 class RecordingSection(Schema):
@@ -301,7 +315,11 @@ def _merge_defaults(root: Node) -> Node:
 def _overlay(under: Node, over: Node) -> Node:
     if not isinstance(under.value, dict) or not isinstance(over.value, dict):
         return over
-    both = {key: _overlay(under.value[key], child) for key, child in over.value.items() if key in under.value}
+    both = {
+        key: _overlay(under.value[key], child)
+        for key, child in over.value.items()
+        if key in under.value
+    }
     return Node({**under.value, **over.value, **both}, over.mark, {**under.keys, **over.keys})
 
 
@@ -309,15 +327,24 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     """Yield what the schema alone cannot see, as (location, message)."""
     fixed = campaign.model.fixed
     if "Mc" in fixed and "Ms" in fixed and fixed["Ms"] < fixed["Mc"]:
-        yield ("model", "fixed", "Ms"), f"static friction below Coulomb friction Mc = {fixed['Mc']:g}; Ms >= Mc"
+        yield (
+            ("model", "fixed", "Ms"),
+            f"static friction below Coulomb friction Mc = {fixed['Mc']:g}; Ms >= Mc",
+        )
     if not rises(campaign.model.rung):
         for name in sorted({"Ms", "omega_sf"} & fixed.keys()):
-            yield ("model", "fixed", name), f"friction {campaign.model.rung} does not rise toward rest; remove it"
+            yield (
+                ("model", "fixed", name),
+                f"friction {campaign.model.rung} does not rise toward rest; remove it",
+            )
     # As a term it may be declared before any load is: a diagnosis may find one.
-    if bears_load(campaign.model.friction) and not any(r.gravity and r.role == "fit" for r in campaign.recordings):
+    if bears_load(campaign.model.friction) and not any(
+        r.gravity and r.role == "fit" for r in campaign.recordings
+    ):
         yield (
             ("model",),
-            f"friction {campaign.model.friction} grows with a pendulum's torque, and no recording to fit has `gravity`",
+            f"friction {campaign.model.friction} grows with a pendulum's torque, and no recording "
+            f"to fit has `gravity`",
         )
     for index, recording in enumerate(campaign.recordings):
         for loc, message in _check_recording(recording, campaign.bench):
@@ -329,7 +356,8 @@ def _cross_check(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
     if len(units) > 1:
         yield (
             ("bench",),
-            "some recordings give torque and others only amperes; add torque_constant, or a torque channel to all",
+            "some recordings give torque and others only amperes; add torque_constant, or a "
+            "torque channel to all",
         )
 
 
@@ -342,13 +370,18 @@ def _check_validation(campaign: Campaign) -> Iterator[tuple[Loc, str]]:
         if recording.role == "validate" and recording.stage == "loaded":
             yield (
                 ("recordings", index, "role"),
-                "a loaded recording to validate, but none to fit, so that its working load would be unknown; fit a"
+                "a loaded recording to validate, but none to fit, so that its working load would "
+                "be unknown; fit a"
                 f" loaded one, or fix {', '.join(LOAD_PARAMETERS)}",
             )
 
 
 def _torque_unit(recording: RecordingSection, bench: BenchSection) -> str:
-    return "torque" if "torque" in recording.channels or bench.torque_constant is not None else "amperes"
+    return (
+        "torque"
+        if "torque" in recording.channels or bench.torque_constant is not None
+        else "amperes"
+    )
 
 
 def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
@@ -358,31 +391,49 @@ def _check_recording(recording: RecordingSection, bench: BenchSection) -> Iterat
     if "time" in channels and recording.rate is not None:
         yield ("rate",), "`rate` is only for files without time; remove it, or the `time` channel"
     if ANGLE_TIME in channels and "angle" not in channels:
-        yield ("channels", ANGLE_TIME), "stamps of an encoder whose `angle` is not there; map that too"
+        yield (
+            ("channels", ANGLE_TIME),
+            "stamps of an encoder whose `angle` is not there; map that too",
+        )
     if not channels.keys() & {"angle", "velocity", "motor_angle"}:
         yield ("channels",), "no `angle`, `velocity` or `motor_angle`; map at least one"
     if not channels.keys() & {"torque", "current", "voltage"}:
         yield from _check_burn(channels, bench)
     elif not channels.keys() & {"torque", "current"}:
-        missing = [name for name in ("resistance", "back_emf_constant") if getattr(bench, name) is None]
+        missing = [
+            name for name in ("resistance", "back_emf_constant") if getattr(bench, name) is None
+        ]
         if missing:
             yield (
                 ("channels", "voltage"),
-                f"current from voltage, I = (U - Ke omega_motor)/R, needs bench {' and '.join(missing)}",
+                f"current from voltage, I = (U - Ke omega_motor)/R, needs bench "
+                f"{' and '.join(missing)}",
             )
     if bench.motion == "linear" and recording.gravity is not None:
-        yield ("gravity",), "a turning weight on a linear bench; remove `gravity`, or set bench.motion: rotary"
+        yield (
+            ("gravity",),
+            "a turning weight on a linear bench; remove `gravity`, or set bench.motion: rotary",
+        )
     yield from _check_load(recording, bench)
 
 
-def _check_burn(channels: Mapping[str, ChannelSection], bench: BenchSection) -> Iterator[tuple[Loc, str]]:
-    """Yield what a recording lacks that has no torque: the pressure of a gas generator under a valve of known angle."""
+def _check_burn(
+    channels: Mapping[str, ChannelSection], bench: BenchSection
+) -> Iterator[tuple[Loc, str]]:
+    """Yield what a recording lacks that has no torque: the pressure of a gas generator under a
+    valve of known angle.
+    """
     if "pressure" not in channels:
-        yield ("channels",), "no `torque`, `current` or `voltage`; map at least one, or `pressure` of a gas generator"
+        yield (
+            ("channels",),
+            "no `torque`, `current` or `voltage`; map at least one, or `pressure` of a gas "
+            "generator",
+        )
     elif bench.gas_generator is None:
         yield (
             ("channels", "pressure"),
-            "`pressure` without torque, current or voltage needs the constants of its source; add bench.gas_generator"
+            "`pressure` without torque, current or voltage needs the constants of its source; add "
+            "bench.gas_generator"
             " ({} takes the paper's)",
         )
     elif "angle" not in channels:
@@ -392,19 +443,32 @@ def _check_burn(channels: Mapping[str, ChannelSection], bench: BenchSection) -> 
 def _check_load(recording: RecordingSection, bench: BenchSection) -> Iterator[tuple[Loc, str]]:
     loaded = recording.stage == "loaded"
     hot_fire = "pressure" in recording.channels and bench.gas_generator is not None
-    if loaded and recording.weight_mass == 0 and "load_force" not in recording.channels and not hot_fire:
+    if (
+        loaded
+        and recording.weight_mass == 0
+        and "load_force" not in recording.channels
+        and not hot_fire
+    ):
         yield (
             ("stage",),
-            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of them, or for a hot"
+            "loaded, but weight_mass is 0 kg and there is no `load_force` channel; give one of "
+            "them, or for a hot"
             " firing `pressure` and bench.gas_generator",
         )
     if loaded and bench.moment_arm is None:
-        yield ("stage",), "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque"
+        yield (
+            ("stage",),
+            "the loaded stage needs bench.moment_arm (L1, m) to turn contact force into torque",
+        )
     if recording.weight_mass > 0 and bench.lever_ratio is None:
         yield (
             ("weight_mass",),
-            "a weight on the lever needs bench.lever_ratio (L3/L4), contact force over weight; 1 where it presses"
+            "a weight on the lever needs bench.lever_ratio (L3/L4), contact force over weight; 1 "
+            "where it presses"
             " straight on the joint's arm",
         )
     if not loaded and recording.weight_mass > 0:
-        yield ("weight_mass",), "a weight in an unloaded stage; set stage: loaded, or weight_mass: 0"
+        yield (
+            ("weight_mass",),
+            "a weight in an unloaded stage; set stage: loaded, or weight_mass: 0",
+        )

@@ -1,4 +1,6 @@
-"""Validated configuration files: YAML plus a pydantic schema, with every error at its place in the file."""
+"""Validated configuration files: YAML plus a pydantic schema, with every error at its place in the
+file.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ _Found = tuple[Mark, str, str, object]
 class Schema(BaseModel):
     """Base of every configuration record: frozen, unknown keys are errors, numbers are finite."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, validate_default=True
+    )
 
 
 @dataclass(frozen=True)
@@ -49,8 +53,9 @@ class Document(Generic[M]):
         """Word a problem found after validation, in the form of :class:`InputError`.
 
         Args:
-            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. Where the file does not
-                go that deep (a default was used), the nearest value above it is pointed at.
+            loc: Keys and indices from the top of the file, e.g. ``("stages", 2, "speed")``. Where
+                the file does not go that deep (a default was used), the nearest value above it is
+                pointed at.
             message: What is wrong, the limit and the remedy.
             value: What was found; left out, the value in the file is shown.
         """
@@ -74,21 +79,26 @@ def load(path: Path, schema: type[M]) -> M:
     """Read and validate a configuration file.
 
     Raises:
-        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at once.
+        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at
+            once.
     """
     return load_located(path, schema).value
 
 
-def load_located(path: Path, schema: type[M], prepare: Callable[[Node], Node] | None = None) -> Document[M]:
+def load_located(
+    path: Path, schema: type[M], prepare: Callable[[Node], Node] | None = None
+) -> Document[M]:
     """Read and validate a configuration file, keeping the place of each value.
 
     Args:
         path: The YAML file.
         schema: The record to validate into.
-        prepare: Rewrites the tree before validation (merging defaults); moved nodes keep their place in the file.
+        prepare: Rewrites the tree before validation (merging defaults); moved nodes keep their
+            place in the file.
 
     Raises:
-        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at once.
+        InputError: The file cannot be read, is not YAML, or breaks the schema; lists every error at
+            once.
     """
     try:
         root, duplicates = parse(read_text(path))
@@ -110,11 +120,13 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
         found: Problems met while reading, reported with those of the schema.
 
     Raises:
-        InputError: The tree breaks the schema, or there were problems before; lists every error at once.
+        InputError: The tree breaks the schema, or there were problems before; lists every error at
+            once.
     """
     found = list(found)
     try:
-        # JSON input in strict mode: no "5" or true for a number, while lists still make tuples and text makes enums.
+        # JSON input in strict mode: no "5" or true for a number, while lists still make tuples and
+        # text makes enums.
         value = schema.model_validate_json(json.dumps(root.plain()), strict=True)
     except ValidationError as error:
         found.extend(_explain(root, schema, error))
@@ -125,7 +137,8 @@ def validated(path: Path, root: Node, schema: type[M], found: Iterable[_Found] =
 
 
 def explain_json(path: Path, text: str, schema: type[Any], error: ValidationError) -> list[str]:
-    """Word what is wrong in a JSON file that was validated as a record or a standard dataclass, with its places.
+    """Word what is wrong in a JSON file that was validated as a record or a standard dataclass,
+    with its places.
 
     Raises:
         InputError: The text is too deep or too long to look for places in.
@@ -163,12 +176,16 @@ def _lines(path: Path, found: list[_Found]) -> list[str]:
 
 
 def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Iterator[_Found]:
-    """Map pydantic's errors onto the file, joining the branches of a union that failed at one place."""
+    """Map pydantic's errors onto the file, joining the branches of a union that failed at one
+    place.
+    """
     places: dict[tuple[Mark, Loc], tuple[list[str], object]] = {}
     errors = error.errors(include_url=False)
     for details in errors:
         loc = details["loc"]
-        if details["type"] == "too_short" and any(e["loc"][: len(loc)] == loc != e["loc"] for e in errors):
+        if details["type"] == "too_short" and any(
+            e["loc"][: len(loc)] == loc != e["loc"] for e in errors
+        ):
             continue  # pydantic leaves bad items out of the count of a tuple
         mark, path, message, value = _place(root, schema, details)
         messages, _ = places.setdefault((mark, path), ([], value))
@@ -181,7 +198,9 @@ def _explain(root: Node, schema: type[BaseModel], error: ValidationError) -> Ite
         yield mark, _dotted(path), " or ".join(messages), value
 
 
-def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[Mark, Loc, str, object]:
+def _place(
+    root: Node, schema: type[BaseModel], details: ErrorDetails
+) -> tuple[Mark, Loc, str, object]:
     loc: Loc = details["loc"]
     kind = details["type"]
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -201,7 +220,9 @@ def _place(root: Node, schema: type[BaseModel], details: ErrorDetails) -> tuple[
 
 
 def _required_below(schema: type[BaseModel], loc: Loc) -> Iterator[Loc]:
-    """Yield the keys that a missing section must hold, so that none is asked for only once the section is there."""
+    """Yield the keys that a missing section must hold, so that none is asked for only once the
+    section is there.
+    """
     records = _records_at([schema], loc)
     if len(records) != 1:
         return
@@ -236,7 +257,9 @@ def nearest(name: str, known: list[str]) -> str:
 
 
 def _records_at(annotations: list[Any], loc: Loc) -> list[Any]:
-    """Return the models and dataclasses a location may refer to; elements naming a union's branch are passed over."""
+    """Return the models and dataclasses a location may refer to; elements naming a union's branch
+    are passed over.
+    """
     for element in loc:
         branches = [branch for annotation in annotations for branch in _branches(annotation)]
         stepped = [child for branch in branches for child in _step(branch, element)]
@@ -283,11 +306,12 @@ _Place = tuple[Node, Mark, Loc, Mark | None]
 def _resolve(root: Node, loc: Loc, *, mapping: bool = False) -> _Place:
     """Follow a location as far as the tree goes.
 
-    pydantic puts the names of union branches between keys; such an element is passed over, and where it happens to
-    equal a key, the reading that follows more of the location wins.
+    pydantic puts the names of union branches between keys; such an element is passed over, and
+    where it happens to equal a key, the reading that follows more of the location wins.
 
     Returns:
-        The node, its mark, the keys and indices followed, and the mark of the last key (None for an index).
+        The node, its mark, the keys and indices followed, and the mark of the last key (None for an
+        index).
     """
 
     def walk(place: _Place, rest: Loc) -> Iterator[tuple[bool, _Place]]:
@@ -323,7 +347,11 @@ def _dotted(loc: Loc) -> str:
 
 
 def _format(file: Path, mark: Mark, path: str, message: str, value: object = _ABSENT) -> str:
-    got = "" if value is _ABSENT or (isinstance(value, dict | list) and len(value) > 8) else f" (got {_short(value)})"
+    got = (
+        ""
+        if value is _ABSENT or (isinstance(value, dict | list) and len(value) > 8)
+        else f" (got {_short(value)})"
+    )
     return f"{file}:{mark.line}:{mark.column}: {path}: {message}{got}"
 
 

@@ -1,4 +1,6 @@
-"""The ``servo`` section of a bench whose drive speaks its own CAN frames: a DBC file, and a map of its signals."""
+"""The ``servo`` section of a bench whose drive speaks its own CAN frames: a DBC file, and a map of
+its signals.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,16 @@ from pydantic import Field
 from drivers.dbc.bind import DbcMapError, bind
 from drivers.dbc.file import read_dbc
 from drivers.dbc.limits import DbcDrive
-from drivers.dbc.map import DbcMap, Inputs, LimitMap, Orders, Protection, Quantity, Status, StopFrame
+from drivers.dbc.map import (
+    DbcMap,
+    Inputs,
+    LimitMap,
+    Orders,
+    Protection,
+    Quantity,
+    Status,
+    StopFrame,
+)
 from drivers.dbc.wiring import Wiring
 from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, ServoLimits
@@ -105,7 +116,13 @@ class DbcServoSection(Schema):
     def signal_map(self) -> DbcMap:
         """The map alone."""
         return DbcMap(
-            self.inputs, self.status, self.target, self.orders, self.stop_frame, self.limits, dict(self.messages)
+            self.inputs,
+            self.status,
+            self.target,
+            self.orders,
+            self.stop_frame,
+            self.limits,
+            dict(self.messages),
         )
 
     def drive(self, gear_ratio: float, torque_constant_N_m_A: float) -> DbcDrive:
@@ -113,7 +130,9 @@ class DbcServoSection(Schema):
         held = self.held
         window = held.following_error_deg
         return DbcDrive(
-            identity=Identity(self.name, self.vendor_id, self.product_code, self.revision, self.serial_number),
+            identity=Identity(
+                self.name, self.vendor_id, self.product_code, self.revision, self.serial_number
+            ),
             held=ServoLimits(
                 angle_min_rad=math.radians(held.angle_min_deg),
                 angle_max_rad=math.radians(held.angle_max_deg),
@@ -132,7 +151,10 @@ class DbcServoSection(Schema):
 
 
 def dbc_path(section: DbcServoSection, path: Path) -> Path:
-    """Return the drive's DBC file; ``path`` is the bench file's. The simulated drive brings its own."""
+    """Return the drive's DBC file; ``path`` is the bench file's.
+
+    The simulated drive brings its own.
+    """
     return DRIVE_DBC if section.file is None else path.parent / section.file
 
 
@@ -146,11 +168,14 @@ def wire(section: DbcServoSection, path: Path, simulated: bool, problem: Problem
         problem: Finds the place of a value in the bench file.
 
     Raises:
-        InputError: The DBC is missing or not valid, or the map does not fit it; every problem with its place.
+        InputError: The DBC is missing or not valid, or the map does not fit it; every problem with
+            its place.
     """
     place: Loc = ("servo", "file")
     if section.file is None and not simulated:
-        raise InputError(problem(place, "missing; a real drive needs its DBC file, relative to this file"))
+        raise InputError(
+            problem(place, "missing; a real drive needs its DBC file, relative to this file")
+        )
     try:
         layouts = read_dbc(dbc_path(section, path))
     except ConfigurationError as error:

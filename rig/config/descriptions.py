@@ -52,7 +52,9 @@ SUFFIXES: Mapping[str, str] = {
 """Ending of a name to the unit, longest first."""
 _NO_UNIT = frozenset({"mu_s"})
 """Names of the paper that end like a unit by chance."""
-UNITS = frozenset({*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"})
+UNITS = frozenset(
+    {*SUFFIXES.values(), "kg/m^3", "N m", "deg C", "N s/m", "s/m", "bytes", "ns", "deg/s^2", "Bd"}
+)
 _ENTRY = re.compile(r"^(\w+):\s+(.*)$")
 _SECTION = re.compile(r"^[A-Z]\w+:$")
 

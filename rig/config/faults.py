@@ -1,4 +1,7 @@
-"""The fault schedule: what goes wrong on a simulated bench, when, and how the run must react. YAML or CSV."""
+"""The fault schedule: what goes wrong on a simulated bench, when, and how the run must react.
+
+YAML or CSV.
+"""
 
 from __future__ import annotations
 
@@ -17,9 +20,17 @@ from rig.common.yaml_tree import DocumentError, Mark, Node, Scalar, read_text
 from rig.config.configuration import Document, Schema, load_located, nearest, validated
 
 Target = Literal["bus", "line", "encoder_line", "drive", "encoder", "host", "disk", "operator"]
-PhaseName = Literal["prompt", "prepare", "enable", "approach", "settle", "excite", "ramp_out", "hold", "disable"]
+PhaseName = Literal[
+    "prompt", "prepare", "enable", "approach", "settle", "excite", "ramp_out", "hold", "disable"
+]
 StateName = Literal[
-    "switch_on_disabled", "ready", "switched_on", "operation_enabled", "quick_stop_active", "fault_reaction", "fault"
+    "switch_on_disabled",
+    "ready",
+    "switched_on",
+    "operation_enabled",
+    "quick_stop_active",
+    "fault_reaction",
+    "fault",
 ]
 _EXPECTED = ("deenergised_within_s", "exit_status", "words")
 
@@ -47,25 +58,37 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("bus", "lost"): Kind("frames vanish", counted=True),
     ("bus", "repeated"): Kind("frames arrive twice", counted=True),
     ("bus", "late"): Kind("frames arrive late", "s", 0.003, counted=True),
-    ("bus", "flipped"): Kind("one data bit inverted, unseen by the check sum", "bit", 29, counted=True, integer=True),
+    ("bus", "flipped"): Kind(
+        "one data bit inverted, unseen by the check sum", "bit", 29, counted=True, integer=True
+    ),
     ("bus", "short"): Kind("the last byte missing, unseen by the check sum", counted=True),
     ("bus", "bus_off"): Kind("the host's controller leaves the bus; for good without a value", "s"),
     ("bus", "error_frames"): Kind("error frames at the host", counted=True),
     ("line", "lost"): Kind("messages of the drive's serial line vanish", counted=True),
-    ("line", "byte_lost"): Kind("one byte of a message vanishes", "byte", 5, counted=True, integer=True),
-    ("line", "corrupt"): Kind("one bit inverted: a CRC error", "bit", 37, counted=True, integer=True),
+    ("line", "byte_lost"): Kind(
+        "one byte of a message vanishes", "byte", 5, counted=True, integer=True
+    ),
+    ("line", "corrupt"): Kind(
+        "one bit inverted: a CRC error", "bit", 37, counted=True, integer=True
+    ),
     ("line", "stuffing"): Kind("a 90h that is not doubled", counted=True),
     ("line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
     ("line", "repeated"): Kind("messages arrive twice", counted=True),
     ("line", "refused"): Kind("requests are answered with an error code", counted=True),
     ("line", "cut"): Kind("unplugged; for good without a value", "s"),
     ("encoder_line", "lost"): Kind("messages of the encoder's serial line vanish", counted=True),
-    ("encoder_line", "byte_lost"): Kind("one byte of a message vanishes", "byte", 1, counted=True, integer=True),
-    ("encoder_line", "corrupt"): Kind("one bit inverted: check bits wrong", "bit", 3, counted=True, integer=True),
+    ("encoder_line", "byte_lost"): Kind(
+        "one byte of a message vanishes", "byte", 1, counted=True, integer=True
+    ),
+    ("encoder_line", "corrupt"): Kind(
+        "one bit inverted: check bits wrong", "bit", 3, counted=True, integer=True
+    ),
     ("encoder_line", "late"): Kind("messages arrive late", "s", 0.005, counted=True),
     ("encoder_line", "repeated"): Kind("messages arrive twice", counted=True),
     ("encoder_line", "cut"): Kind("unplugged; for good without a value", "s"),
-    ("drive", "emcy"): Kind("an emergency message, without a reaction", "code", 0x2310, integer=True),
+    ("drive", "emcy"): Kind(
+        "an emergency message, without a reaction", "code", 0x2310, integer=True
+    ),
     ("drive", "fault"): Kind("a fault of its own", "code", 0x7320, integer=True),
     ("drive", "restart"): Kind("boots again, as after a dip of its supply"),
     ("drive", "quick_stop_option"): Kind("605Ah holds another value", "605Ah", 2, integer=True),
@@ -74,7 +97,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("drive", "sdo_timeout"): Kind("SDO requests go unanswered", counted=True),
     ("drive", "limits_refused"): Kind("keeps its limits, whatever it is told"),
     ("drive", "counter_stuck"): Kind("its life counters stand still"),
-    ("encoder", "bit"): Kind("one bit of the position inverted", "bit", 13, counted=True, integer=True),
+    ("encoder", "bit"): Kind(
+        "one bit of the position inverted", "bit", 13, counted=True, integer=True
+    ),
     ("encoder", "jump"): Kind("the position shifts for good", "deg", 5.0),
     ("encoder", "frozen"): Kind("the position stays, time stamps go on"),
     ("encoder", "reversed"): Kind("counts the other way"),
@@ -84,7 +109,9 @@ FAULTS: Mapping[tuple[str, str], Kind] = {
     ("host", "recorder_fails"): Kind("writing the recording raises an input/output error"),
     ("disk", "full"): Kind("no file can grow any more"),
     ("operator", "stop"): Kind("Ctrl-C"),
-    ("operator", "unanswered"): Kind("the prompt's input ends without an answer, after this long", "s", 0.0),
+    ("operator", "unanswered"): Kind(
+        "the prompt's input ends without an answer, after this long", "s", 0.0
+    ),
     ("operator", "wrong_weight"): Kind("hangs this mass and types the planned one", "kg", 60.0),
 }
 """Target and name to what it is."""
@@ -147,8 +174,10 @@ class Expectation(Schema):
 
 
 class FaultRow(Schema):
-    """One fault. It comes at a bench time, or after the start of a phase or of a state of the drive;
-    exactly one of these is given.
+    """One fault.
+
+    It comes at a bench time, or after the start of a phase or of a state of the drive; exactly one
+    of these is given.
 
     Attributes:
         time_s: Bench time at which the fault comes.
@@ -178,18 +207,28 @@ class FaultRow(Schema):
 
     @model_validator(mode="after")
     def _complete(self) -> Self:
-        triggers = [name for name in ("time_s", "phase", "state") if getattr(self, name) is not None]
+        triggers = [
+            name for name in ("time_s", "phase", "state") if getattr(self, name) is not None
+        ]
         if len(triggers) != 1:
             given = " and ".join(triggers) or "none"
-            raise ValueError(f"give exactly one of time_s, phase and state to say when the fault comes, found {given}")
+            raise ValueError(
+                f"give exactly one of time_s, phase and state to say when the fault comes, found "
+                f"{given}"
+            )
         names = sorted(name for target, name in FAULTS if target == self.target)
         if self.fault not in names:
-            raise ValueError(f"{self.target!r} has no fault {self.fault!r}; {nearest(self.fault, names)}")
+            raise ValueError(
+                f"{self.target!r} has no fault {self.fault!r}; {nearest(self.fault, names)}"
+            )
         kind = self.kind
         if self.value is not None and not kind.unit:
             raise ValueError(f"{self.target} {self.fault} takes no value; leave it out")
         if kind.integer and self.value is not None and self.value != int(self.value):
-            raise ValueError(f"{self.target} {self.fault} takes a whole number ({kind.unit}), found {self.value:g}")
+            raise ValueError(
+                f"{self.target} {self.fault} takes a whole number ({kind.unit}), found "
+                f"{self.value:g}"
+            )
         if self.frames != Frames() and self.target not in ("bus", "line", "encoder_line"):
             raise ValueError("'frames' is for faults of a bus or line; leave it out")
         if self.frames.function is not None and self.target != "bus":
@@ -230,8 +269,9 @@ class FaultSchedule(Schema):
 def load_faults(path: Path) -> Document[FaultSchedule]:
     """Read a schedule: CSV by its ending, else YAML.
 
-    In CSV the first line names the columns, which are the keys of a row; ``device`` and ``function`` stand for those
-    of ``frames``, and ``deenergised_within_s``, ``exit_status`` and ``words`` for those of ``expect``.
+    In CSV the first line names the columns, which are the keys of a row; ``device`` and
+    ``function`` stand for those of ``frames``, and ``deenergised_within_s``, ``exit_status`` and
+    ``words`` for those of ``expect``.
 
     Raises:
         InputError: It is not there, or not valid; every problem with its place in the file.
@@ -241,7 +281,9 @@ def load_faults(path: Path) -> Document[FaultSchedule]:
     try:
         root = _csv_tree(read_text(path))
     except DocumentError as error:
-        raise InputError(f"{path}:{error.mark.line}:{error.mark.column}: document: {error.message}") from error
+        raise InputError(
+            f"{path}:{error.mark.line}:{error.mark.column}: document: {error.message}"
+        ) from error
     return validated(path, root, FaultSchedule)
 
 
@@ -258,12 +300,18 @@ def _csv_tree(text: str) -> Node:
                 rows.append(_csv_row(header, cells, reader.line_num))
     except csv.Error as error:
         raise DocumentError(f"not valid CSV: {error}", Mark(reader.line_num, 1)) from error
-    return Node({"faults": Node(1, top, {}), "rows": Node(list(rows), top, {})}, top, {"faults": top, "rows": top})
+    return Node(
+        {"faults": Node(1, top, {}), "rows": Node(list(rows), top, {})},
+        top,
+        {"faults": top, "rows": top},
+    )
 
 
 def _csv_row(header: list[str], cells: list[str], line: int) -> Node:
     if len(cells) != len(header):
-        raise DocumentError(f"{len(cells)} cells under {len(header)} columns; add or remove commas", Mark(line, 1))
+        raise DocumentError(
+            f"{len(cells)} cells under {len(header)} columns; add or remove commas", Mark(line, 1)
+        )
     sections: dict[str, tuple[dict[str, Node], dict[str, Mark]]] = {
         "": ({}, {}),
         "expect": ({}, {}),
@@ -275,7 +323,9 @@ def _csv_row(header: list[str], cells: list[str], line: int) -> Node:
         column += len(cell) + 1
         if not cell.strip():
             continue
-        section = "expect" if name in _EXPECTED else "frames" if name in ("device", "function") else ""
+        section = (
+            "expect" if name in _EXPECTED else "frames" if name in ("device", "function") else ""
+        )
         children, marks = sections[section]
         children[name], marks[name] = Node(_cell(cell.strip(), name), mark, {}), mark
     children, marks = sections.pop("")

@@ -1,4 +1,6 @@
-"""Closed-loop stages in a sequence file: the gas flow that is asked for, and the controller that is to bring it."""
+"""Closed-loop stages in a sequence file: the gas flow that is asked for, and the controller that is
+to bring it.
+"""
 
 from __future__ import annotations
 
@@ -30,8 +32,8 @@ class FlowStep(Schema):
 
 
 class FlowController(Schema):
-    """PI on the logarithm of the pressure over the one wanted (Fig. 5, 11); the gains are chosen, the
-    paper has none.
+    """PI on the logarithm of the pressure over the one wanted (Fig. 5, 11); the gains are chosen,
+    the paper has none.
 
     Outside its range, or faster than its speed, the valve is not moved, and the integral waits
     there.
@@ -56,7 +58,8 @@ class FlowController(Schema):
     def _range_is_open(self) -> Self:
         if not self.angle_min_deg < self.angle_max_deg:
             raise ValueError(
-                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg {self.angle_max_deg:g}; swap them"
+                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
+                f"{self.angle_max_deg:g}; swap them"
             )
         return self
 
@@ -78,11 +81,15 @@ class FlowSection(Schema):
     def _in_order(self) -> Self:
         times = [step.at_s for step in self.steps]
         if times[0] != 0.0:
-            raise ValueError(f"the first step must be at 0 s, where the excitation begins (got at_s {times[0]:g})")
+            raise ValueError(
+                f"the first step must be at 0 s, where the excitation begins (got at_s "
+                f"{times[0]:g})"
+            )
         for earlier, later in pairwise(times):
             if later <= earlier + self.ramp_s:
                 raise ValueError(
-                    f"the step at {later:g} s begins before the one at {earlier:g} s is over (ramp_s {self.ramp_s:g}); "
+                    f"the step at {later:g} s begins before the one at {earlier:g} s is over "
+                    f"(ramp_s {self.ramp_s:g}); "
                     "list steps in order, further apart than ramp_s"
                 )
         return self
@@ -92,6 +99,9 @@ class FlowSection(Schema):
         t = np.arange(round(duration_s / cycle_s)) * cycle_s
         corners = [(0.0, self.steps[0].flow_kg_s)]
         for before, step in pairwise(self.steps):
-            corners += [(step.at_s, before.flow_kg_s), (step.at_s + max(self.ramp_s, cycle_s), step.flow_kg_s)]
+            corners += [
+                (step.at_s, before.flow_kg_s),
+                (step.at_s + max(self.ramp_s, cycle_s), step.flow_kg_s),
+            ]
         times, flows = np.array(corners).T
         return np.asarray(np.interp(t, times, flows))

@@ -73,7 +73,9 @@ class GasGeneratorSection(Schema):
 
     def valve(self, arm_m: float) -> ValveGeometry:
         """Return the valve; it swings on the moment arm L1."""
-        return ValveGeometry(self.hole_diameter_m, self.opening_diameter_m, self.plate_width_m, arm_m)
+        return ValveGeometry(
+            self.hole_diameter_m, self.opening_diameter_m, self.plate_width_m, arm_m
+        )
 
     def generator(self, arm_m: float) -> GasGenerator:
         """Return the record the numerics use."""

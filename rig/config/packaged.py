@@ -24,7 +24,8 @@ def packaged(name: str, kind: Literal["benches", "sequences"]) -> Path:
 
 
 def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
-    """Return the file a name stands for: the path itself if it exists, else the packaged file of that name.
+    """Return the file a name stands for: the path itself if it exists, else the packaged file of
+    that name.
 
     Raises:
         InputError: Neither is there, or the path is no file; suggests the nearest packaged names.
@@ -41,4 +42,6 @@ def resolve(name: str | Path, kind: Literal["benches", "sequences"]) -> Path:
         pass
     except OSError as error:
         raise InputError(f"{name}: cannot be read: {error.strerror}") from error
-    raise InputError(f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}")
+    raise InputError(
+        f"{name}: no such file, and not a packaged name; {nearest(str(name), names(kind))}"
+    )

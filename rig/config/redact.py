@@ -1,4 +1,6 @@
-"""A simulated bench as the recording keeps it: with what an engineer of a real one knows, and nothing more."""
+"""A simulated bench as the recording keeps it: with what an engineer of a real one knows, and
+nothing more.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,13 @@ from rig.common.yaml_tree import parse
 
 _KNOWN: Mapping[str, frozenset[str] | None] = {
     "motor": frozenset(
-        {"resistance_ohm", "inductance_H", "torque_constant_N_m_A", "back_emf_constant_V_s_rad", "gear_ratio"}
+        {
+            "resistance_ohm",
+            "inductance_H",
+            "torque_constant_N_m_A",
+            "back_emf_constant_V_s_rad",
+            "gear_ratio",
+        }
     ),
     "joint": frozenset({"moment_arm_m", "lever_ratio", "gravity_m_s2"}),
     "loops": None,
@@ -19,18 +27,25 @@ _KNOWN: Mapping[str, frozenset[str] | None] = {
     "steps_per_loop": None,
     "supply_V": None,
 }
-"""What stays of the ``mock`` section; None for all of it. Friction, inertia, noise, warming and effects go."""
+"""What stays of the ``mock`` section; None for all of it.
+
+Friction, inertia, noise, warming and effects go.
+"""
 _HEAD = "# What is true of the simulated machine and not known of a real one was left out here.\n"
 
 
 def redacted(content: bytes) -> bytes:
-    """Return a valid bench file without the simulated machine's secrets; one without a ``mock`` section as it is."""
+    """Return a valid bench file without the simulated machine's secrets; one without a ``mock``
+    section as it is.
+    """
     tree, _ = parse(content.decode("utf-8"))
     bench: Any = tree.plain()
     if not isinstance(bench.get("mock"), dict):
         return content
     bench["mock"] = {
-        name: value if _KNOWN[name] is None else {key: value[key] for key in value if key in (_KNOWN[name] or ())}
+        name: value
+        if _KNOWN[name] is None
+        else {key: value[key] for key in value if key in (_KNOWN[name] or ())}
         for name, value in bench["mock"].items()
         if name in _KNOWN
     }

@@ -105,14 +105,20 @@ class StageSection(Schema):
         if sum((bool(self.tones), self.ramp is not None, self.flow is not None)) != 1:
             raise ValueError("a stage needs tones, a ramp or a flow, and only one of them")
         if self.flow is not None and self.stage != "hot_fire":
-            raise ValueError(f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire")
+            raise ValueError(
+                f"a flow needs a gas generator, but the stage is {self.stage}; use stage: hot_fire"
+            )
         if self.ramp is None:
             return self
         if given := self.model_fields_set & {"ramp_in_s", "ramp_out_s"}:
-            raise ValueError(f"{' and '.join(sorted(given))} fade tones in and out; a ramp has none: leave it out")
+            raise ValueError(
+                f"{' and '.join(sorted(given))} fade tones in and out; a ramp has none: leave it "
+                f"out"
+            )
         if self.ramp.moving_s > self.duration_s:
             raise ValueError(
-                f"the ramp takes {self.ramp.moving_s:g} s, longer than duration_s {self.duration_s:g} s; lengthen it"
+                f"the ramp takes {self.ramp.moving_s:g} s, longer than duration_s "
+                f"{self.duration_s:g} s; lengthen it"
             )
         return self
 
@@ -120,16 +126,23 @@ class StageSection(Schema):
     def _consistent(self) -> Self:
         if self.tones and self.ramp_in_s + self.ramp_out_s > self.duration_s:
             raise ValueError(
-                f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than duration_s "
+                f"ramp_in_s + ramp_out_s = {self.ramp_in_s + self.ramp_out_s:g} s is longer than "
+                f"duration_s "
                 f"{self.duration_s:g} s; the ramps lie inside the duration"
             )
         if self.stage == "unloaded" and self.weight_kg != 0:
-            raise ValueError(f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use stage: loaded")
+            raise ValueError(
+                f"an unloaded stage has no weight, but weight_kg is {self.weight_kg:g}; use "
+                f"stage: loaded"
+            )
         if self.stage == "loaded" and self.weight_kg == 0:
-            raise ValueError("a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever")
+            raise ValueError(
+                "a loaded stage needs weight_kg above 0; use stage: unloaded for the empty lever"
+            )
         if self.stage == "hot_fire" and self.weight_kg != 0:
             raise ValueError(
-                f"the gas generator loads a hot firing, no weight, but weight_kg is {self.weight_kg:g}; remove it"
+                f"the gas generator loads a hot firing, no weight, but weight_kg is "
+                f"{self.weight_kg:g}; remove it"
             )
         return self
 
@@ -206,7 +219,9 @@ class Sequence(Schema):
         names = [stage.name for stage in stages]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
-            raise ValueError(f"stage names must differ; {', '.join(repeated)} is used more than once")
+            raise ValueError(
+                f"stage names must differ; {', '.join(repeated)} is used more than once"
+            )
         return stages
 
     @model_validator(mode="after")
@@ -214,10 +229,15 @@ class Sequence(Schema):
         fitted = [stage.stage != "unloaded" for stage in self.stages if stage.role == "fit"]
         if not fitted:
             raise ValueError("every stage has role validate; at least one must have role fit")
-        aside = [stage.name for stage in self.stages if stage.role == "validate" and stage.stage != "unloaded"]
+        aside = [
+            stage.name
+            for stage in self.stages
+            if stage.role == "validate" and stage.stage != "unloaded"
+        ]
         if aside and not any(fitted):
             raise ValueError(
-                f"{', '.join(aside)} is loaded and set aside, but no loaded stage is fitted, so that its working load "
+                f"{', '.join(aside)} is loaded and set aside, but no loaded stage is fitted, so "
+                f"that its working load "
                 "would be unknown; give one role fit"
             )
         return self
@@ -236,7 +256,8 @@ def excitation(stage: StageSection, cycle_s: float) -> Array:
     """Compute the joint angle commanded in each cycle of one repeat.
 
     Returns:
-        Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the time k ``cycle_s``.
+        Angles in rad, shape (n,), n = ``duration_s`` / ``cycle_s`` rounded; sample k is for the
+        time k ``cycle_s``.
     """
     t = np.asarray(np.arange(round(stage.duration_s / cycle_s)) * cycle_s, dtype=np.float64)
     if stage.ramp is not None:
@@ -281,7 +302,9 @@ def approach(start: float, end: float, peak_speed: float, cycle_s: float) -> Arr
 
 
 def raised_cosine(t: NDArray[np.floating[Any]], duration: float) -> Array:
-    """Rise smoothly from 0 at t = 0 to 1 at t = ``duration`` and stay there; 1 throughout if there is no duration."""
+    """Rise smoothly from 0 at t = 0 to 1 at t = ``duration`` and stay there; 1 throughout if there
+    is no duration.
+    """
     if duration <= 0:
         return np.ones_like(t)
     return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(t / duration, 0.0, 1.0)))

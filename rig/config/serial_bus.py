@@ -1,4 +1,6 @@
-"""Serial buses and encoders in a bench file: their sections, whether a cycle fits, and the devices behind them."""
+"""Serial buses and encoders in a bench file: their sections, whether a cycle fits, and the devices
+behind them.
+"""
 
 from __future__ import annotations
 
@@ -16,15 +18,21 @@ from rig.config.configuration import Schema
 
 MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
-"""Share of the bench's torque, current and speed limits that is in force where the drive has no watchdog."""
+"""Share of the bench's torque, current and speed limits that is in force where the drive has no
+watchdog.
+"""
 _ALONE: Final = (
-    "the drive goes on holding its last target under power, and nothing but the main switch or the emergency stop "
+    "the drive goes on holding its last target under power, and nothing but the main switch or "
+    "the emergency stop "
     "takes it off. Stay beside it. Torque, current and speed limits are cut to "
     f"{UNWATCHED_SHARE:.0%} of the bench file's"
 )
-NO_WATCHDOG: Final = f"this drive has no watchdog: if this program, its computer or the cable dies, {_ALONE}"
+NO_WATCHDOG: Final = (
+    f"this drive has no watchdog: if this program, its computer or the cable dies, {_ALONE}"
+)
 GUARDED: Final = (
-    "this drive has no watchdog: if this program dies, a second process, its guardian, brakes and takes the power off; "
+    "this drive has no watchdog: if this program dies, a second process, its guardian, brakes and "
+    "takes the power off; "
     f"if the computer or the cable dies, {_ALONE}"
 )
 
@@ -83,7 +91,9 @@ def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:
     if needed_s > ANSWER_SHARE * cycle_s:
         shortest_ms = math.ceil(1e3 * needed_s / ANSWER_SHARE - 1e-9)
         yield (
-            f"too slow: {writes + reads} objects a cycle take up to {bits} bits and {needed_s * 1e3:.2f} ms, "
-            f"{needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} ms, limit {ANSWER_SHARE:.0%}; raise baud, lower "
+            f"too slow: {writes + reads} objects a cycle take up to {bits} bits and "
+            f"{needed_s * 1e3:.2f} ms, "
+            f"{needed_s / cycle_s:.0%} of a cycle of {cycle_s * 1e3:g} ms, limit "
+            f"{ANSWER_SHARE:.0%}; raise baud, lower "
             f"round_trip_ms, or lower cycle_Hz to {1e3 / shortest_ms:g}"
         )

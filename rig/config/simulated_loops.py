@@ -1,6 +1,7 @@
 """Is the current loop of a simulated drive stable with the motor that it is to drive?
 
-An unstable one looks like a jam: the current swings to its limit, and the run trips on torque or current.
+An unstable one looks like a jam: the current swings to its limit, and the run trips on torque or
+current.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ _ADVISED_SHARE = 0.5
 
 
 def unstable_current_loop(machine: constants.Machine) -> str | None:
-    """Return what is wrong with the gain of a simulated drive's current loop, and what would be right.
+    """Return what is wrong with the gain of a simulated drive's current loop, and what would be
+    right.
 
     The loop is a PI controller with a zero-order hold on resistance and inductance of the motor
     (eq. 1). It is linear, so its eigenvalues decide; the supply only bounds how far it swings.
@@ -35,21 +37,26 @@ def unstable_current_loop(machine: constants.Machine) -> str | None:
     motor, loops = machine.motor, machine.loops
     advised = _ADVISED_SHARE * _greatest_stable_gain(machine)
     return (
-        f"with {motor.inductance_H:g} H and {motor.resistance_ohm:g} ohm at {loops.rate_Hz:g} Hz the current loop of "
-        f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each period), and may trip on "
+        f"with {motor.inductance_H:g} H and {motor.resistance_ohm:g} ohm at {loops.rate_Hz:g} Hz "
+        f"the current loop of "
+        f"the simulated drive is unstable (its error grows by a factor of {radius:.3g} each "
+        f"period), and may trip on "
         f"current or torque as a jam does; lower it to {advised:.2g} or less, or raise rate_Hz"
     )
 
 
 def _radius(machine: constants.Machine, gain: float) -> float:
-    """Return by what factor the loop's error grows each period: the greatest magnitude of an eigenvalue."""
+    """Return by what factor the loop's error grows each period: the greatest magnitude of an
+    eigenvalue.
+    """
     motor, loops = machine.motor, machine.loops
     period = 1.0 / loops.rate_Hz
     integral = gain * loops.current_integral_1_s * period
     constant_s = motor.inductance_H / motor.resistance_ohm
     kept = math.exp(-period / constant_s) if constant_s > 0.0 else 0.0
     rise = (1.0 - kept) / motor.resistance_ohm
-    # State: current, and the voltage that the integral holds, which takes in this period's error first.
+    # State: current, and the voltage that the integral holds, which takes in this period's error
+    # first.
     loop = np.array([[kept - rise * (gain + integral), rise], [-integral, 1.0]])
     return float(np.max(np.abs(np.linalg.eigvals(loop))))
 

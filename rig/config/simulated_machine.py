@@ -58,9 +58,13 @@ def derived(bench: Mapping[str, Any]) -> dict[str, Section | float]:
     )
     joint = _joint(bench)
     inertia = _number(bench, "mock", "joint", "inertia_kg_m2") or joint["inertia_kg_m2"]
-    gear = _number(bench, "mock", "motor", "gear_ratio") or motor.get("gear_ratio", Motor.gear_ratio)
+    gear = _number(bench, "mock", "motor", "gear_ratio") or motor.get(
+        "gear_ratio", Motor.gear_ratio
+    )
     share = inertia / Joint.inertia_kg_m2
-    motor["rotor_inertia_kg_m2"] = Motor.rotor_inertia_kg_m2 * share * (Motor.gear_ratio / gear) ** 2
+    motor["rotor_inertia_kg_m2"] = (
+        Motor.rotor_inertia_kg_m2 * share * (Motor.gear_ratio / gear) ** 2
+    )
     supply = _supply(bench)
     machine: dict[str, Section | float] = {
         "motor": motor,
@@ -81,7 +85,9 @@ def _joint(bench: Mapping[str, Any]) -> Section:
     }
 
 
-def _loops(bench: Mapping[str, Any], motor: Section, inertia_share: float, supply_V: float | None) -> Section:
+def _loops(
+    bench: Mapping[str, Any], motor: Section, inertia_share: float, supply_V: float | None
+) -> Section:
     """Return gains of the bandwidths that the practical bench has, whatever the motor."""
 
     def of_motor(name: str) -> float:

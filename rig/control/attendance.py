@@ -32,8 +32,10 @@ def require_attendance(plan: Plan, bench: Document[Bench], yes: bool, terminal: 
         return
     reason = "--yes would answer the weight prompts" if yes else "there is no terminal to ask at"
     raise InputError(
-        f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, and a person hangs them on this bench: "
-        "run at a terminal without --yes, or, where a hoist hangs them and is read back, set `weights_hung_by: hoist`"
+        f"{bench.path}: {reason}, but stages {', '.join(heavy)} have weights, and a person hangs "
+        f"them on this bench: "
+        "run at a terminal without --yes, or, where a hoist hangs them and is read back, set "
+        "`weights_hung_by: hoist`"
     )
 
 
@@ -47,12 +49,15 @@ def connected(
     torque_offset: bool = False,
     purpose: str = "rig",
 ) -> Iterator[Devices]:
-    """Open a bench as :func:`rig.wiring.connect.connect` does; a stop interrupts the opening, where nothing has power.
+    """Open a bench as :func:`rig.wiring.connect.connect` does; a stop interrupts the opening, where
+    nothing has power.
 
     Raises:
         KeyboardInterrupt: The operator stopped it.
     """
     with ExitStack() as stack:
         with stop.interruptible():
-            devices = stack.enter_context(connect(document, seed, realtime, attach, torque_offset, purpose))
+            devices = stack.enter_context(
+                connect(document, seed, realtime, attach, torque_offset, purpose)
+            )
         yield devices

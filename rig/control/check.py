@@ -65,7 +65,11 @@ def examine(
     limits = bench_limits(bench)
     wanted = servo_limits(limits, bench)
     readings = take_readings(devices, bench.machine.gear_ratio)
-    found = [*found, *device_findings(devices, wanted, bench.cycle_s), *reading_findings(readings, limits)]
+    found = [
+        *found,
+        *device_findings(devices, wanted, bench.cycle_s),
+        *reading_findings(readings, limits),
+    ]
     watching = watcher(devices)
     return {
         "schema": SCHEMA,
@@ -104,7 +108,13 @@ def describe(found: dict[str, Any], readings: Readings, watching: Watcher) -> st
         watching: Who stops the drive when this program does not.
     """
     lines = [_devices(found), "", table(["reading", "value", "unit"], readings.rows(), right=[1])]
-    lines += [f"state of the drive: {readings.state}", f"watched by: {watching.words}", "", _limits(found), ""]
+    lines += [
+        f"state of the drive: {readings.state}",
+        f"watched by: {watching.words}",
+        "",
+        _limits(found),
+        "",
+    ]
     lines += [f"warning: {text}" for text in (*_warned(watching), *found["warnings"])]
     lines += [f"problem: {text}" for text in found["problems"]]
     lines.append(f"verdict: {found['verdict']}")

@@ -1,4 +1,6 @@
-"""The control cycle: send a target, collect the answer, record it, judge it, in that order and on time."""
+"""The control cycle: send a target, collect the answer, record it, judge it, in that order and on
+time.
+"""
 
 from __future__ import annotations
 
@@ -51,7 +53,8 @@ class TripError(Exception):
 class Cycle:
     """Runs control cycles and keeps their time.
 
-    A cycle that starts more than a period late moves the following ones back rather than rushing to catch up.
+    A cycle that starts more than a period late moves the following ones back rather than rushing to
+    catch up.
 
     Args:
         limits: Checked on every sample, until :meth:`use` changes them.
@@ -113,7 +116,9 @@ class Cycle:
         return (self._next_ns - self._start_ns) * 1e-9
 
     def ask_reset(self) -> None:
-        """Note that the operator asks for the safety latch to be reset at the next :meth:`begin`."""
+        """Note that the operator asks for the safety latch to be reset at the next
+        :meth:`begin`.
+        """
         self._latch.ask()
 
     def end(self) -> None:
@@ -125,14 +130,16 @@ class Cycle:
         self._limits = limits
 
     def begin(self, target: float, time_limit_s: float | None = None) -> None:
-        """Start cycling afresh after a pause, at rest on ``target``, and reset the safety latch with the first sample.
+        """Start cycling afresh after a pause, at rest on ``target``, and reset the safety latch
+        with the first sample.
 
         Args:
             target: Present joint angle, rad.
             time_limit_s: How long commands may be followed from now on, s; None for ever.
 
         Raises:
-            TripError: That sample is outside a limit, or nobody asked for the reset; nothing was commanded to move.
+            TripError: That sample is outside a limit, or nobody asked for the reset; nothing was
+                commanded to move.
         """
         self.resume()
         self._powered_ns = self._next_ns
@@ -156,15 +163,18 @@ class Cycle:
         keep: Callable[[Sample], object] | None = None,
         compensate: Callable[[Sample | None], float] | None = None,
     ) -> None:
-        """Command one joint angle in rad a cycle; each sample is judged before the next command goes out.
+        """Command one joint angle in rad a cycle; each sample is judged before the next command
+        goes out.
 
         Args:
-            targets: Joint angles, rad; each is taken after the sample before it was judged and kept.
+            targets: Joint angles, rad; each is taken after the sample before it was judged and
+            kept.
             segment: Number of the excitation, 0 for none.
             stage: Name for the progress display.
             keep: Called with every sample that passed.
-            compensate: Called before every command with the sample before it (None before the first); returns the
-                torque in N m that the drive is to add until the next. It adds none after the last.
+            compensate: Called before every command with the sample before it (None before the
+                first); returns the torque in N m that the drive is to add until the next. It adds
+                none after the last.
 
         Raises:
             TripError: A sample broke a limit.
@@ -198,7 +208,8 @@ class Cycle:
             self._servo.set_torque_offset(0.0)
 
     def watch(self) -> None:
-        """Run one cycle that commands nothing and is not judged, for the time in which the drive brakes by itself.
+        """Run one cycle that commands nothing and is not judged, for the time in which the drive
+        brakes by itself.
 
         Raises:
             DeviceError: A device or the bus failed.
@@ -278,7 +289,8 @@ class Cycle:
     def _pace(self, pacer: Clock, begin_ns: int) -> int:
         """Hold simulated time back to real time; returns how late this computer is, ns.
 
-        The simulated bench cannot be late itself. It is judged by this computer's lateness as a real one would be.
+        The simulated bench cannot be late itself. It is judged by this computer's lateness as a
+        real one would be.
         """
         due_ns = begin_ns + self._pacer_offset_ns
         pacer.sleep_until_ns(due_ns)

@@ -57,12 +57,15 @@ def plan_jog(bench: Bench, angles_deg: tuple[float, ...], speed_deg_s: float) ->
     limits, section = bench_limits(bench), bench.limits
     greatest = GREATEST_SPEED_SHARE * section.speed_deg_s
     problems = [
-        f"--to {angle:g}: outside the bench's {section.angle_min_deg:g} to {section.angle_max_deg:g} deg"
+        f"--to {angle:g}: outside the bench's {section.angle_min_deg:g} to "
+        f"{section.angle_max_deg:g} deg"
         for angle in angles_deg
         if not section.angle_min_deg <= angle <= section.angle_max_deg
     ]
     if not 0.0 < speed_deg_s <= greatest:
-        problems.append(f"--speed {speed_deg_s:g}: must be above 0 and at most {greatest:g} deg/s on this bench")
+        problems.append(
+            f"--speed {speed_deg_s:g}: must be above 0 and at most {greatest:g} deg/s on this bench"
+        )
     if problems:
         raise InputError(problems)
     speed = math.radians(speed_deg_s)
@@ -93,9 +96,9 @@ def move(
 ) -> Outcome:
     """Make the moves and leave the drive de-energised, whatever happens. Never raises.
 
-    The limits are written into the drive before each enabling, and its own back at the end. A fault that the drive is
-    in is cleared where ``reset_fault`` says so. ``tell`` shows how it ended, and whether that is good, the moment it is
-    known; what nobody foresaw is the outcome's ``error``.
+    The limits are written into the drive before each enabling, and its own back at the end. A fault
+    that the drive is in is cleared where ``reset_fault`` says so. ``tell`` shows how it ended, and
+    whether that is good, the moment it is known; what nobody foresaw is the outcome's ``error``.
     """
     cycle = Cycle(jog.limits, bench.cycle_ns, devices, _Discard(), stop, progress)
     servo = devices.servo
@@ -113,7 +116,10 @@ def move(
     if ending is Ending.DONE and not safe.verified:
         ending = Ending.FAILED
     words = f"{words}; {safe.message}"
-    unforeseen = [*safe.unforeseen, *attempt_all(lambda: tell(f"{ending.value}: {words}", ending is Ending.DONE))]
+    unforeseen = [
+        *safe.unforeseen,
+        *attempt_all(lambda: tell(f"{ending.value}: {words}", ending is Ending.DONE)),
+    ]
     if own:
         unforeseen += give_back(servo, own[0], safe)
     if unforeseen:
@@ -130,7 +136,10 @@ def _moves(
     reset_fault: bool,
     own: list[ServoLimits],
 ) -> tuple[Ending, str, BaseException | None]:
-    """Make the moves; returns how they ended. ``own`` takes the drive's own limits once they are read."""
+    """Make the moves; returns how they ended.
+
+    ``own`` takes the drive's own limits once they are read.
+    """
     servo, wanted = devices.servo, servo_limits(jog.limits, bench)
     try:
         stop.check()

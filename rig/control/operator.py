@@ -1,4 +1,6 @@
-"""The person at the bench, who hangs the weights and types their mass, and what stands in for one."""
+"""The person at the bench, who hangs the weights and types their mass, and what stands in for
+one.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,9 @@ from rig.terminal.screen import Screen
 from rig.terminal.stop_button import OperatorStopError, StopButton
 
 WEIGHT_TOLERANCE = 0.005
-"""Share of the planned mass by which the typed one may differ, unless the bench file says otherwise."""
+"""Share of the planned mass by which the typed one may differ, unless the bench file says
+otherwise.
+"""
 LEAST_TOLERANCE_KG = 0.001
 """Difference that is always allowed: the last digit of a balance, and an empty lever."""
 _LOOK_NS = NS // 20
@@ -37,8 +41,8 @@ class Operator(Protocol):
         """Have a weight hung and its mass confirmed. The drive was read back as off.
 
         Returns:
-            The mass on the lever, kg, which force and fit are to use, or :attr:`Verb.REPEAT` to do the stage before
-            this one again.
+            The mass on the lever, kg, which force and fit are to use, or :attr:`Verb.REPEAT` to do
+            the stage before this one again.
 
         Raises:
             OperatorStopError: The operator gave up.
@@ -63,11 +67,12 @@ class Operator(Protocol):
 
 
 class AutomaticOperator:
-    """Answers every prompt with what the plan says (``--yes``); a pause ends with the signal that asked for it.
+    """Answers every prompt with what the plan says (``--yes``); a pause ends with the signal that
+    asked for it.
 
     Args:
-        hung: Stage to the mass that is hung there in truth, kg, where it is not the planned one: a mistake to be
-            found, on a simulated lever.
+        hung: Stage to the mass that is hung there in truth, kg, where it is not the planned one: a
+            mistake to be found, on a simulated lever.
         clock: To wait by while paused.
         screen: Where messages go.
     """
@@ -92,7 +97,10 @@ class AutomaticOperator:
 
     def paused(self, stage: str, stop: StopButton) -> Verb:
         """Wait for the next pause signal."""
-        self.tell(f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press Ctrl-C to stop")
+        self.tell(
+            f"paused after stage {stage}, the drive is off; send SIGUSR1 to go on, or press "
+            f"Ctrl-C to stop"
+        )
         while stop.pausing:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
             self._screen.pump()
@@ -129,16 +137,27 @@ class ConsoleOperator(AutomaticOperator):
         self._tolerance = tolerance
 
     def confirm_weight(self, stage: str, weight_kg: float) -> float | Verb:
-        """Ask until the typed mass is the planned one within the tolerance, or another verb is typed.
+        """Ask until the typed mass is the planned one within the tolerance, or another verb is
+        typed.
 
-        The planned mass is not shown before a first answer, so that what is typed is what was weighed.
+        The planned mass is not shown before a first answer, so that what is typed is what was
+        weighed.
 
         Raises:
             OperatorStopError: Ctrl-C, ``abort``, the input ended, or nobody answered in time.
         """
-        action = "Hang the weight that is planned for it" if weight_kg else "Take every weight off the lever"
-        self.tell(f"Stage {stage}: the drive is off. {action}, and let it come to rest. No hurry: this is a pause.")
-        self.tell("Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`.")
+        action = (
+            "Hang the weight that is planned for it"
+            if weight_kg
+            else "Take every weight off the lever"
+        )
+        self.tell(
+            f"Stage {stage}: the drive is off. {action}, and let it come to rest. No hurry: this "
+            f"is a pause."
+        )
+        self.tell(
+            "Then type the mass that the scales show (0 for an empty lever), `repeat` or `abort`."
+        )
         allowed_kg = max(self._tolerance * weight_kg, LEAST_TOLERANCE_KG) * (1.0 + _ROUNDING)
         while True:
             try:
@@ -158,7 +177,8 @@ class ConsoleOperator(AutomaticOperator):
                 return mass
             else:
                 self.tell(
-                    f"{mass:g} kg is not the planned {weight_kg:g} kg (tolerance {allowed_kg:.3g} kg): "
+                    f"{mass:g} kg is not the planned {weight_kg:g} kg (tolerance {allowed_kg:.3g} "
+                    f"kg): "
                     "change the weight and type its mass, or `abort`"
                 )
 
@@ -188,7 +208,9 @@ class ConsoleOperator(AutomaticOperator):
 
 
 def parse_mass_kg(text: str) -> float | None:
-    """Return a mass as it is typed, in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None where it is none."""
+    """Return a mass as it is typed, in kg: ``30.6``, ``30,6``, ``30.6 kg``, ``30600 g``; None where
+    it is none.
+    """
     found = _MASS.fullmatch(text.strip())
     if found is None:
         return None

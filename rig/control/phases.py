@@ -48,4 +48,6 @@ def next_phase(phase: Phase, event: Event) -> Phase:
     try:
         return TRANSITIONS[phase, event]
     except KeyError:
-        raise ValueError(f"no transition from phase {phase.value!r} on event {event.value!r}") from None
+        raise ValueError(
+            f"no transition from phase {phase.value!r} on event {event.value!r}"
+        ) from None

@@ -1,4 +1,6 @@
-"""What the devices of a bench show, read without preparing them, and whether a run could begin so."""
+"""What the devices of a bench show, read without preparing them, and whether a run could begin
+so.
+"""
 
 from __future__ import annotations
 
@@ -49,7 +51,8 @@ class Readings:
         """Return the record of ``--json``; null for what is not available."""
         values = {**dataclasses.asdict(self), "difference_rad": self.difference_rad}
         return {
-            name: None if isinstance(value, float) and math.isnan(value) else value for name, value in values.items()
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in values.items()
         }
 
     def rows(self) -> list[list[str]]:
@@ -94,8 +97,8 @@ def take_readings(devices: Devices, gear_ratio: float) -> Readings:
 def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
     """Yield the readings with which a run would end as soon as the drive is enabled.
 
-    Each is judged by the check of a run, :func:`rig.control.safety.check`, with all others inside their
-    limits. What is not available is not judged.
+    Each is judged by the check of a run, :func:`rig.control.safety.check`, with all others inside
+    their limits. What is not available is not judged.
     """
     gear, angle, pressure = limits.gear_ratio, readings.joint_encoder_rad, readings.pressure_Pa
     calm = _calm(limits)
@@ -103,7 +106,10 @@ def reading_findings(readings: Readings, limits: Limits) -> Iterator[Finding]:
         (angle, calm._replace(angle=angle, motor_angle=angle * gear)),
         (readings.speed_rad_s, calm._replace(velocity=readings.speed_rad_s)),
         (readings.current_A, calm._replace(current=readings.current_A)),
-        (readings.difference_rad, calm._replace(motor_angle=(calm.angle + readings.difference_rad) * gear)),
+        (
+            readings.difference_rad,
+            calm._replace(motor_angle=(calm.angle + readings.difference_rad) * gear),
+        ),
         (readings.temperature_C, calm._replace(temperature=readings.temperature_C)),
         (readings.supply_V, calm._replace(supply_voltage=readings.supply_V)),
     ]

@@ -46,11 +46,15 @@ _REMEDY = {
     Check.CURRENT: "look for jamming or a weight above the plan, then run again",
     Check.TORQUE: "look for jamming or a weight above the plan, then run again",
     Check.FOLLOWING_ERROR: "check the drive gains and that the joint moves freely",
-    Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
+    Check.DISAGREEMENT: "check the coupling, and sign, counts and offset of encoder and drive in "
+    "the bench file",
     Check.TEMPERATURE: "let the motor cool, then run again",
-    Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run again",
-    Check.PRESSURE: "look for a clogged throat or a valve that closed too far, and let the generator burn out",
-    Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator burn out",
+    Check.SUPPLY: "check the supply and, where the drive feeds back, its brake resistor, then run "
+    "again",
+    Check.PRESSURE: "look for a clogged throat or a valve that closed too far, and let the "
+    "generator burn out",
+    Check.CONTACT_FORCE: "look at the pressure, or open the valve further, and let the generator "
+    "burn out",
     Check.LATENESS: "close what else runs on this computer, or lower cycle_Hz, then run again",
     Check.STAGE_TIME: "look for what held the cycle up, or raise time_limit_s of the stage",
 }
@@ -98,7 +102,10 @@ class Trip:
             return f"statusword {int(self.value):04X}h is not OPERATION ENABLED"
         if self.check is Check.NOT_RESET:
             return "the safety latch is open: nobody has asked for its reset"
-        return f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit {_show(self.limit, self.unit)}"
+        return (
+            f"{self.check.value} {_show(self.value, self.unit)} is beyond its limit "
+            f"{_show(self.limit, self.unit)}"
+        )
 
 
 def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
@@ -134,7 +141,9 @@ def check(sample: Sample, age: float, late: float, limits: Limits) -> Trip | Non
     if not current * limits.torque_per_ampere <= limits.torque:
         return Trip(Check.TORQUE, current * limits.torque_per_ampere, limits.torque, "N m", time)
     if not abs(sample.following_error) <= limits.following_error:
-        return Trip(Check.FOLLOWING_ERROR, abs(sample.following_error), limits.following_error, "rad", time)
+        return Trip(
+            Check.FOLLOWING_ERROR, abs(sample.following_error), limits.following_error, "rad", time
+        )
     disagreement = abs(sample.motor_angle / limits.gear_ratio - angle)
     if not disagreement <= limits.encoder_disagreement:
         return Trip(Check.DISAGREEMENT, disagreement, limits.encoder_disagreement, "rad", time)
@@ -167,8 +176,8 @@ def check_stage_time(elapsed: float, limit: float, time: float) -> Trip | None:
 class Latch:
     """Remembers the first trip. Starts tripped.
 
-    Closing it takes two things: that the operator asks (:meth:`ask`), and a sample inside every limit (:meth:`reset`).
-    Asking is good for one reset. Neither moves anything.
+    Closing it takes two things: that the operator asks (:meth:`ask`), and a sample inside every
+    limit (:meth:`reset`). Asking is good for one reset. Neither moves anything.
     """
 
     def __init__(self) -> None:
@@ -190,7 +199,8 @@ class Latch:
         self._asked = True
 
     def reset(self, sample: Sample, age: float, late: float, limits: Limits) -> Trip | None:
-        """Close the latch if it was asked for and the sample is inside every limit; else hold the reason why not.
+        """Close the latch if it was asked for and the sample is inside every limit; else hold the
+        reason why not.
 
         Returns:
             None when the latch is now closed.

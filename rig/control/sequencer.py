@@ -1,4 +1,6 @@
-"""Runs a plan on a bench: a transition table, one handler a phase, and a teardown that always happens."""
+"""Runs a plan on a bench: a transition table, one handler a phase, and a teardown that always
+happens.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,8 @@ from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe, wo
 class Outcome:
     """The end of a run: how, why, what to do, and how the drive was left.
 
-    ``error`` is what nobody foresaw: a defect of this program, to be raised once everything is written down.
+    ``error`` is what nobody foresaw: a defect of this program, to be raised once everything is
+    written down.
     """
 
     ending: Ending
@@ -49,7 +52,9 @@ class WeightError(Exception):
 
 
 _FAILURES = frozenset({Check.SAMPLE_AGE, Check.DRIVE_STATE, Check.LATENESS})
-"""Trips that say that a device, the bus or this computer failed, rather than that the bench went too far."""
+"""Trips that say that a device, the bus or this computer failed, rather than that the bench went
+too far.
+"""
 
 
 class Sequencer:
@@ -66,7 +71,8 @@ class Sequencer:
         scale: Checks the weights.
         start: Index of the stage to begin with.
         segment: Number of the last excitation of an earlier part of the run.
-        reset_fault: Clear a fault that the drive is in, once the operator has answered the weight prompt.
+        reset_fault: Clear a fault that the drive is in, once the operator has answered the weight
+            prompt.
     """
 
     def __init__(
@@ -127,8 +133,8 @@ class Sequencer:
     def run(self) -> Outcome:
         """Run to the end, or to the first thing that stops it, and make the drive safe.
 
-        How the drive was left is shown and written down the moment it is known. Never raises; what nobody foresaw is
-        the outcome's ``error``.
+        How the drive was left is shown and written down the moment it is known. Never raises; what
+        nobody foresaw is the outcome's ``error``.
         """
         ending, message, trip, error = self._attempt()
         presses = self._stop.presses
@@ -154,11 +160,14 @@ class Sequencer:
         return outcome
 
     def _attempt(self) -> tuple[Ending, str, Trip | None, BaseException | None]:
-        """Run the phases; returns how they ended, in words, with the trip or the defect that ended them."""
+        """Run the phases; returns how they ended, in words, with the trip or the defect that ended
+        them.
+        """
         try:
             while self.phase is not Phase.FINISHED:
                 self._stop.check()
-                # What went over the wire outside the control cycle, before anything else can go wrong.
+                # What went over the wire outside the control cycle, before anything else can go
+                # wrong.
                 self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
                 if self._devices.observer is not None:
                     self._devices.observer(self._stage.name, self.phase)
@@ -173,7 +182,9 @@ class Sequencer:
         except KeyboardInterrupt:
             return Ending.STOPPED, self._where(self._stop.words), None, None
         except DeviceError as failure:
-            hint = RESET_HINT if isinstance(failure, DriveFault) and self.phase is Phase.ENABLE else ""
+            hint = (
+                RESET_HINT if isinstance(failure, DriveFault) and self.phase is Phase.ENABLE else ""
+            )
             return Ending.FAILED, self._where(str(failure)) + hint, None, None
         except StorageError as failure:
             return Ending.FAILED, self._where(str(failure)), None, None
@@ -186,7 +197,9 @@ class Sequencer:
         """Show and write down how the drive was left, at once: nothing that follows can hide it."""
         ending = outcome.ending
         return attempt_all(
-            lambda: self._operator.result(f"{ending.value}: {outcome.message}", ending is Ending.DONE),
+            lambda: self._operator.result(
+                f"{ending.value}: {outcome.message}", ending is Ending.DONE
+            ),
             lambda: self._journal.ended(ending.value, outcome.message, outcome.safe.verified),
         )
 
@@ -198,7 +211,10 @@ class Sequencer:
         try:
             self._recorder.frames(self._cycle.now_ns, self._devices.link.take_frames())
             self._recorder.event(
-                self._cycle.now_ns, outcome.ending.value, message=outcome.message, phase=self.phase.value
+                self._cycle.now_ns,
+                outcome.ending.value,
+                message=outcome.message,
+                phase=self.phase.value,
             )
         except StorageError as error:
             if outcome.ending is Ending.DONE:
@@ -215,7 +231,11 @@ class Sequencer:
             require_ready(devices, self._plan.servo_limits, self._plan.cycle_s, self._reset_fault)
         self._journal.stage_started(self._stage_index)
         self._recorder.event(
-            self._cycle.now_ns, "prompt", stage=stage.name, index=self._stage_index, weight_kg=stage.weight_kg
+            self._cycle.now_ns,
+            "prompt",
+            stage=stage.name,
+            index=self._stage_index,
+            weight_kg=stage.weight_kg,
         )
         hot = stage.stage == "hot_fire"
         if hot:
@@ -226,14 +246,20 @@ class Sequencer:
             return self._go_back()
         self._recorder.event(self._cycle.now_ns, "answer", stage=stage.name, weight_kg=confirmed)
         self._journal.weight_confirmed(self._stage_index, confirmed)
-        # What was weighed, not what was planned, is what force, feed-forward and weight check go by.
-        self._stages[self._stage_index] = stage = with_mass(self._plan, self._plan.stages[self._stage_index], confirmed)
-        # Having confirmed the weight, the operator asks for the drive to be enabled, and so for the latch's reset.
+        # What was weighed, not what was planned, is what force, feed-forward and weight check go
+        # by.
+        self._stages[self._stage_index] = stage = with_mass(
+            self._plan, self._plan.stages[self._stage_index], confirmed
+        )
+        # Having confirmed the weight, the operator asks for the drive to be enabled, and so for the
+        # latch's reset.
         self._cycle.ask_reset()
         if self._reset_fault and devices.servo.state() is ServoState.FAULT:
             devices.servo.reset_fault()
             self._recorder.event(self._cycle.now_ns, "fault reset", stage=stage.name)
-            self._operator.tell("the drive was in fault; the fault is cleared, and the drive is still off")
+            self._operator.tell(
+                "the drive was in fault; the fault is cleared, and the drive is still off"
+            )
         if devices.hang is not None:
             devices.hang(self._operator.hangs(stage.name, stage.weight_kg))
         if hot and devices.ignite is not None:
@@ -274,10 +300,14 @@ class Sequencer:
     def _first_pass(self) -> Event:
         planned = self._stage.first_passes[self._pass]
         cycle, plan = self._cycle, self._plan
-        self._recorder.event(cycle.now_ns, "first pass", stage=self._stage.name, amplitude=planned.amplitude)
+        self._recorder.event(
+            cycle.now_ns, "first pass", stage=self._stage.name, amplitude=planned.amplitude
+        )
         cycle.use(planned.move_limits)
         speed = min(plan.approach_speed, APPROACH_SPEED_SHARE * planned.move_limits.speed)
-        self._follow(approach(self._target, float(planned.targets[0]), speed, plan.cycle_s).tolist())
+        self._follow(
+            approach(self._target, float(planned.targets[0]), speed, plan.cycle_s).tolist()
+        )
         self._rest(self._stage.settle_s)
         cycle.use(planned.limits)
         self._first_samples = []
@@ -286,10 +316,11 @@ class Sequencer:
         return Event.DONE
 
     def _weigh(self) -> Event:
-        """Compare the friction met at low amplitude with the confirmed mass, while the drive holds still.
+        """Compare the friction met at low amplitude with the confirmed mass, while the drive holds
+        still.
 
-        That takes milliseconds, far less than its heartbeat watch allows. Where the joint has not moved there is
-        nothing to compare, and a larger pass follows.
+        That takes milliseconds, far less than its heartbeat watch allows. Where the joint has not
+        moved there is nothing to compare, and a larger pass follows.
         """
         level = measured_level(self._first_samples, self._plan)
         self._first_samples = []
@@ -316,7 +347,9 @@ class Sequencer:
 
     def _approach(self) -> Event:
         end = float(self._stage.targets[0])
-        self._follow(approach(self._target, end, self._plan.approach_speed, self._plan.cycle_s).tolist())
+        self._follow(
+            approach(self._target, end, self._plan.approach_speed, self._plan.cycle_s).tolist()
+        )
         return Event.DONE
 
     def _settle(self) -> Event:
@@ -327,9 +360,13 @@ class Sequencer:
         self._segment += 1
         start = {"stage": self._stage.name, "index": self._stage_index, "repeat": self._repeat + 1}
         self._recorder.event(self._cycle.now_ns, "segment", number=self._segment, **start)
-        self._journal.segment_started(self._stage_index, self._repeat + 1, self._segment, self._cycle.next_s)
+        self._journal.segment_started(
+            self._stage_index, self._repeat + 1, self._segment, self._cycle.next_s
+        )
         if self._stage.flow is None:
-            self._follow(self._stage.targets.tolist(), self._segment, compensate=self._compensator())
+            self._follow(
+                self._stage.targets.tolist(), self._segment, compensate=self._compensator()
+            )
         else:
             flow = self._stage.flow
             regulator = Regulator(flow.law, flow.pressures.tolist(), self._target)
@@ -355,7 +392,9 @@ class Sequencer:
         return Event.DONE
 
     def _boundary(self) -> Event:
-        """Pause between two stages, or after the last, if that was asked for; the drive is de-energised."""
+        """Pause between two stages, or after the last, if that was asked for; the drive is
+        de-energised.
+        """
         verb = Verb.GO_ON
         if self._stop.pausing:
             self._recorder.event(self._cycle.now_ns, "paused", stage=self._stage.name)
@@ -376,7 +415,9 @@ class Sequencer:
 
     def _compensator(self) -> Compensator | None:
         offsets, plan = self._stage.offsets, self._plan
-        return None if offsets is None else Compensator(offsets, plan.limits.gear_ratio, plan.cycle_s)
+        return (
+            None if offsets is None else Compensator(offsets, plan.limits.gear_ratio, plan.cycle_s)
+        )
 
     def _follow(
         self,

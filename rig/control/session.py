@@ -1,4 +1,6 @@
-"""One run from opened bus to closed folder: recording started, plan run, everything written down however it ends."""
+"""One run from opened bus to closed folder: recording started, plan run, everything written down
+however it ends.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,14 @@ from rig.planning.reference import Reference
 from rig.runs.recorded_inputs import input_entry
 from rig.runs.recorder import Recorder, open_recorder
 from rig.runs.run import RunFolder, bench_constants, first_unfinished, part_file
-from rig.runs.run_record import BENCH_ATTACHMENT, FEEDFORWARD_INPUT, SEQUENCE_ATTACHMENT, Ending, PartRecord, RunRecord
+from rig.runs.run_record import (
+    BENCH_ATTACHMENT,
+    FEEDFORWARD_INPUT,
+    SEQUENCE_ATTACHMENT,
+    Ending,
+    PartRecord,
+    RunRecord,
+)
 from rig.terminal.stop_button import StopButton
 from rig.weighing.scale import Scale
 from rig.wiring.connect import device_files
@@ -89,7 +98,10 @@ def new_record(inputs: Inputs, plan: Plan) -> RunRecord:
             name: input_entry(path, sha256(content))
             for (name, content), path in zip(inputs.files().items(), paths, strict=True)
         }
-        | {name: input_entry(path, sha256_file(path)) for name, path in device_files(inputs.bench).items()}
+        | {
+            name: input_entry(path, sha256_file(path))
+            for name, path in device_files(inputs.bench).items()
+        }
         | _feedforward_entry(inputs.feedforward),
         bench=dataclasses.asdict(bench_constants(inputs.bench.value)),
         stages=stage_records(plan),
@@ -116,7 +128,9 @@ def execute(
     start_recording: Callable[[Path], Recorder] = open_recorder,
     record: RunRecord | None = None,
 ) -> tuple[RunFolder, Outcome]:
-    """Run a plan into an empty folder, or go on with a run. The link is open on entry and left open.
+    """Run a plan into an empty folder, or go on with a run.
+
+    The link is open on entry and left open.
 
     Args:
         inputs: What was asked for.
@@ -240,10 +254,17 @@ def describe_devices(devices: Devices) -> dict[str, Any]:
     return told
 
 
-def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]) -> None:
+def _head(
+    recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dict[str, Any]
+) -> None:
     """Put everything that explains the samples at the front, where even a torn file keeps it."""
     part = record.parts[-1]
-    run = {"name": record.name, "created": part.created, "seed": str(part.seed), "operator": part.operator or ""}
+    run = {
+        "name": record.name,
+        "created": part.created,
+        "seed": str(part.seed),
+        "operator": part.operator or "",
+    }
     recorder.metadata("run", {**run, "part": str(len(record.parts))})
     recorder.metadata("versions", part.versions)
     recorder.metadata("sha256", {name: entry["sha256"] for name, entry in record.inputs.items()})
@@ -251,9 +272,13 @@ def _head(recorder: Recorder, inputs: Inputs, record: RunRecord, identities: dic
         if role in identities:
             recorder.metadata(role, {name: str(value) for name, value in identities[role].items()})
     if record.calibrations:
-        recorder.metadata("calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations})
+        recorder.metadata(
+            "calibrations", {c["device"]: f"{c['id']}, due {c['due']}" for c in record.calibrations}
+        )
     for name, content in inputs.files().items():
-        recorder.attach(name, MEDIA_YAML, redacted(content) if name == BENCH_ATTACHMENT else content)
+        recorder.attach(
+            name, MEDIA_YAML, redacted(content) if name == BENCH_ATTACHMENT else content
+        )
     if inputs.feedforward is not None:
         recorder.attach(FEEDFORWARD_INPUT, MEDIA_JSON, Path(inputs.feedforward.source).read_bytes())
     recorder.attach("devices.json", MEDIA_JSON, json.dumps(identities, indent=1).encode())
@@ -279,7 +304,9 @@ def _save(folder: RunFolder, outcome: Outcome | None) -> Outcome | None:
 
 
 def _failed(outcome: Outcome | None, problem: str) -> Outcome | None:
-    """Return the outcome of a run whose files lack something; only a good ending becomes another."""
+    """Return the outcome of a run whose files lack something; only a good ending becomes
+    another.
+    """
     if outcome is None:
         return None
     ending = Ending.FAILED if outcome.ending is Ending.DONE else outcome.ending
@@ -301,4 +328,9 @@ def _finish(record: RunRecord, part: PartRecord, outcome: Outcome | None) -> Non
     if outcome.trip is not None:
         trip = outcome.trip
         value = trip.value if math.isfinite(trip.value) else None
-        record.trip = {**dataclasses.asdict(trip), "check": trip.check.value, "value": value, "message": trip.message}
+        record.trip = {
+            **dataclasses.asdict(trip),
+            "check": trip.check.value,
+            "value": value,
+            "message": trip.message,
+        }

@@ -1,4 +1,6 @@
-"""A whole run on a simulated bench in one call, as studies and figures need it: bus, drive, sequencer, recorder."""
+"""A whole run on a simulated bench in one call, as studies and figures need it: bus, drive,
+sequencer, recorder.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ def run_simulated(
     folder: Path,
     feedforward: Feedforward | None = None,
 ) -> Dataset:
-    """Run a sequence on a simulated bench, every weight hung as planned, and read its recordings back.
+    """Run a sequence on a simulated bench, every weight hung as planned, and read its recordings
+    back.
 
     Args:
         bench: A simulated one.
@@ -51,7 +54,9 @@ def run_simulated(
         KeyboardInterrupt: It was stopped.
     """
     if not bench.value.simulated:
-        raise InputError(bench.problem(("bus",), "this runs unattended, so the bench must be simulated"))
+        raise InputError(
+            bench.problem(("bus",), "this runs unattended, so the bench must be simulated")
+        )
     plan = make_plan(sequence, bench, feedforward=feedforward)
     inputs = Inputs(bench, sequence, seed, realtime=False, feedforward=feedforward)
     with (

@@ -53,7 +53,8 @@ class Finding:
     Attributes:
         row: Number in the schedule, from 1.
         applied_s: When it came, bench time; None if its moment never did.
-        off_after_s: How long after that the drive was de-energised for good; None while it is energised.
+        off_after_s: How long after that the drive was de-energised for good; None while it is
+        energised.
         as_expected: Whether the reaction was the expected one; None where nothing was expected.
     """
 
@@ -77,10 +78,14 @@ class Saboteur:
         patience_s: How long the run waits for an answer; None for ever.
     """
 
-    def __init__(self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None) -> None:
+    def __init__(
+        self, schedule: FaultSchedule, sequence: Sequence, patience_s: float | None = None
+    ) -> None:
         self._patience_s = patience_s
         self._rows = rows = schedule.rows
-        self._ramp_out = {stage.name: stage.duration_s - stage.ramp_out_s for stage in sequence.stages}
+        self._ramp_out = {
+            stage.name: stage.duration_s - stage.ramp_out_s for stage in sequence.stages
+        }
         self._waiting = set(range(len(rows)))
         self._applied_ns: dict[int, int] = {}
         self._off_ns: int | None = 0
@@ -114,7 +119,9 @@ class Saboteur:
         devices = dataclasses.replace(devices, hang=self._hang, observer=self._observe)
         operator = _Unreliable(operator, self._answer)
         try:
-            return execute(inputs, plan, devices, path, operator, stop, progress, self._start_recording)
+            return execute(
+                inputs, plan, devices, path, operator, stop, progress, self._start_recording
+            )
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, self._limits)
 
@@ -140,7 +147,8 @@ class Saboteur:
         return Recorder(io.BufferedWriter(self._file))
 
     def conclude(self, status: int | None, message: str) -> list[Finding]:
-        """Let the devices live on for a while without the host, judge every row, and write the findings.
+        """Let the devices live on for a while without the host, judge every row, and write the
+        findings.
 
         Args:
             status: Exit status of the run; None where the process is about to be killed.
@@ -152,8 +160,13 @@ class Saboteur:
         clock = self._scene.clock
         if self._off_ns is None:
             clock.sleep_until_ns(clock.now_ns() + round(_AFTERMATH_S * NS))
-        findings = [self._judge(number, row, status, message) for number, row in enumerate(self._rows)]
-        write_json(self._folder / REPORT_FILE, {"schema": SCHEMA, "faults": [dataclasses.asdict(f) for f in findings]})
+        findings = [
+            self._judge(number, row, status, message) for number, row in enumerate(self._rows)
+        ]
+        write_json(
+            self._folder / REPORT_FILE,
+            {"schema": SCHEMA, "faults": [dataclasses.asdict(f) for f in findings]},
+        )
         return findings
 
     def _schedule(self, number: int, delay_s: float) -> None:
@@ -196,7 +209,9 @@ class Saboteur:
             finding.off_after_s = max(0, self._off_ns - applied) / NS
         limit = expect.deenergised_within_s
         if limit is not None and (finding.off_after_s is None or finding.off_after_s > limit):
-            found = "still energised" if finding.off_after_s is None else f"{finding.off_after_s:.3f} s"
+            found = (
+                "still energised" if finding.off_after_s is None else f"{finding.off_after_s:.3f} s"
+            )
             remarks.append(f"de-energised after: expected at most {limit:g} s, found {found}")
         if status is not None and expect.exit_status not in (None, status):
             remarks.append(f"exit status: expected {expect.exit_status}, found {status}")
@@ -215,11 +230,17 @@ class Saboteur:
         """
         if self._answer_after_s is not None:
             clock, patience_s = self._scene.clock, self._patience_s
-            waited_s = self._answer_after_s if patience_s is None else min(patience_s, self._answer_after_s)
+            waited_s = (
+                self._answer_after_s
+                if patience_s is None
+                else min(patience_s, self._answer_after_s)
+            )
             clock.sleep_until_ns(clock.now_ns() + round(waited_s * NS))
             if waited_s == patience_s:
                 raise unanswered(waited_s)
-            raise OperatorStopError(f"stopped at the weight prompt of {stage}: the input ended without an answer")
+            raise OperatorStopError(
+                f"stopped at the weight prompt of {stage}: the input ended without an answer"
+            )
 
     def _kill(self, row: FaultRow) -> None:
         clock = self._scene.clock
@@ -267,7 +288,10 @@ What is done to the bench is in :mod:`rig.fault_injection.scene`.
 
 
 def sabotage(
-    path: Path, bench: Document[Bench], sequence: Document[Sequence], patience_s: float | None = None
+    path: Path,
+    bench: Document[Bench],
+    sequence: Document[Sequence],
+    patience_s: float | None = None,
 ) -> Saboteur:
     """Read a schedule for a run on a simulated bench, which waits ``patience_s`` for answers.
 

@@ -1,4 +1,6 @@
-"""What a fault schedule can do to a simulated bench of any kind, and which faults a bench has at all."""
+"""What a fault schedule can do to a simulated bench of any kind, and which faults a bench has at
+all.
+"""
 
 from __future__ import annotations
 
@@ -61,7 +63,10 @@ def impossible(row: FaultRow, bench: Bench) -> str | None:
         "encoder_line": isinstance(bench.encoder, Amt21Section),
     }
     if not has.get(row.target, True):
-        return f"this bench has no {row.target}; it has {' and '.join(name for name in has if has[name])}"
+        return (
+            f"this bench has no {row.target}; it has "
+            f"{' and '.join(name for name in has if has[name])}"
+        )
     if row.target == "drive":
         if row.fault in _CANOPEN_DRIVE and (serial or own_frames):
             return f"drive {row.fault} is for CANopen drives on CAN; leave it out"
@@ -70,7 +75,10 @@ def impossible(row: FaultRow, bench: Bench) -> str | None:
         if row.fault == "quick_stop_option" and own_frames:
             return "a drive of kind dbc has no 605Ah; leave it out"
         if row.fault == "fault" and own_frames and (row.amount or 0) > _LARGEST_CODE:
-            return f"error codes of a drive of kind dbc go up to FFh; give a lower value (got {row.amount:g})"
+            return (
+                f"error codes of a drive of kind dbc go up to FFh; give a lower value (got "
+                f"{row.amount:g})"
+            )
     if row.state == "switched_on" and own_frames:
         return "a drive of kind dbc has no state switched_on; leave it out"
     return None
@@ -90,12 +98,16 @@ class Scene:
         self._lines: dict[str, LineFaults] = {}
 
     def watch(self, told: Callable[[str, bool], None]) -> None:
-        """Have every state of the drive told as it is entered: its name in a schedule, and whether power is on."""
+        """Have every state of the drive told as it is entered: its name in a schedule, and whether
+        power is on.
+        """
         drive = self.bench.drive
         if isinstance(drive, DbcDrive):
             drive.entered.append(lambda state: told(_DBC_STATES[state], state in dbc_drive.POWERED))
         else:
-            drive.entered.append(lambda state: told(state.name.lower(), state in power_state.POWERED))
+            drive.entered.append(
+                lambda state: told(state.name.lower(), state in power_state.POWERED)
+            )
 
     def apply(self, row: FaultRow) -> None:
         """Bring a fault about."""
@@ -169,7 +181,11 @@ class Scene:
                 return False
             if function is None:
                 return True
-            return identifier == own.get(function) if of_drive else identifier & 0x780 in COUNTED_FRAMES[function]
+            return (
+                identifier == own.get(function)
+                if of_drive
+                else identifier & 0x780 in COUNTED_FRAMES[function]
+            )
 
         return match
 
@@ -212,7 +228,9 @@ ACTIONS: Mapping[tuple[str, str], Action] = {
     ("drive", "emcy"): lambda s, r: s.canopen_drive.emergency(_whole(r), 0x01),
     ("drive", "fault"): lambda s, r: s.bench.drive.fail(_whole(r)),
     ("drive", "restart"): lambda s, _: s.restart(),
-    ("drive", "quick_stop_option"): lambda s, r: s.canopen_drive.objects.values.update({0x605A00: _whole(r)}),
+    ("drive", "quick_stop_option"): lambda s, r: s.canopen_drive.objects.values.update(
+        {0x605A00: _whole(r)}
+    ),
     ("drive", "mode_refused"): lambda s, _: s.refuse_mode(),
     ("drive", "sdo_abort"): lambda s, r: s.wire.refuse_sdo(s.canopen_drive.node_id, r.count),
     ("drive", "sdo_timeout"): lambda s, r: s.wire.lose(

@@ -1,4 +1,6 @@
-"""Friction feed-forward: an identification of the bench turned into torque that its drive adds (60B2h)."""
+"""Friction feed-forward: an identification of the bench turned into torque that its drive adds
+(60B2h).
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ class Feedforward:
     """What is known of a bench, to compute torque from.
 
     Attributes:
-        values: Parameter name to value, SI; those of the load may be missing. A rise that is open is none.
+        values: Parameter name to value, SI; those of the load may be missing. A rise that is open
+        is none.
         alpha: Stribeck exponent.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: The result file.
@@ -56,14 +59,18 @@ class Feedforward:
         if not self.left_open:
             return None
         return (
-            f"feed-forward: {self.source} leaves {', '.join(self.left_open)} open: no rise of friction toward rest is "
-            "fed forward there, and stiffness takes its place; a run without feed-forward, in which the joint comes to "
+            f"feed-forward: {self.source} leaves {', '.join(self.left_open)} open: no rise of "
+            f"friction toward rest is "
+            "fed forward there, and stiffness takes its place; a run without feed-forward, in "
+            "which the joint comes to "
             "rest and breaks away again, shows it"
         )
 
     def missing(self, loaded: bool) -> tuple[str, ...]:
         """Return the parameters that a stage needs and the identification does not give."""
-        return tuple(name for name in (*UNLOADED, *(LOADED if loaded else ())) if name not in self.values)
+        return tuple(
+            name for name in (*UNLOADED, *(LOADED if loaded else ())) if name not in self.values
+        )
 
 
 @dataclass(frozen=True)
@@ -75,7 +82,8 @@ class Offsets:
         stiffness: Torque per angle error, N m/rad; fades out where nothing is commanded to move.
         damping: Torque per speed error, N m s/rad; fades out likewise.
         angle: Commanded joint angle that belongs to the sample before the cycle, rad.
-        speed: Commanded joint speed that belongs to the speed measured last before the cycle, rad/s.
+        speed: Commanded joint speed that belongs to the speed measured last before the cycle,
+        rad/s.
         reach: Greatest magnitude of what stiffness adds, N m.
         limit: Greatest magnitude that is sent, N m.
     """
@@ -109,11 +117,13 @@ class Compensator:
         """Return the torque offset to send next, N m, within its limit.
 
         Args:
-            sample: Of the cycle before; None in the first. What is not fresh adds nothing, and damping needs a fresh
-                one before it as well.
+            sample: Of the cycle before; None in the first. What is not fresh adds nothing, and
+                damping needs a fresh one before it as well.
         """
         torque, stiffness, damping, commanded, speed = next(self._rows)
-        angle = sample.motor_angle / self._gear_ratio if sample is not None and sample.fresh else None
+        angle = (
+            sample.motor_angle / self._gear_ratio if sample is not None and sample.fresh else None
+        )
         if angle is not None:
             pull = stiffness * (commanded - angle)
             torque += min(max(pull, -self._reach), self._reach)
@@ -127,14 +137,18 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: It cannot be read, is no such result, or leaves open a parameter of the unloaded joint other than
-            those of friction's rise toward rest.
+        InputError: It cannot be read, is no such result, or leaves open a parameter of the unloaded
+            joint other than those of friction's rise toward rest.
     """
     raw = read_identification(path)
     try:
         names = (*UNLOADED, *LOADED, *(name for rise in RISES for name in rise[1:]))
         known = {name: raw["parameters"].get(name, {}).get("value") for name in names}
-        values = {name: float(value) for name, value in known.items() if value is not None and math.isfinite(value)}
+        values = {
+            name: float(value)
+            for name, value in known.items()
+            if value is not None and math.isfinite(value)
+        }
         alpha = float(raw["alpha"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
@@ -143,7 +157,9 @@ def load_feedforward(path: Path, bench: BenchConstants) -> Feedforward:
         if kinetic in values and (unknown := [name for name in rise if name not in values]):
             left_open += unknown
             values |= {rise[0]: values[kinetic], rise[1]: 1.0}
-    found = Feedforward(values, alpha, moment_per_kg(bench), str(path), sha256_file(path), tuple(left_open))
+    found = Feedforward(
+        values, alpha, moment_per_kg(bench), str(path), sha256_file(path), tuple(left_open)
+    )
     if missing := found.missing(loaded=False):
         raise InputError([_open(path, name) for name in missing])
     return found
@@ -157,16 +173,31 @@ def require_torque_offset(bench: Document[Bench]) -> None:
     """
     value = bench.value
     if isinstance(value.servo, DbcServoSection):
-        text = "feed-forward needs the torque offset 60B2h, which this drive's own frames lack; run without it"
+        text = (
+            "feed-forward needs the torque offset 60B2h, which this drive's own frames lack; "
+            "run without it"
+        )
         raise InputError(bench.problem(("servo", "kind"), text))
     if not isinstance(value.bus, Bus):
-        text = "feed-forward needs the torque offset in the instant of the target; a serial line brings it later"
-        raise InputError(bench.problem(("bus", "interface"), f"{text}: use a CANopen drive, or run without it"))
-    bench.require((("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value))
+        text = (
+            "feed-forward needs the torque offset in the instant of the target; a serial line "
+            "brings it later"
+        )
+        raise InputError(
+            bench.problem(("bus", "interface"), f"{text}: use a CANopen drive, or run without it")
+        )
+    bench.require(
+        (("bus", "bitrate"), t) for t in bus_overload(FRAMES_WITH_OFFSET, value.bus, value)
+    )
 
 
 def stage_offsets(
-    model: Feedforward, targets: Array, weight_kg: float, cycle_s: float, torque_limit: float, speed_limit: float
+    model: Feedforward,
+    targets: Array,
+    weight_kg: float,
+    cycle_s: float,
+    torque_limit: float,
+    speed_limit: float,
 ) -> Offsets:
     """Compute the torque offsets of a stage from what it will command, shape (n,).
 
@@ -176,8 +207,8 @@ def stage_offsets(
         weight_kg: Mass on the lever.
         cycle_s: Control cycle, s.
         torque_limit: Of the run, N m.
-        speed_limit: Of the run, rad/s. A joint far off its command, as soft gains leave it, is brought back at no more
-            than :data:`CATCH_UP_SHARE` of it.
+        speed_limit: Of the run, rad/s. A joint far off its command, as soft gains leave it, is
+            brought back at no more than :data:`CATCH_UP_SHARE` of it.
 
     Raises:
         InputError: The stage is loaded, and the identification leaves open a parameter of the load.
@@ -189,7 +220,8 @@ def stage_offsets(
     speed = compensation.commanded_speed(targets, cycle_s)
     gains = feedback.gains(model.values["J"], cycle_s)
     share = np.abs(compensation.motion(targets, cycle_s))
-    # When cycle k is sent, the last sample is that of cycle k - 1, in which the joint was to arrive at target k - 2.
+    # When cycle k is sent, the last sample is that of cycle k - 1, in which the joint was to arrive
+    # at target k - 2.
     return Offsets(
         torque,
         gains.stiffness * share,
@@ -202,4 +234,7 @@ def stage_offsets(
 
 
 def _open(path: Path, name: str) -> str:
-    return f"{path}: parameters.{name}: not identified; feed-forward needs it: identify a run in which this can be seen"
+    return (
+        f"{path}: parameters.{name}: not identified; feed-forward needs it: identify a run in "
+        f"which this can be seen"
+    )

@@ -13,7 +13,9 @@ from rig.planning.limits import Limits
 LONGEST_RAMP_SHARE = 0.25
 """Share of the pass that each of its ramps may take."""
 GROWTH = 2.0
-"""From one pass to the next, where the joint has not moved: a soft drive winds up by degrees before friction yields."""
+"""From one pass to the next, where the joint has not moved: a soft drive winds up by degrees before
+friction yields.
+"""
 
 
 @dataclass(frozen=True)
@@ -35,8 +37,12 @@ class PlannedPass:
     limits: Limits
 
 
-def plan_passes(section: StageSection, low: FirstPass, limits: Limits, cycle_s: float) -> tuple[PlannedPass, ...]:
-    """Compute the first pass of a stage, and the larger ones that follow while the joint does not move."""
+def plan_passes(
+    section: StageSection, low: FirstPass, limits: Limits, cycle_s: float
+) -> tuple[PlannedPass, ...]:
+    """Compute the first pass of a stage, and the larger ones that follow while the joint does not
+    move.
+    """
     passes: list[PlannedPass] = []
     amplitude = low.amplitude
     while amplitude < 1.0:
@@ -48,10 +54,16 @@ def plan_passes(section: StageSection, low: FirstPass, limits: Limits, cycle_s: 
     return tuple(passes)
 
 
-def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float) -> PlannedPass:
-    """Compute one pass: the same tones about the same centre, smaller and shorter; a ramp at its speed, not as far."""
+def _plan_pass(
+    section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
+) -> PlannedPass:
+    """Compute one pass: the same tones about the same centre, smaller and shorter; a ramp at its
+    speed, not as far.
+    """
     if section.ramp is not None:
-        ramp = section.ramp.model_copy(update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1})
+        ramp = section.ramp.model_copy(
+            update={"travel_deg": amplitude * section.ramp.travel_deg, "times": 1}
+        )
         small = section.model_copy(update={"ramp": ramp, "duration_s": ramp.moving_s})
         return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
     slowest_s = 1.0 / min(tone.frequency_Hz for tone in section.tones)
@@ -61,7 +73,8 @@ def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: 
     small = section.model_copy(
         update={
             "tones": tuple(
-                tone.model_copy(update={"amplitude_deg": amplitude * tone.amplitude_deg}) for tone in section.tones
+                tone.model_copy(update={"amplitude_deg": amplitude * tone.amplitude_deg})
+                for tone in section.tones
             ),
             "duration_s": duration_s,
             "ramp_in_s": min(section.ramp_in_s, ramp_s),
@@ -71,7 +84,9 @@ def _plan_pass(section: StageSection, low: FirstPass, amplitude: float, limits: 
     return _judged(excitation(small, cycle_s), low, amplitude, limits, cycle_s)
 
 
-def _judged(targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float) -> PlannedPass:
+def _judged(
+    targets: Array, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
+) -> PlannedPass:
     """Put the limits of a first pass around its targets."""
     moving = _tighter(limits, low.limit_share)
     return PlannedPass(targets, amplitude, len(targets) * cycle_s, moving, _around(targets, moving))
@@ -82,7 +97,9 @@ def _peak_speed(targets: Array, cycle_s: float) -> float:
 
 
 def _tighter(limits: Limits, share: float) -> Limits:
-    """Cut the limits. Static friction does not shrink with the amplitude, so those on torque are cut half as much.
+    """Cut the limits.
+
+    Static friction does not shrink with the amplitude, so those on torque are cut half as much.
 
     So is the following error, by which a soft drive winds up against it.
     """
@@ -97,7 +114,9 @@ def _tighter(limits: Limits, share: float) -> Limits:
 
 
 def _around(targets: Array, limits: Limits) -> Limits:
-    """Let the joint go no further than the pass itself does, and the following error it may have."""
+    """Let the joint go no further than the pass itself does, and the following error it may
+    have.
+    """
     slack = limits.following_error
     return dataclasses.replace(
         limits,

@@ -1,8 +1,10 @@
-"""From a flow command to the valve's angle: the closed loop of Fig. 5 and 11 around the position servo.
+"""From a flow command to the valve's angle: the closed loop of Fig. 5 and 11 around the position
+servo.
 
-A flow asks for the pressure at which the propellant gives it (eq. 2), and a PI controller turns the valve until the
-chamber has it. Where the valve is, is the gas generator's answer as much as the controller's: pressure and area load
-the valve (eq. 10), the load holds it back, and that shows in the pressure.
+A flow asks for the pressure at which the propellant gives it (eq. 2), and a PI controller turns the
+valve until the chamber has it. Where the valve is, is the gas generator's answer as much as the
+controller's: pressure and area load the valve (eq. 10), the load holds it back, and that shows in
+the pressure.
 """
 
 from __future__ import annotations
@@ -87,7 +89,8 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
 
 
 class Regulator:
-    """The controller in the control cycle: gives a target, sees the sample that comes of it, gives the next.
+    """The controller in the control cycle: gives a target, sees the sample that comes of it, gives
+    the next.
 
     Args:
         law: The controller.
@@ -121,7 +124,9 @@ def pressure_for(flow: Array, g: GasGenerator) -> Array:
 
 
 def angle_for(flow: Array, g: GasGenerator) -> Array:
-    """Return the valve angle at which a flow (kg/s) is steady, eq. 3, rad; that of the nearest throat there is."""
+    """Return the valve angle at which a flow (kg/s) is steady, eq. 3, rad; that of the nearest
+    throat there is.
+    """
     angles = np.linspace(0.0, g.valve.clearing_angle, _ANGLES)
     areas = throat_area(angles, g.valve)
     opening = np.flatnonzero(np.diff(areas) > 0.0)

@@ -1,4 +1,6 @@
-"""Friction and inertia to predict a run with: an identification of the bench, or the paper's values."""
+"""Friction and inertia to predict a run with: an identification of the bench, or the paper's
+values.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ class FrictionModel:
     measured: bool
 
 
-def friction_model(bench: BenchConstants, named: Path | None = None, runs: Path = RUNS) -> FrictionModel:
+def friction_model(
+    bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
+) -> FrictionModel:
     """Return the best that is known of a bench.
 
     Args:
@@ -62,7 +66,8 @@ def friction_model(bench: BenchConstants, named: Path | None = None, runs: Path 
         except InputError:
             continue  # a folder that is no whole run says nothing of this bench
     words = (
-        f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, as nothing was "
+        f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
+        f"as nothing was "
         "identified on this bench; give --identification"
     )
     arm = bench.moment_arm or 0.0
@@ -83,7 +88,8 @@ def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
     if recorded == bench:
         return None
     differing = [
-        f"{field.name} {_shown(getattr(recorded, field.name))}, here {_shown(getattr(bench, field.name))}"
+        f"{field.name} {_shown(getattr(recorded, field.name))}, here "
+        f"{_shown(getattr(bench, field.name))}"
         for field in dataclasses.fields(bench)
         if getattr(recorded, field.name) != getattr(bench, field.name)
     ]
@@ -94,7 +100,9 @@ def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
 
 
 def _shown(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float | int) else "other" if value is not None else "none"
+    return (
+        f"{value:g}" if isinstance(value, float | int) else "other" if value is not None else "none"
+    )
 
 
 def _newest_first(runs: Path) -> list[Path]:
@@ -109,7 +117,11 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     raw = read_identification(path)
     try:
         told = {name: raw["parameters"].get(name, {}).get("value") for name in NOMINAL}
-        known = {name: float(value) for name, value in told.items() if value is not None and math.isfinite(value)}
+        known = {
+            name: float(value)
+            for name, value in told.items()
+            if value is not None and math.isfinite(value)
+        }
         alpha = float(raw["alpha"])
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{path}: damaged: {error}; run `rig identify` again") from error
@@ -118,4 +130,6 @@ def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     if missing:
         words += f"; {', '.join(missing)}, which it leaves open, from the paper"
     arm = bench.moment_arm or 0.0
-    return FrictionModel({**NOMINAL, **known}, alpha, arm, moment_per_kg(bench), words, measured=True)
+    return FrictionModel(
+        {**NOMINAL, **known}, alpha, arm, moment_per_kg(bench), words, measured=True
+    )

@@ -1,4 +1,6 @@
-"""Hot firings planned: the flow that a controller follows, what is expected of the gas generator, and its limits."""
+"""Hot firings planned: the flow that a controller follows, what is expected of the gas generator,
+and its limits.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,8 @@ from rig.planning.flow_control import FlowLaw, angle_for, make_law, pressure_for
 from rig.planning.limits import GasLimits
 
 NEEDS_PRESSURE = (
-    "a hot firing is loaded by its chamber pressure, and this bench has no transmitter for it; add the sections "
+    "a hot firing is loaded by its chamber pressure, and this bench has no transmitter for it; "
+    "add the sections "
     "`pressure` and `gas_generator` to the bench file, or use practical_hot"
 )
 
@@ -42,7 +45,9 @@ def believed(bench: Bench) -> GasGenerator | None:
 
 
 def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPlan | None:
-    """Compute the closed-loop excitation of a stage; None where it has none, or the bench no gas generator."""
+    """Compute the closed-loop excitation of a stage; None where it has none, or the bench no gas
+    generator.
+    """
     generator = believed(bench)
     if section.flow is None:
         return None
@@ -54,19 +59,24 @@ def plan_flow(section: StageSection, bench: Bench, speed_rad_s: float) -> FlowPl
 
 
 def expected_force(targets: Array, bench: Bench) -> float:
-    """Return the greatest contact force over these joint angles, N, the pressure being steady at each."""
+    """Return the greatest contact force over these joint angles, N, the pressure being steady at
+    each.
+    """
     return float(np.max(steady_force(targets, bench), initial=0.0))
 
 
 def steady_force(targets: Array, bench: Bench) -> Array:
-    """Return the contact force at these joint angles, N, shape (n,), the pressure being steady at each.
+    """Return the contact force at these joint angles, N, shape (n,), the pressure being steady at
+    each.
 
     Zero on a bench without gas generator.
     """
     generator = believed(bench)
     if generator is None or not len(targets):
         return np.zeros(len(targets))
-    return np.asarray((_steady(targets, generator) - generator.p_c0) * impacted_area(targets, generator.valve))
+    return np.asarray(
+        (_steady(targets, generator) - generator.p_c0) * impacted_area(targets, generator.valve)
+    )
 
 
 def _steady(targets: Array, generator: GasGenerator) -> Array:
@@ -85,13 +95,17 @@ def hot_objections(
         return
     peak_MPa = float(np.max(_steady(targets, generator))) * 1e-6
     if peak_MPa > limit_MPa:
-        text = f"the pressure would rise to {peak_MPa:.3g} MPa, above the bench limit pressure_MPa {limit_MPa:g} MPa"
+        text = (
+            f"the pressure would rise to {peak_MPa:.3g} MPa, above the bench limit "
+            f"pressure_MPa {limit_MPa:g} MPa"
+        )
         yield ("stage",), f"{text}; keep the valve further open", section.stage
     force = expected_force(targets, bench)
     if force > bench.limits.contact_force_N:
         yield (
             ("stage",),
-            f"contact force {force:.0f} N is above the bench limit contact_force_N {bench.limits.contact_force_N:g} N; "
+            f"contact force {force:.0f} N is above the bench limit contact_force_N "
+            f"{bench.limits.contact_force_N:g} N; "
             "keep the valve further open",
             section.stage,
         )
@@ -99,7 +113,10 @@ def hot_objections(
         least, most = np.sort(_flow_range(section, generator))
         for index, step in enumerate(section.flow.steps):
             if not least <= step.flow_kg_s <= most:
-                text = f"outside {least:.4g} to {most:.4g} kg/s, which the valve gives within the controller's angles"
+                text = (
+                    f"outside {least:.4g} to {most:.4g} kg/s, which the valve gives within the "
+                    f"controller's angles"
+                )
                 yield ("flow", "steps", index, "flow_kg_s"), text, step.flow_kg_s
 
 
@@ -108,7 +125,12 @@ def _flow_range(section: StageSection, generator: GasGenerator) -> Array:
     assert section.flow is not None
     controller = section.flow.controller
     ends = np.deg2rad([controller.angle_min_deg, controller.angle_max_deg])
-    return np.asarray(generator.rho_b * generator.A_b * generator.a * (1e-6 * _steady(ends, generator)) ** generator.n)
+    return np.asarray(
+        generator.rho_b
+        * generator.A_b
+        * generator.a
+        * (1e-6 * _steady(ends, generator)) ** generator.n
+    )
 
 
 def gas_limits(bench: Bench) -> GasLimits | None:
@@ -125,6 +147,15 @@ def gas_limits(bench: Bench) -> GasLimits | None:
 
 
 def hot_fire_words(stage: str, simulated: bool) -> str:
-    """Return what the operator is told before a hot firing, whose prompt asks for an empty lever."""
-    lights = "is lit by this program" if simulated else "is yours to light: answer once its pressure is steady"
-    return f"Stage {stage} is a hot firing: a gas generator loads the valve, and no weight. It {lights}."
+    """Return what the operator is told before a hot firing, whose prompt asks for an empty
+    lever.
+    """
+    lights = (
+        "is lit by this program"
+        if simulated
+        else "is yours to light: answer once its pressure is steady"
+    )
+    return (
+        f"Stage {stage} is a hot firing: a gas generator loads the valve, and no weight. It "
+        f"{lights}."
+    )

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class GasLimits:
-    """Limits on the gas generator: chamber pressure, Pa, and the contact force that follows from it, N (eq. 10).
+    """Limits on the gas generator: chamber pressure, Pa, and the contact force that follows from
+    it, N (eq. 10).
 
     ``back_pressure`` is p_c0, Pa; ``area`` gives A_s, m^2, at a joint angle in rad.
     """
@@ -23,7 +24,8 @@ class GasLimits:
 class Limits:
     """Limits in SI units at the joint, with the two constants that the checks need.
 
-    ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without pressure transmitter.
+    ``torque_per_ampere`` is Km i, N m/A; ``gear_ratio`` is i. ``gas`` is None on a bench without
+    pressure transmitter.
     """
 
     angle_min: float

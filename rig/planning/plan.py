@@ -1,4 +1,6 @@
-"""From bench and sequence to what will be run: every target computed, every limit checked, before anything moves."""
+"""From bench and sequence to what will be run: every target computed, every limit checked, before
+anything moves.
+"""
 
 from __future__ import annotations
 
@@ -49,9 +51,10 @@ TIME_LIMIT_SHARE = 1.5
 class PlannedStage:
     """One stage, ready to run. ``targets`` are joint angles in rad, one a cycle, shape (n,).
 
-    ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques that the drive adds
-    during the excitation, None where it adds none. With a ``flow`` a controller moves the valve, and ``targets`` are
-    where it should come to be. ``contact_force_N`` is the greatest.
+    ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques
+    that the drive adds during the excitation, None where it adds none. With a ``flow`` a controller
+    moves the valve, and ``targets`` are where it should come to be. ``contact_force_N`` is the
+    greatest.
     """
 
     name: str
@@ -121,11 +124,13 @@ def make_plan(
         sequence: What to do.
         bench: On which bench.
         first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
-        feedforward: What is known of the bench, for torque that the drive adds during the excitations; None for none.
+        feedforward: What is known of the bench, for torque that the drive adds during the
+            excitations; None for none.
 
     Raises:
-        InputError: A stage asks for more than the bench allows, or a limit is looser than the bench's; lists all. Or
-            the drive cannot add torque, or too little is known of the bench for it.
+        InputError: A stage asks for more than the bench allows, or a limit is looser than the
+            bench's; lists all. Or the drive cannot add torque, or too little is known of the bench
+            for it.
     """
     if feedforward is not None:
         require_torque_offset(bench)
@@ -137,7 +142,12 @@ def make_plan(
         stage = _plan_stage(section, bench.value, limits, low)
         if feedforward is not None and len(stage.targets) and stage.flow is None:
             offsets = stage_offsets(
-                feedforward, stage.targets, stage.weight_kg, bench.value.cycle_s, limits.torque, limits.speed
+                feedforward,
+                stage.targets,
+                stage.weight_kg,
+                bench.value.cycle_s,
+                limits.torque,
+                limits.speed,
             )
             stage = dataclasses.replace(stage, offsets=offsets)
         stages.append(stage)
@@ -159,7 +169,9 @@ def make_plan(
 
 
 def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage:
-    """Return a stage with the mass that was confirmed, kg: contact force and feed-forward follow from it."""
+    """Return a stage with the mass that was confirmed, kg: contact force and feed-forward follow
+    from it.
+    """
     if weight_kg == stage.weight_kg:
         return stage
     force = stage.contact_force_N * (weight_kg / stage.weight_kg if stage.weight_kg else 1.0)
@@ -167,7 +179,9 @@ def with_mass(plan: Plan, stage: PlannedStage, weight_kg: float) -> PlannedStage
     if stage.offsets is None or plan.feedforward is None:
         return stage
     limits = plan.limits
-    offsets = stage_offsets(plan.feedforward, stage.targets, weight_kg, plan.cycle_s, limits.torque, limits.speed)
+    offsets = stage_offsets(
+        plan.feedforward, stage.targets, weight_kg, plan.cycle_s, limits.torque, limits.speed
+    )
     return dataclasses.replace(stage, offsets=offsets)
 
 
@@ -180,11 +194,17 @@ def _first_pass(sequence: Sequence, bench: Bench, asked: bool | None) -> FirstPa
     """Return how the first passes are made, or None for none."""
     stated = sequence.first_pass
     described = stated if isinstance(stated, FirstPass) else None
-    wanted = asked if asked is not None else described is not None or (stated == "auto" and not bench.simulated)
+    wanted = (
+        asked
+        if asked is not None
+        else described is not None or (stated == "auto" and not bench.simulated)
+    )
     return (described or FirstPass()) if wanted else None
 
 
-def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstPass | None) -> PlannedStage:
+def _plan_stage(
+    section: StageSection, bench: Bench, limits: Limits, low: FirstPass | None
+) -> PlannedStage:
     flow = plan_flow(section, bench, limits.speed)
     targets = excitation(section, bench.cycle_s) if flow is None else flow.angles
     steps = np.diff(targets)
@@ -197,7 +217,9 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         repeats=section.repeats,
         settle_s=section.settle_s,
         duration_s=len(targets) * bench.cycle_s,
-        peak_speed_rad_s=min(float(np.max(np.abs(steps), initial=0.0)), math.inf if flow is None else flow.law.step)
+        peak_speed_rad_s=min(
+            float(np.max(np.abs(steps), initial=0.0)), math.inf if flow is None else flow.law.step
+        )
         / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
@@ -208,7 +230,12 @@ def _plan_stage(section: StageSection, bench: Bench, limits: Limits, low: FirstP
         flow=flow,
         role=section.role,
     )
-    across_s = 0.5 * math.pi * (limits.angle_max - limits.angle_min) / (APPROACH_SPEED_SHARE * limits.speed)
+    across_s = (
+        0.5
+        * math.pi
+        * (limits.angle_max - limits.angle_min)
+        / (APPROACH_SPEED_SHARE * limits.speed)
+    )
     passes = len(stage.first_passes)
     moves_s = across_s * (stage.repeats + passes)
     longest_s = section.time_limit_s or TIME_LIMIT_SHARE * (_under_power_s(stage, passes) + moves_s)
@@ -225,10 +252,16 @@ def _contact_force(section: StageSection, targets: Array, bench: Bench) -> float
 _Objection = tuple[tuple[str | int, ...], str, object]
 
 
-def _objections(section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench) -> Iterator[_Objection]:
+def _objections(
+    section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench
+) -> Iterator[_Objection]:
     """Yield key, message and value of everything a stage asks for and may not have."""
     if len(stage.targets) < 2:
-        yield ("duration_s",), f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms", section.duration_s
+        yield (
+            ("duration_s",),
+            f"shorter than two control cycles of {bench.cycle_s * 1e3:g} ms",
+            section.duration_s,
+        )
         return
     yield from hot_objections(section, stage.targets, bench)
     if section.time_limit_s is not None and section.time_limit_s < _under_power_s(stage):
@@ -246,7 +279,11 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
         )
     way: tuple[str, ...]
     pace: tuple[str, ...]
-    way, pace, slower = ("tones",), ("tones",), "reduce amplitude or frequency, or lengthen the ramps"
+    way, pace, slower = (
+        ("tones",),
+        ("tones",),
+        "reduce amplitude or frequency, or lengthen the ramps",
+    )
     if section.ramp is not None:
         way, pace, slower = ("ramp", "travel_deg"), ("ramp", "speed_deg_s"), "reduce it"
     elif section.flow is not None:
@@ -255,8 +292,10 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
         if not limits.angle_min <= extreme <= limits.angle_max:
             yield (
                 way,
-                f"the joint would go to {math.degrees(extreme):.4g} deg, outside {math.degrees(limits.angle_min):.4g} "
-                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or move center_deg",
+                f"the joint would go to {math.degrees(extreme):.4g} deg, outside "
+                f"{math.degrees(limits.angle_min):.4g} "
+                f"to {math.degrees(limits.angle_max):.4g} deg; reduce amplitude or travel, or "
+                f"move center_deg",
                 math.degrees(extreme),
             )
     if stage.peak_speed_rad_s > limits.speed:
@@ -266,15 +305,22 @@ def _objections(section: StageSection, stage: PlannedStage, limits: Limits, benc
             f"{math.degrees(limits.speed):.4g} deg/s; {slower}",
             math.degrees(stage.peak_speed_rad_s),
         )
-    if stage.offsets is not None and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque:
+    if (
+        stage.offsets is not None
+        and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque
+    ):
         text = (
-            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m {limits.torque:g} N m; use less weight"
+            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m "
+            f"{limits.torque:g} N m; use less weight"
         )
         yield ("weight_kg",), text, section.weight_kg
     fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
     for index, tone in enumerate(section.tones):
         if tone.frequency_Hz > fastest:
-            text = f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it or raise cycle_Hz"
+            text = (
+                f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it "
+                f"or raise cycle_Hz"
+            )
             yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
 
 
@@ -290,10 +336,16 @@ def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, floa
             text = f"looser than the bench's {allowed:g}; a sequence may only tighten a limit"
             problems.append(sequence.problem(("limits", name), text, asked))
     if values["angle_min_deg"] >= values["angle_max_deg"]:
-        text = f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is empty; swap or widen it"
+        text = (
+            f"angle range {values['angle_min_deg']:g} to {values['angle_max_deg']:g} deg is "
+            f"empty; swap or widen it"
+        )
         problems.append(sequence.problem(("limits",), text))
     if values["supply_min_V"] >= values["supply_max_V"]:
-        text = f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is empty; swap or widen it"
+        text = (
+            f"supply range {values['supply_min_V']:g} to {values['supply_max_V']:g} V is "
+            f"empty; swap or widen it"
+        )
         problems.append(sequence.problem(("limits",), text))
     return values, problems
 
@@ -334,4 +386,7 @@ def servo_limits(limits: Limits, bench: Bench) -> ServoLimits:
 
 def stage_records(plan: Plan) -> list[StageRecord]:
     """Return the stages of a plan as they stand before the run."""
-    return [StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role) for s in plan.stages]
+    return [
+        StageRecord(s.name, s.stage, s.weight_kg, s.repeats, len(s.targets), role=s.role)
+        for s in plan.stages
+    ]

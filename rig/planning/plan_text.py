@@ -12,7 +12,16 @@ from rig.planning.plan import Plan, PlannedStage
 def describe(plan: Plan) -> str:
     """Return the plan as tables: the stages and the limits in force."""
     stages = table(
-        ["stage", "load", "repeats", "duration s", "weight kg", "force N", "peak deg/s", "peak deg"],
+        [
+            "stage",
+            "load",
+            "repeats",
+            "duration s",
+            "weight kg",
+            "force N",
+            "peak deg/s",
+            "peak deg",
+        ],
         [
             [
                 s.name,
@@ -32,7 +41,11 @@ def describe(plan: Plan) -> str:
     held = table(
         ["limit", "value", "unit"],
         [
-            ["joint angle", f"{math.degrees(limits.angle_min):g} to {math.degrees(limits.angle_max):g}", "deg"],
+            [
+                "joint angle",
+                f"{math.degrees(limits.angle_min):g} to {math.degrees(limits.angle_max):g}",
+                "deg",
+            ],
             ["joint speed", f"{math.degrees(limits.speed):g}", "deg/s"],
             ["joint torque", f"{limits.torque:g}", "N m"],
             ["motor current", f"{limits.current:g}", "A"],
@@ -45,8 +58,12 @@ def describe(plan: Plan) -> str:
             ["lateness of a cycle", f"{limits.lateness * 1e3:g}", "ms"],
         ],
     )
-    head = f"{plan.name}: {plan.duration_s:.1f} s at {1.0 / plan.cycle_s:g} Hz, and moves to the start"
-    passes = "\n".join(line for stage in plan.stages for line in (_first_pass(stage), *_feedforward(stage)))
+    head = (
+        f"{plan.name}: {plan.duration_s:.1f} s at {1.0 / plan.cycle_s:g} Hz, and moves to the start"
+    )
+    passes = "\n".join(
+        line for stage in plan.stages for line in (_first_pass(stage), *_feedforward(stage))
+    )
     return f"{head}\n\n{stages}\n\n{passes}\n\n{held}"
 
 
@@ -61,8 +78,12 @@ def _feedforward(stage: PlannedStage) -> list[str]:
     if stage.offsets is None:
         return []
     peak, damping = max(abs(stage.offsets.torque)), max(stage.offsets.damping)
-    held = f"stiffness {max(stage.offsets.stiffness):.4g} N m/rad up to {stage.offsets.reach:.3g} N m"
-    return [f"{stage.name}: feed-forward up to {peak:.3g} N m, damping {damping:.3g} N m s/rad, {held}"]
+    held = (
+        f"stiffness {max(stage.offsets.stiffness):.4g} N m/rad up to {stage.offsets.reach:.3g} N m"
+    )
+    return [
+        f"{stage.name}: feed-forward up to {peak:.3g} N m, damping {damping:.3g} N m s/rad, {held}"
+    ]
 
 
 def _first_pass(stage: PlannedStage) -> str:
@@ -70,12 +91,21 @@ def _first_pass(stage: PlannedStage) -> str:
     if stage.stage == "hot_fire":
         return f"{stage.name}: {bound}; the gas generator loads the valve, no weight is hung"
     if not stage.first_passes:
-        return f"{stage.name}: {bound}; no first pass at low amplitude, so the weight is not checked before the stage"
+        return (
+            f"{stage.name}: {bound}; no first pass at low amplitude, so the weight is not "
+            f"checked before the stage"
+        )
     low, *larger = stage.first_passes
     limits = low.limits
-    again = f" (at {', '.join(f'{p.amplitude:.0%}' for p in larger)} while the joint does not move)" if larger else ""
+    again = (
+        f" (at {', '.join(f'{p.amplitude:.0%}' for p in larger)} while the joint does not move)"
+        if larger
+        else ""
+    )
     return (
-        f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} amplitude{again} within "
+        f"{stage.name}: {bound}; first {low.duration_s:.1f} s at {low.amplitude:.0%} "
+        f"amplitude{again} within "
         f"{math.degrees(limits.angle_min):.1f} to {math.degrees(limits.angle_max):.1f} deg, "
-        f"{math.degrees(limits.speed):.3g} deg/s, {limits.torque:.3g} N m, then the weight is checked"
+        f"{math.degrees(limits.speed):.3g} deg/s, {limits.torque:.3g} N m, then the weight is "
+        f"checked"
     )

@@ -1,4 +1,6 @@
-"""Peak torque and current of the stages of a plan, from friction and load (eq. 9 to 13) and inertia."""
+"""Peak torque and current of the stages of a plan, from friction and load (eq. 9 to 13) and
+inertia.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from rig.planning.plan import Plan, PlannedStage
 WARNING_SHARE = 0.8
 """Share of a limit beyond which a predicted peak is warned of."""
 LOOP_S = 0.005
-"""Time in which a stiff drive makes a step of the commanded speed, s; a softer one takes less torque."""
+"""Time in which a stiff drive makes a step of the commanded speed, s; a softer one takes less
+torque.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,14 +66,20 @@ def predicted_peaks(plan: Plan, bench: Bench, model: FrictionModel) -> list[Pred
     return [peak for stage in plan.stages for peak in _peaks(stage, plan, bench, model)]
 
 
-def _peaks(stage: PlannedStage, plan: Plan, bench: Bench, model: FrictionModel) -> Iterator[PredictedPeak]:
+def _peaks(
+    stage: PlannedStage, plan: Plan, bench: Bench, model: FrictionModel
+) -> Iterator[PredictedPeak]:
     moment = model.moment_per_kg * stage.weight_kg
     if stage.first_passes:
         low = stage.first_passes[0]
         torque = peak_torque(low.targets, plan.cycle_s, np.full(len(low.targets), moment), model)
         yield _peak(stage.name, "first pass", torque, low.limits)
     hot = stage.stage == "hot_fire"
-    moments = model.moment_arm_m * steady_force(stage.targets, bench) if hot else np.full(len(stage.targets), moment)
+    moments = (
+        model.moment_arm_m * steady_force(stage.targets, bench)
+        if hot
+        else np.full(len(stage.targets), moment)
+    )
     if stage.flow is None:
         torque = peak_torque(stage.targets, plan.cycle_s, moments, model)
     else:
@@ -121,7 +131,9 @@ def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionMod
     following = sign * _friction(np.abs(speed), moments, model) + inertia
     starts = np.flatnonzero((sign != 0.0) & (np.diff(sign, prepend=0.0) != 0.0))
     static = _friction(np.zeros(len(starts)), moments[starts], model)
-    return float(max(np.max(np.abs(following)), np.max(static + np.abs(inertia[starts]), initial=0.0)))
+    return float(
+        max(np.max(np.abs(following)), np.max(static + np.abs(inertia[starts]), initial=0.0))
+    )
 
 
 def _at_speed(speed: float, moments: Array, model: FrictionModel) -> float:
@@ -134,7 +146,8 @@ def _friction(speed: Array, moments: Array, model: FrictionModel) -> Array:
     # The sign of eq. 9 and 12 is 0 at rest; the smallest speed has the sign of the motion to come.
     speed = np.maximum(speed, np.finfo(np.float64).tiny)
     return np.asarray(
-        system_friction(speed, model.values, model.alpha) + moments * load_coefficient(speed, model.values, model.alpha)
+        system_friction(speed, model.values, model.alpha)
+        + moments * load_coefficient(speed, model.values, model.alpha)
     )
 
 

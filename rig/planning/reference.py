@@ -62,7 +62,8 @@ def load_reference(path: Path, bench: Bench) -> Reference:
     """Read the result of ``rig identify`` on an earlier run of this bench.
 
     Raises:
-        InputError: It cannot be read, is no such result, or leaves open a parameter that the check needs.
+        InputError: It cannot be read, is no such result, or leaves open a parameter that the check
+            needs.
     """
     raw = read_identification(path)
     try:
@@ -80,21 +81,31 @@ def read_identification(path: Path) -> dict[str, Any]:
     raw = read_json(path)
     if not isinstance(raw, dict) or raw.get("schema") != IDENTIFY_SCHEMA:
         found = raw.get("schema") if isinstance(raw, dict) else type(raw).__name__
-        raise InputError(f"{path}: schema: a result of `rig identify` ({IDENTIFY_SCHEMA}) is needed (got {found!r})")
+        raise InputError(
+            f"{path}: schema: a result of `rig identify` ({IDENTIFY_SCHEMA}) is needed (got "
+            f"{found!r})"
+        )
     if "motion" not in raw:
         raise InputError(f"{path}: damaged: no 'motion'; run `rig identify` again")
     if raw["motion"] != "rotary":
         raise InputError(f"{path}: motion: a rotary bench is needed (got {raw['motion']!r})")
     alpha = raw.get("alpha", 2.0)
-    if isinstance(alpha, bool) or not isinstance(alpha, int | float) or not 0.0 < alpha <= LARGEST_ALPHA:
-        raise InputError(f"{path}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha!r})")
+    if (
+        isinstance(alpha, bool)
+        or not isinstance(alpha, int | float)
+        or not 0.0 < alpha <= LARGEST_ALPHA
+    ):
+        raise InputError(
+            f"{path}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha!r})"
+        )
     return raw
 
 
 def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
     found = raw["parameters"]
     problems = [
-        f"{path}: parameters.{name}: not identified; the weight check needs a run with stages unloaded and loaded"
+        f"{path}: parameters.{name}: not identified; the weight check needs a run with stages "
+        f"unloaded and loaded"
         for name in NEEDED
         if name not in found or not _finite(found[name])
     ]
@@ -102,7 +113,9 @@ def _reference(path: Path, raw: dict[str, Any], bench: Bench) -> Reference:
         raise InputError(problems)
     return Reference(
         values={name: float(found[name]["value"]) for name in NEEDED},
-        sigmas={name: 0.5 * (found[name]["high"] - found[name]["low"]) / _SIGMA_OF_90 for name in NEEDED},
+        sigmas={
+            name: 0.5 * (found[name]["high"] - found[name]["low"]) / _SIGMA_OF_90 for name in NEEDED
+        },
         alpha=float(raw["alpha"]),
         moment_per_kg=moment_per_kg(bench),
         source=str(path),

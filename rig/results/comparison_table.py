@@ -11,15 +11,27 @@ from rig.common.result_files import finite
 from rig.common.tables import number, percent
 
 COMPARISON_NOTE = (
-    "The searches minimise the paper's equation error, stage by stage, in one box; the default method goes on to the "
-    "prediction errors. Failed: ended more than 0.1 % above the least cost found. Errors: worst parameter, median run."
+    "The searches minimise the paper's equation error, stage by stage, in one box; the default "
+    "method goes on to the "
+    "prediction errors. Failed: ended more than 0.1 % above the least cost found. Errors: worst "
+    "parameter, median run."
 )
 
 
 def comparison_table(contenders: Sequence[Contender]) -> Table:
-    """Return one row per estimator; the column against the truth is left out where that is not known."""
+    """Return one row per estimator; the column against the truth is left out where that is not
+    known.
+    """
     known = any(c.true_error is not None for c in contenders)
-    header = ("estimator", "runs", "failed", "evaluations", "s", "cost above least", "error against default")
+    header = (
+        "estimator",
+        "runs",
+        "failed",
+        "evaluations",
+        "s",
+        "cost above least",
+        "error against default",
+    )
     rows = [
         (
             c.name,
@@ -33,7 +45,9 @@ def comparison_table(contenders: Sequence[Contender]) -> Table:
         )
         for c in contenders
     ]
-    return Table((*header, *(["error against truth"] if known else [])), tuple(rows), (1, 2, 3, 4, 5))
+    return Table(
+        (*header, *(["error against truth"] if known else [])), tuple(rows), (1, 2, 3, 4, 5)
+    )
 
 
 def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:

@@ -32,7 +32,13 @@ def entry_of(name: str) -> Entry:
 def overview(entries: Iterable[Entry]) -> str:
     """Return one line per effect: where it shows and what is fitted."""
     rows = [
-        (e.group, e.name, e.shows_in, e.coordinate.partition(":")[0], ", ".join(q.name for q in e.parameters))
+        (
+            e.group,
+            e.name,
+            e.shows_in,
+            e.coordinate.partition(":")[0],
+            ", ".join(q.name for q in e.parameters),
+        )
         for e in entries
     ]
     return table(("group", "effect", "equation", "against", "parameters"), rows)
@@ -73,7 +79,9 @@ def _entry_record(entry: Entry) -> dict[str, Any]:
         "assumption_broken": entry.assumption,
         "shows_in": entry.shows_in,
         "coordinate": entry.coordinate,
-        "parameters": {q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in entry.parameters},
+        "parameters": {
+            q.name: {"unit": q.unit, "low": q.low, "high": q.high} for q in entry.parameters
+        },
         "look_alikes": list(entry.look_alikes),
         "separating_experiment": entry.experiment,
         "statement": entry.sentence,
@@ -86,4 +94,6 @@ def _quantity(q: Quantity) -> str:
 
 
 def _wrapped(label: str, text: str) -> str:
-    return textwrap.fill(text, _WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=" " * _LABEL)
+    return textwrap.fill(
+        text, _WIDTH, initial_indent=f"{label:<{_LABEL}}", subsequent_indent=" " * _LABEL
+    )

@@ -35,7 +35,8 @@ def write_report(
     extras: Sequence[Mapping[str, Any]] = (),
     comparison: Sequence[Contender] = (),
 ) -> Path:
-    """Write ``report.html`` and ``figures/*.png`` of one identification, by one method or several side by side.
+    """Write ``report.html`` and ``figures/*.png`` of one identification, by one method or several
+    side by side.
 
     Args:
         folder: Made if it is not there.
@@ -57,12 +58,16 @@ def write_report(
     recordings = {r.name: r for r in dataset.recordings}
     shown = _shown(first.traces)
     groups = {
-        "parameter_figures": [Picture.of("intervals", "Parameters", fit_plots.intervals(results, truth))],
+        "parameter_figures": [
+            Picture.of("intervals", "Parameters", fit_plots.intervals(results, truth))
+        ],
         "uncertainty_figures": uncertainty_pictures(results),
         "fit_figures": [_stribeck(result, recordings) for result in results],
         "convergence_figures": _convergence(results, truth),
         "recording_figures": [
-            p for trace in shown for p in _of_recording(trace, recordings[trace.recording], first.torque_unit)
+            p
+            for trace in shown
+            for p in _of_recording(trace, recordings[trace.recording], first.torque_unit)
         ],
     }
     save([picture for group in groups.values() for picture in group], folder)
@@ -84,7 +89,8 @@ def write_report(
         recording_fits=_recording_fit_table(results),
         stages=_stage_table(results),
         recordings=_recording_table(dataset.recordings),
-        left_out=f"Figures of {hidden} more recordings are left out; their fits are in the table above."
+        left_out=f"Figures of {hidden} more recordings are left out; their fits are in the table "
+        f"above."
         if hidden
         else "",
         **groups,
@@ -96,9 +102,14 @@ def write_report(
 
 
 def render(template: str, **context: Any) -> str:
-    """Fill a packaged template; everything is escaped, and a name the template lacks is an error."""
+    """Fill a packaged template; everything is escaped, and a name the template lacks is an
+    error.
+    """
     environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("rig.results"), autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True
+        loader=jinja2.PackageLoader("rig.results"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
     )
     return environment.get_template(template).render(**context)
 
@@ -106,22 +117,33 @@ def render(template: str, **context: Any) -> str:
 def provenance_tables(provenance: Provenance) -> dict[str, Table]:
     """Return the tables that end every page."""
     facts = (
-        ("versions", ", ".join(f"{name} {release}" for name, release in provenance.versions.items())),
+        (
+            "versions",
+            ", ".join(f"{name} {release}" for name, release in provenance.versions.items()),
+        ),
         ("created", provenance.created),
         ("seed", str(provenance.seed)),
         ("time spent", f"{provenance.seconds:.3g} s"),
     )
     files = tuple(provenance.inputs.items())
-    return {"provenance": Table(("fact", "value"), facts, ()), "inputs": Table(("input file", "SHA-256"), files, ())}
+    return {
+        "provenance": Table(("fact", "value"), facts, ()),
+        "inputs": Table(("input file", "SHA-256"), files, ()),
+    }
 
 
 def _shown(traces: Sequence[Trace]) -> list[Trace]:
-    return [t for role in ("fit", "validate") for t in [t for t in traces if t.role == role][:_SHOWN_PER_ROLE]]
+    return [
+        t
+        for role in ("fit", "validate")
+        for t in [t for t in traces if t.role == role][:_SHOWN_PER_ROLE]
+    ]
 
 
 def _stribeck(result: Identification, recordings: Mapping[str, Recording]) -> Picture:
     moments = {
-        name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0) for name, r in recordings.items()
+        name: None if r.hot_fire else r.contact_force * (r.bench.moment_arm or 0.0)
+        for name, r in recordings.items()
     }
     return Picture.of(
         f"stribeck_{result.method}",
@@ -130,7 +152,9 @@ def _stribeck(result: Identification, recordings: Mapping[str, Recording]) -> Pi
     )
 
 
-def _convergence(results: Sequence[Identification], truth: Mapping[str, float] | None) -> list[Picture]:
+def _convergence(
+    results: Sequence[Identification], truth: Mapping[str, float] | None
+) -> list[Picture]:
     return [
         Picture.of(
             f"convergence_{result.method}_{stage.stage}",
@@ -146,7 +170,9 @@ def _convergence(results: Sequence[Identification], truth: Mapping[str, float] |
 def _of_recording(trace: Trace, recording: Recording, unit: str) -> list[Picture]:
     return [
         Picture.of(
-            f"response_{trace.recording}", f"{trace.recording}: response", signals.response(trace, recording, unit)
+            f"response_{trace.recording}",
+            f"{trace.recording}: response",
+            signals.response(trace, recording, unit),
         ),
         Picture.of(
             f"residual_{trace.recording}",
@@ -160,9 +186,18 @@ def _fit_table(results: Sequence[Identification]) -> Table:
     rows = []
     for result in results:
         fit = result.fit
-        rows.append((result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative)))
+        rows.append(
+            (result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative))
+        )
         if fit.validate_rms is not None:
-            rows.append((result.method, "all", "validate", *_fit_cells(fit, fit.validate_rms, fit.validate_relative)))
+            rows.append(
+                (
+                    result.method,
+                    "all",
+                    "validate",
+                    *_fit_cells(fit, fit.validate_rms, fit.validate_relative),
+                )
+            )
     return Table(("method", "recordings", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
 
 
@@ -200,7 +235,16 @@ def _stage_table(results: Sequence[Identification]) -> Table:
         for result in results
         for stage in result.stages
     )
-    header = ("method", "stage", "optimiser", "evaluations", "generations", "cost", "target", "reached")
+    header = (
+        "method",
+        "stage",
+        "optimiser",
+        "evaluations",
+        "generations",
+        "cost",
+        "target",
+        "reached",
+    )
     return Table(header, rows, (3, 4, 5, 6))
 
 
@@ -217,4 +261,6 @@ def _recording_table(recordings: Sequence[Recording]) -> Table:
         )
         for r in recordings
     )
-    return Table(("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5))
+    return Table(
+        ("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5)
+    )

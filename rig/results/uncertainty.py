@@ -1,4 +1,6 @@
-"""How sure an identification is: what trades off, bounds hit, starts and profiles, as text, record and pictures."""
+"""How sure an identification is: what trades off, bounds hit, starts and profiles, as text, record
+and pictures.
+"""
 
 from __future__ import annotations
 
@@ -15,19 +17,24 @@ from rig.common.result_files import finite
 from rig.common.tables import interval, number
 
 PROFILE_NOTE = (
-    "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what the likelihood was "
-    "multiplied by, as its own curvature is not borne out by the scatter. Skew: upper over lower arm of the range."
+    "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what "
+    "the likelihood was "
+    "multiplied by, as its own curvature is not borne out by the scatter. Skew: upper over lower "
+    "arm of the range."
 )
 
 
 BOOTSTRAP_NOTE = (
-    "Bootstrap: the central 90 % of estimates from stretches of motion drawn with replacement, which ask nothing of "
+    "Bootstrap: the central 90 % of estimates from stretches of motion drawn with replacement, "
+    "which ask nothing of "
     "the noise but that stretches err independently; from few stretches they are somewhat narrow."
 )
 
 
 def uncertainty_notes(result: Identification) -> list[str]:
-    """Return what trades off, which bounds were hit and how many starts reached the best end, a line each."""
+    """Return what trades off, which bounds were hit and how many starts reached the best end, a
+    line each.
+    """
     lines = [pair.statement for pair in result.tradeoffs]
     if result.least_pinned:
         lines.append(result.least_pinned)
@@ -37,7 +44,11 @@ def uncertainty_notes(result: Identification) -> list[str]:
         lines.append(_noise_statement(result.noise))
     lines += [
         f"starts of the {s.stage} stage: {s.best} of {len(s.ends)} "
-        + (f"solved its equations (defect up to {number(s.reached)})" if s.absolute else "ended at the best")
+        + (
+            f"solved its equations (defect up to {number(s.reached)})"
+            if s.absolute
+            else "ended at the best"
+        )
         for s in result.starts
     ]
     return [f"{result.method}: {line}" for line in lines]
@@ -49,14 +60,24 @@ def _noise_statement(noise: MeasuredNoise) -> str:
     if noise.correlated:
         over = f"correlated over {number(1e3 * noise.correlation_s, 2)} ms"
         torque += f", and {number(noise.correlated, 3)} {noise.unit} rms, {over}"
-    step, beyond = (f"{number(math.degrees(1.0) * each, 3)} deg" for each in (noise.encoder_step_rad, noise.angle_rad))
-    return f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and {beyond} rms beyond it"
+    step, beyond = (
+        f"{number(math.degrees(1.0) * each, 3)} deg"
+        for each in (noise.encoder_step_rad, noise.angle_rad)
+    )
+    return (
+        f"noise, as the prediction errors ask for it: {torque}; encoder step {step}, and "
+        f"{beyond} rms beyond it"
+    )
 
 
 def profile_table(result: Identification) -> Table:
     """Return one row per profile: its 90 % range beside the interval."""
     rows = [_profile_row(curve, result) for curve in result.profiles]
-    return Table(("parameter", "90 % interval", "profile", "skew", "scaled", "unit"), tuple(rows), (1, 2, 3, 4))
+    return Table(
+        ("parameter", "90 % interval", "profile", "skew", "scaled", "unit"),
+        tuple(rows),
+        (1, 2, 3, 4),
+    )
 
 
 def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
@@ -66,7 +87,14 @@ def _profile_row(curve: Profile, result: Identification) -> tuple[str, ...]:
         here = result.fitted[curve.name]
         skew = (curve.high - here) / (here - curve.low)
     reach = interval(curve.low, curve.high) if skew is not None else _open(curve)
-    return curve.name, interval(p.low, p.high), reach, number(skew, 3), number(curve.scale, 3), curve.unit
+    return (
+        curve.name,
+        interval(p.low, p.high),
+        reach,
+        number(skew, 3),
+        number(curve.scale, 3),
+        curve.unit,
+    )
 
 
 def _open(curve: Profile) -> str:
@@ -89,12 +117,20 @@ def uncertainty_tables(result: Identification) -> list[tuple[Table, str]]:
 def bootstrap_table(result: Identification) -> Table:
     """Return one row per parameter: the spread of its draws beside the interval."""
     rows = [_bootstrap_row(r, result) for r in result.resampled]
-    return Table(("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3))
+    return Table(
+        ("parameter", "90 % interval", "bootstrap", "draws solved", "unit"), tuple(rows), (1, 2, 3)
+    )
 
 
 def _bootstrap_row(r: Resampled, result: Identification) -> tuple[str, ...]:
     p = result.parameters[r.name]
-    return r.name, interval(p.low, p.high), interval(r.low, r.high), f"{r.solved} of {r.draws}", r.unit
+    return (
+        r.name,
+        interval(p.low, p.high),
+        interval(r.low, r.high),
+        f"{r.solved} of {r.draws}",
+        r.unit,
+    )
 
 
 def uncertainty_record(result: Identification) -> dict[str, Any]:
@@ -108,7 +144,12 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
         "noise": None if result.noise is None else asdict(result.noise),
         "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
         "starts": [
-            {"stage": s.stage, "cost": s.cost, "ends": [finite(e) for e in s.ends], "reached_best": s.best}
+            {
+                "stage": s.stage,
+                "cost": s.cost,
+                "ends": [finite(e) for e in s.ends],
+                "reached_best": s.best,
+            }
             for s in result.starts
         ],
         "profiles": {
@@ -123,14 +164,22 @@ def uncertainty_record(result: Identification) -> dict[str, Any]:
             for c in result.profiles
         },
         "bootstrap": {
-            r.name: {"unit": r.unit, "low": finite(r.low), "high": finite(r.high), "draws": r.draws, "solved": r.solved}
+            r.name: {
+                "unit": r.unit,
+                "low": finite(r.low),
+                "high": finite(r.high),
+                "draws": r.draws,
+                "solved": r.solved,
+            }
             for r in result.resampled
         },
     }
 
 
 def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
-    """Return profiles and waterfalls of the results that have them; one start alone makes no waterfall."""
+    """Return profiles and waterfalls of the results that have them; one start alone makes no
+    waterfall.
+    """
     pictures = []
     for result in results:
         several = [s for s in result.starts if len(s.ends) > 1]
@@ -138,5 +187,9 @@ def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:
             made = plots.profiles(result.profiles, list(result.parameters.values()))
             pictures.append(Picture.of(f"profiles_{result.method}", "Likelihood profiles", made))
         if several:
-            pictures.append(Picture.of(f"starts_{result.method}", "Where the starts ended", plots.waterfall(several)))
+            pictures.append(
+                Picture.of(
+                    f"starts_{result.method}", "Where the starts ended", plots.waterfall(several)
+                )
+            )
     return pictures

@@ -1,1 +1,3 @@
-"""The run folder: its record, its recording, how it is read back, recovered, resumed and exported."""
+"""The run folder: its record, its recording, how it is read back, recovered, resumed and
+exported.
+"""

@@ -1,9 +1,10 @@
-"""One time base out of two clocks: a joint encoder that samples by its own, beside a drive that samples by its.
+"""One time base out of two clocks: a joint encoder that samples by its own, beside a drive that
+samples by its.
 
-Latched by one SYNC the two agree but for drift of their stamps, which moves no sample. An encoder that runs free is
-some part of a period old whenever the drive's sample is taken, more or less as their clocks beat. A delay tau turns
-friction's slope into inertia, tau dF/domega: half a millisecond near the Stribeck speed is a quarter of the whole.
-Pure functions of arrays.
+Latched by one SYNC the two agree but for drift of their stamps, which moves no sample. An encoder
+that runs free is some part of a period old whenever the drive's sample is taken, more or less as
+their clocks beat. A delay tau turns friction's slope into inertia, tau dF/domega: half a
+millisecond near the Stribeck speed is a quarter of the whole. Pure functions of arrays.
 """
 
 from __future__ import annotations
@@ -29,9 +30,10 @@ _FILLED = 3
 def taken_at(reference: Array, stamps: Array) -> Array:
     """Return when each sample of another clock was taken, in the reference's time, s, shape (n,).
 
-    A sample is taken before it is logged, by as little as nothing where the clocks have just beaten. So the line from
-    one clock to the other is the highest that leaves next to no sample in the future: the edge of the lower convex hull
-    under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). What is always lost on the way stays unknown.
+    A sample is taken before it is logged, by as little as nothing where the clocks have just
+    beaten. So the line from one clock to the other is the highest that leaves next to no sample in
+    the future: the edge of the lower convex hull under their mean (Moon, Skelly and Towsley,
+    INFOCOM 1999, 227). What is always lost on the way stays unknown.
 
     Args:
         reference: The drive's time of each row, s, rising, shape (n,).
@@ -62,10 +64,11 @@ def _turns_down(a: tuple[float, float], b: tuple[float, float], c: tuple[float, 
 def aligned(
     channels: Mapping[str, Array], stamps: Array, averaged: frozenset[str], gear_ratio: float
 ) -> tuple[dict[str, Array], str]:
-    """Return the channels on one time base, and what was done in words; unchanged where the clocks agree.
+    """Return the channels on one time base, and what was done in words; unchanged where the clocks
+    agree.
 
-    The finer encoder keeps its samples as counted. Where that is the joint's, everything else is brought onto its
-    instants; channels that are means stay means, over its period.
+    The finer encoder keeps its samples as counted. Where that is the joint's, everything else is
+    brought onto its instants; channels that are means stay means, over its period.
 
     Args:
         channels: ``time`` by the drive's clock and ``angle`` among them.
@@ -83,12 +86,16 @@ def aligned(
         return dict(channels), ""
     new = np.concatenate(([True], np.diff(stamps) > 0.0))
     words = (
-        f"the joint encoder samples by a clock of its own: angles up to {1e3 * float(np.percentile(age, 99.0)):.2g} ms "
+        f"the joint encoder samples by a clock of its own: angles up to "
+        f"{1e3 * float(np.percentile(age, 99.0)):.2g} ms "
         "older than the drive's samples"
     )
     motor = channels.get("motor_angle")
     if motor is not None and not 0.0 < quantum(angle) < quantum(motor) / gear_ratio:
-        return {**channels, "angle": np.interp(time, taken[new], angle[new])}, f"{words}; brought onto the drive's time"
+        return {
+            **channels,
+            "angle": np.interp(time, taken[new], angle[new]),
+        }, f"{words}; brought onto the drive's time"
     instants, counted, filled = _without_holes(taken[new], angle[new])
     inside = (instants >= time[0]) & (instants <= time[-1])
     instants, counted = instants[inside], counted[inside]
@@ -100,11 +107,16 @@ def aligned(
 
 
 def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
-    """Return an encoder's samples with short holes filled by interpolated counts, and how many those are."""
+    """Return an encoder's samples with short holes filled by interpolated counts, and how many
+    those are.
+    """
     steps = np.diff(taken)
     missing = np.round(steps / float(np.median(steps))).astype(np.int64) - 1
     missing = np.where((missing > 0) & (missing <= _FILLED), missing, 0)
-    extra = [taken[k] + steps[k] * np.arange(1, missing[k] + 1) / (missing[k] + 1) for k in np.flatnonzero(missing)]
+    extra = [
+        taken[k] + steps[k] * np.arange(1, missing[k] + 1) / (missing[k] + 1)
+        for k in np.flatnonzero(missing)
+    ]
     if not extra:
         return taken, angle, 0
     instants = np.sort(np.concatenate([taken, *extra]))
@@ -123,4 +135,6 @@ def _at(instants: Array, time: Array, values: Array, mean: bool) -> Array:
     edges = np.concatenate(([time[0] - period], time))
     total = np.concatenate(([0.0], np.cumsum(values * np.diff(edges))))
     span = float(np.median(np.diff(instants)))
-    return np.asarray((np.interp(instants, edges, total) - np.interp(instants - span, edges, total)) / span)
+    return np.asarray(
+        (np.interp(instants, edges, total) - np.interp(instants - span, edges, total)) / span
+    )

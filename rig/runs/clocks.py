@@ -1,4 +1,7 @@
-"""Clocks of a run against each other: drift of drive and encoder, gaps, late answers. Pure functions of arrays."""
+"""Clocks of a run against each other: drift of drive and encoder, gaps, late answers.
+
+Pure functions of arrays.
+"""
 
 from __future__ import annotations
 
@@ -25,15 +28,17 @@ def drift_ppm(reference: Array, other: Array) -> float | None:
     if fifth < 1 or not (np.all(np.diff(reference) > 0.0) and np.all(np.diff(other) > 0.0)):
         return None
     first, last = slice(None, fifth), slice(-fifth, None)
-    gone = float(np.median(other[last] - reference[last]) - np.median(other[first] - reference[first]))
+    gone = float(
+        np.median(other[last] - reference[last]) - np.median(other[first] - reference[first])
+    )
     return 1e6 * gone / float(np.mean(reference[last]) - np.mean(reference[first]))
 
 
 def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
     """Say what is found of gaps, late answers and drifting clocks; nothing where all is well.
 
-    Where drive and encoder latch at the same SYNC, a drift between their clocks moves no sample; where the encoder runs
-    free, :mod:`rig.runs.alignment` takes it out.
+    Where drive and encoder latch at the same SYNC, a drift between their clocks moves no sample;
+    where the encoder runs free, :mod:`rig.runs.alignment` takes it out.
 
     Args:
         time: Start of each cycle, s, shape (n,).
@@ -47,10 +52,15 @@ def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str
     gaps = steps > 1.5 * period
     if np.any(gaps):
         lost = round(float(np.sum(steps[gaps] / period - 1.0)))
-        notes.append(f"{int(gaps.sum())} gaps, {lost} samples lost, the longest {1e3 * float(steps.max()):.4g} ms")
+        notes.append(
+            f"{int(gaps.sum())} gaps, {lost} samples lost, the longest "
+            f"{1e3 * float(steps.max()):.4g} ms"
+        )
     late = host - time > LATE_PERIODS * period
     if np.any(late):
-        notes.append(f"{100.0 * float(np.mean(late)):.2g} % of the answers came later than a period")
+        notes.append(
+            f"{100.0 * float(np.mean(late)):.2g} % of the answers came later than a period"
+        )
     for ours, theirs, words in (
         (time, drive, "drive's clock {} host's"),
         (drive, encoder, "encoder's clock {} drive's"),

@@ -1,4 +1,7 @@
-"""Recordings for other tools: CSV, MATLAB, Parquet. Channels keep their canonical names and SI units."""
+"""Recordings for other tools: CSV, MATLAB, Parquet.
+
+Channels keep their canonical names and SI units.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +19,9 @@ from rig.common.errors import InputError
 def files(dataset: Dataset, path: Path, kind: str) -> dict[Path, Dataset]:
     """Return which files an export makes, and of which recordings.
 
-    A CSV file is one table with one time base, so that other tools (and a campaign file) can take it as it is: where
-    there are several recordings, each has a file of its own, ``path`` with the recording's name in it.
+    A CSV file is one table with one time base, so that other tools (and a campaign file) can take
+    it as it is: where there are several recordings, each has a file of its own, ``path`` with the
+    recording's name in it.
     """
     if kind != "csv" or len(dataset.recordings) == 1:
         return {path: dataset}
@@ -42,7 +46,9 @@ def export(dataset: Dataset, path: Path, kind: str) -> None:
 
 
 def _columns(dataset: Dataset) -> tuple[list[str], dict[str, Array]]:
-    """Stack all recordings: the recording's name for every row, and the channels, NaN where one has none."""
+    """Stack all recordings: the recording's name for every row, and the channels, NaN where one has
+    none.
+    """
     present = {name for recording in dataset.recordings for name in recording.channels}
     names = [recording.name for recording in dataset.recordings for _ in range(len(recording.time))]
     stacked = {
@@ -58,7 +64,10 @@ def _channel(recording: Recording, name: str) -> Array:
 
 
 def _write_csv(dataset: Dataset, path: Path) -> None:
-    """Write the only recording as a table, one column a channel. A missing value is an empty cell."""
+    """Write the only recording as a table, one column a channel.
+
+    A missing value is an empty cell.
+    """
     (recording,) = dataset.recordings
     columns = {name: recording.channels[name] for name in CHANNELS if name in recording.channels}
     with open(path, "w", newline="", encoding="utf-8") as stream:
@@ -69,14 +78,22 @@ def _write_csv(dataset: Dataset, path: Path) -> None:
 
 
 def _write_mat(dataset: Dataset, path: Path) -> None:
-    """Write a struct array ``recordings`` (name, stage, weight_mass, role, one field a channel) and ``units``."""
+    """Write a struct array ``recordings`` (name, stage, weight_mass, role, one field a channel) and
+    ``units``.
+    """
     from scipy.io import savemat
 
     present = [name for name in CHANNELS if any(name in r.channels for r in dataset.recordings)]
     fields = ("name", "stage", "weight_mass", "role", *present)
     recordings = np.empty(len(dataset.recordings), dtype=[(field, object) for field in fields])
     for index, r in enumerate(dataset.recordings):
-        recordings[index] = (r.name, r.stage, r.weight_mass, r.role, *(_channel(r, name) for name in present))
+        recordings[index] = (
+            r.name,
+            r.stage,
+            r.weight_mass,
+            r.role,
+            *(_channel(r, name) for name in present),
+        )
     units = {name: CHANNELS[name] for name in present}
     content = {"recordings": recordings, "units": units}
     savemat(str(path), content, appendmat=False, oned_as="column", do_compression=True)
@@ -88,11 +105,16 @@ def _write_parquet(dataset: Dataset, path: Path) -> None:
         import pyarrow as pa
         import pyarrow.parquet as pq
     except ImportError as error:
-        raise InputError("parquet needs pyarrow, which is not installed; pip install 'loadrig[parquet]'") from error
+        raise InputError(
+            "parquet needs pyarrow, which is not installed; pip install 'loadrig[parquet]'"
+        ) from error
     names, columns = _columns(dataset)
     fields = [pa.field("recording", pa.dictionary(pa.int32(), pa.string()))]
     fields += [pa.field(name, pa.float64(), metadata={"unit": CHANNELS[name]}) for name in columns]
-    arrays = [pa.array(names).dictionary_encode(), *(pa.array(column) for column in columns.values())]
+    arrays = [
+        pa.array(names).dictionary_encode(),
+        *(pa.array(column) for column in columns.values()),
+    ]
     pq.write_table(pa.Table.from_arrays(arrays, schema=pa.schema(fields)), path)
 
 

@@ -35,7 +35,9 @@ class Journal(Protocol):
         ...
 
     def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
-        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of the recording."""
+        """The excitation numbered ``segment``, the stage's ``repeat``-th, begins at ``time`` s of
+        the recording.
+        """
         ...
 
     def segment_finished(self, segment: int, time: float) -> None:

@@ -11,19 +11,29 @@ def partial_names(dataset: Dataset) -> list[str]:
 
 
 def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
-    """Return the warning that a result of such recordings carries; empty where all were finished."""
+    """Return the warning that a result of such recordings carries; empty where all were
+    finished.
+    """
     names = partial_names(dataset)
     if not names:
         return ()
     were = "was" if len(names) == 1 else "were"
     return (
-        f"partial result: the run stopped before {', '.join(names)} {were} finished; what is not recorded there is "
-        "missing from the result, and of a motion cut short the intervals can be too narrow; `rig resume` finishes the "
+        f"partial result: the run stopped before {', '.join(names)} {were} finished; what is not "
+        f"recorded there is "
+        "missing from the result, and of a motion cut short the intervals can be too narrow; `rig "
+        "resume` finishes the "
         "run",
     )
 
 
 def without_partial(dataset: Dataset) -> str:
-    """Return what an error adds where an unfinished recording may be its cause and finished ones are there too."""
+    """Return what an error adds where an unfinished recording may be its cause and finished ones
+    are there too.
+    """
     finished = any(not recording.partial for recording in dataset.recordings)
-    return "; without --partial finished excitations alone are taken" if partial_names(dataset) and finished else ""
+    return (
+        "; without --partial finished excitations alone are taken"
+        if partial_names(dataset) and finished
+        else ""
+    )

@@ -12,15 +12,18 @@ from rig.common.text import stored_path, valid
 
 
 def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
-    """Return how ``run.json`` names an input file: by its absolute path, as a run may go on from another folder."""
+    """Return how ``run.json`` names an input file: by its absolute path, as a run may go on from
+    another folder.
+    """
     return {"file": valid(os.path.abspath(path)), "sha256": sha256}
 
 
 def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     """Return where an input file of a run is now; it may be missing.
 
-    Older programs kept the path as it was typed. Where it does not lead to the file of that time from here, it is
-    followed from the folders above the run, one of which the run was most likely started in.
+    Older programs kept the path as it was typed. Where it does not lead to the file of that time
+    from here, it is followed from the folders above the run, one of which the run was most likely
+    started in.
 
     Args:
         folder: The run folder.
@@ -30,7 +33,9 @@ def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     if path.is_absolute():
         return path
     candidates = (base / path for base in (Path(), *folder.absolute().parents))
-    return next((candidate for candidate in candidates if _is_file(candidate, entry["sha256"])), path)
+    return next(
+        (candidate for candidate in candidates if _is_file(candidate, entry["sha256"])), path
+    )
 
 
 def _is_file(path: Path, sha256: str) -> bool:

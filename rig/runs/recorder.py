@@ -1,4 +1,6 @@
-"""Writes the recording of a run: samples, events and raw frames into MCAP, safe against the writer being killed."""
+"""Writes the recording of a run: samples, events and raw frames into MCAP, safe against the writer
+being killed.
+"""
 
 from __future__ import annotations
 
@@ -29,7 +31,9 @@ FLUSH_NS = 100_000_000
 
 
 class Recorder:
-    """An open recording. Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
+    """An open recording.
+
+    Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
 
     They never go back: what comes from a clock that was set back keeps the latest time before it.
 
@@ -50,7 +54,9 @@ class Recorder:
         self._frames = writer.channel(FRAMES_TOPIC, FRAME_ENCODING, 0)
 
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
-        """Record one cycle. What is older than 0.1 s of run time is with the operating system on return.
+        """Record one cycle.
+
+        What is older than 0.1 s of run time is with the operating system on return.
 
         Raises:
             StorageError: It cannot be written (disk full).
@@ -73,7 +79,8 @@ class Recorder:
             raise _failed(error) from error
 
     def event(self, time_ns: int, event: str, **details: object) -> None:
-        """Record something that happened, with JSON details, and hand it to the operating system at once.
+        """Record something that happened, with JSON details, and hand it to the operating system at
+        once.
 
         Raises:
             StorageError: It cannot be written.
@@ -85,7 +92,8 @@ class Recorder:
             self._writer.flush()
 
     def frames(self, time_ns: int, frames: list[RawFrame]) -> None:
-        """Record frames seen outside the control cycle, and hand them to the operating system at once.
+        """Record frames seen outside the control cycle, and hand them to the operating system at
+        once.
 
         Raises:
             StorageError: They cannot be written.
@@ -102,7 +110,11 @@ class Recorder:
         Raises:
             StorageError: It cannot be written.
         """
-        channel = {SAMPLE_TOPIC: self._sample, EVENT_TOPIC: self._event, FRAMES_TOPIC: self._frames}[topic]
+        channel = {
+            SAMPLE_TOPIC: self._sample,
+            EVENT_TOPIC: self._event,
+            FRAMES_TOPIC: self._frames,
+        }[topic]
         with self._writing():
             self._writer.message(channel, time_ns, message)
 
@@ -128,7 +140,9 @@ class Recorder:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Write no more after the first failure: what follows a torn record could not be read anyway."""
+        """Write no more after the first failure: what follows a torn record could not be read
+        anyway.
+        """
         if self._broken:
             raise _broken_before()
         try:
@@ -163,7 +177,9 @@ def _broken_before() -> StorageError:
 
 def _failed(error: OSError) -> StorageError:
     reason = error.strerror or str(error)
-    return StorageError(f"the recording cannot be written ({reason}); free disk space, then run again")
+    return StorageError(
+        f"the recording cannot be written ({reason}); free disk space, then run again"
+    )
 
 
 def _close_whatever_happens(stream: BinaryIO, broken: bool) -> None:

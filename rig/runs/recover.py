@@ -1,4 +1,6 @@
-"""Mends a run whose writer died: a clean recording from what is readable, and ``run.json`` completed from it."""
+"""Mends a run whose writer died: a clean recording from what is readable, and ``run.json``
+completed from it.
+"""
 
 from __future__ import annotations
 
@@ -63,7 +65,9 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
 
 
 def mend(folder: Path) -> Recovery:
-    """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``. A whole run is left alone.
+    """Rewrite damaged recordings, keeping the damaged files, and complete ``run.json``.
+
+    A whole run is left alone.
 
     The caller holds the folder.
 
@@ -115,7 +119,8 @@ def _mend(path: Path, log: Log) -> None:
 def _record(folder: Path) -> tuple[RunRecord, list[str]]:
     """Return the last ``run.json``, and what is wrong with it.
 
-    Where it is lost or cannot be used, the one that is attached to the latest recording takes its place.
+    Where it is lost or cannot be used, the one that is attached to the latest recording takes its
+    place.
     """
     path = folder / RUN_FILE
     try:
@@ -150,9 +155,14 @@ def _copy(log: Log, recorder: Recorder) -> None:
         for name, values in log.metadata.items():
             recorder.metadata(name, values)
         for name, content in log.attachments.items():
-            recorder.attach(name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), content)
+            recorder.attach(
+                name, _MEDIA.get(Path(name).suffix, "application/octet-stream"), content
+            )
         topics = (SAMPLE_TOPIC, FRAMES_TOPIC, EVENT_TOPIC)
-        streams = [[(m.time_ns, rank, m.data) for m in log.messages[topic]] for rank, topic in enumerate(topics)]
+        streams = [
+            [(m.time_ns, rank, m.data) for m in log.messages[topic]]
+            for rank, topic in enumerate(topics)
+        ]
         for time_ns, rank, data in heapq.merge(*streams, key=lambda item: item[:2]):
             recorder.copy(topics[rank], time_ns, data)
     finally:
@@ -165,7 +175,9 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     for number, log in enumerate(logs, start=1):
         _add_segments(record, number, log)
     for index, stage in enumerate(record.stages):
-        mine = [segment for segment in record.segments if segment.stage_index == index and segment.kept]
+        mine = [
+            segment for segment in record.segments if segment.stage_index == index and segment.kept
+        ]
         if len(mine) == stage.repeats and all(segment.end is not None for segment in mine):
             stage.state = "done"
         elif stage.state == "done":
@@ -175,12 +187,17 @@ def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
     last = next((e for e in reversed(logs[-1].events) if e["event"] in _ENDINGS), None)
     record.cycles = sum(part.cycles for part in record.parts)
     record.state = last["event"] if last else Ending.FAILED.value
-    record.message = last["message"] if last else f"the writer died; {record.cycles} samples recovered"
+    record.message = (
+        last["message"] if last else f"the writer died; {record.cycles} samples recovered"
+    )
     record.parts[-1].state = record.state if last else DIED
     short = [stage.name for stage in record.stages if stage.state != "done"]
     if record.state == Ending.DONE.value and short:
         record.state = Ending.FAILED.value
-        record.message = f"samples of {', '.join(short)} are lost from the recording; `rig resume` does that again"
+        record.message = (
+            f"samples of {', '.join(short)} are lost from the recording; `rig "
+            f"resume` does that again"
+        )
     record.stage_ended(record.state)
 
 

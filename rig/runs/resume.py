@@ -41,25 +41,32 @@ class Resumption:
 
 
 def prepare(folder: Path) -> Resumption:
-    """Mend a run if its writer died, and find where it goes on. What its unfinished stage left behind is discarded.
+    """Mend a run if its writer died, and find where it goes on.
+
+    What its unfinished stage left behind is discarded.
 
     The caller holds the folder, until the run has ended again.
 
     Raises:
-        InputError: There is nothing left to do, or the bench or sequence file is gone or was changed since.
+        InputError: There is nothing left to do, or the bench or sequence file is gone or was
+        changed since.
         OSError: The folder cannot be written.
     """
     recovery = mend(folder)
     record = read_record(folder)
     stage = first_unfinished(record)
     if stage is None:
-        raise InputError(f"{folder}: all {len(record.stages)} stages are done; there is nothing to go on with")
+        raise InputError(
+            f"{folder}: all {len(record.stages)} stages are done; there is nothing to go on with"
+        )
     bench = load_bench(_unchanged(folder, record, BENCH_ATTACHMENT))
     sequence = load_sequence(_unchanged(folder, record, SEQUENCE_ATTACHMENT))
     for name in sorted(set(record.inputs) - _ATTACHED):
         _unchanged(folder, record, name)
     discard(record, stage)
-    return Resumption(record, bench, sequence, stage, recovery.damage, record.parts[-1].state == DIED)
+    return Resumption(
+        record, bench, sequence, stage, recovery.damage, record.parts[-1].state == DIED
+    )
 
 
 def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
@@ -73,15 +80,22 @@ def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
     try:
         digest = sha256_file(path)
     except OSError as error:
-        text = f"{path}: {folder} was run with it, and it cannot be read: {error.strerror}; {remedy}"
+        text = (
+            f"{path}: {folder} was run with it, and it cannot be read: {error.strerror}; {remedy}"
+        )
         raise InputError(text) from error
     if digest != entry["sha256"]:
         then, now = entry["sha256"][:12], digest[:12]
-        raise InputError(f"{path}: changed since {folder} was run with it (SHA-256 {then}, now {now}); {remedy}")
+        raise InputError(
+            f"{path}: changed since {folder} was run with it (SHA-256 {then}, now {now}); {remedy}"
+        )
     return path
 
 
 def stopped_words(record: RunRecord) -> str:
     """Return how the run stood, in a sentence."""
     done = sum(stage.state == "done" for stage in record.stages)
-    return f"{record.name}: {done} of {len(record.stages)} stages done; {record.state}: {record.message}"
+    return (
+        f"{record.name}: {done} of {len(record.stages)} stages done; {record.state}: "
+        f"{record.message}"
+    )

@@ -1,4 +1,6 @@
-"""The run folder: ``run.json`` kept true at every moment, and the recordings read back for identification."""
+"""The run folder: ``run.json`` kept true at every moment, and the recordings read back for
+identification.
+"""
 
 from __future__ import annotations
 
@@ -54,7 +56,9 @@ class RunFolder:
             write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
         except OSError as error:
             reason = error.strerror or str(error)
-            text = f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
+            text = (
+                f"{RUN_FILE} cannot be written ({reason}); free disk space, then use `rig resume`"
+            )
             raise StorageError(text) from error
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
@@ -76,7 +80,9 @@ class RunFolder:
 
     def weighed(self, weighing: Weighing) -> None:
         """Note a weight check."""
-        self.record.weights.append({**dataclasses.asdict(weighing), "verdict": weighing.verdict.value})
+        self.record.weights.append(
+            {**dataclasses.asdict(weighing), "verdict": weighing.verdict.value}
+        )
 
     def stage_finished(self, index: int) -> None:
         """Note that a stage is complete and the drive de-energised."""
@@ -86,7 +92,9 @@ class RunFolder:
     def segment_started(self, stage: int, repeat: int, segment: int, time: float) -> None:
         """Note that an excitation begins at ``time`` s of the recording."""
         record = self.record
-        record.segments.append(record.stages[stage].segment(segment, stage, repeat, time, len(record.parts)))
+        record.segments.append(
+            record.stages[stage].segment(segment, stage, repeat, time, len(record.parts))
+        )
         self.save()
 
     def segment_finished(self, segment: int, time: float) -> None:
@@ -156,7 +164,8 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
 
 def require_unused(path: Path) -> None:
-    """Check that a folder is not there, or that there is nothing in it but for the lock; makes nothing.
+    """Check that a folder is not there, or that there is nothing in it but for the lock; makes
+    nothing.
 
     Raises:
         InputError: It is not empty, or cannot be looked into.
@@ -168,24 +177,25 @@ def require_unused(path: Path) -> None:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     if occupied is not None:
         raise InputError(
-            f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is overwritten"
+            f"{path}: not empty (holds {occupied}); give --out a new folder, so that no run is "
+            f"overwritten"
         )
 
 
 def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     """Read a run folder for identification: one recording per finished excitation.
 
-    Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was done more than
-    once, the last counts.
+    Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was
+    done more than once, the last counts.
 
     Args:
         folder: The run folder.
-        partial: Whether to take excitations that were not finished as well, up to their last fresh sample. Those too
-            short for a recording are left out.
+        partial: Whether to take excitations that were not finished as well, up to their last fresh
+            sample. Those too short for a recording are left out.
 
     Raises:
-        InputError: The folder is not a run, its recording is unreadable, or no stage was finished (with ``partial``: no
-            excitation was recorded).
+        InputError: The folder is not a run, its recording is unreadable, or no stage was finished
+            (with ``partial``: no excitation was recorded).
     """
     record = read_record(folder)
     wanted = [s for s in record.segments if s.kept and (s.end is not None or partial)]
@@ -199,11 +209,19 @@ def load_run(folder: Path, *, partial: bool = False) -> Dataset:
         mine = [segment for segment in wanted if segment.part == number]
         samples, damage = run_samples.by_segment(path, mine, whole=part.state == "done")
         if damage is not None and part.state == "done":
-            raise InputError(f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`")
-        mine = [s for s in mine if s.end is not None or np.count_nonzero(samples[s.index]["fresh"]) >= LEAST_SAMPLES]
+            raise InputError(
+                f"{path}: damaged though the run was finished: {damage}; use `rig recover {folder}`"
+            )
+        mine = [
+            s
+            for s in mine
+            if s.end is not None or np.count_nonzero(samples[s.index]["fresh"]) >= LEAST_SAMPLES
+        ]
         digest = sha256_file(path)
         try:
-            recordings += [_recording(s, samples.pop(s.index), damage, bench, path, digest) for s in mine]
+            recordings += [
+                _recording(s, samples.pop(s.index), damage, bench, path, digest) for s in mine
+            ]
         except RecordingError as error:
             raise InputError(f"{path}: {error}") from error
     if not recordings:
@@ -217,7 +235,9 @@ def _nothing(folder: Path, record: RunRecord, partial: bool) -> InputError:
     run_samples.read_log(folder / RECORDING_FILE)
     state = f"(state {record.state}: {record.message or 'writer died'})"
     if partial:
-        return InputError(f"{folder}: no excitation was recorded {state}; there is nothing to take from this run")
+        return InputError(
+            f"{folder}: no excitation was recorded {state}; there is nothing to take from this run"
+        )
     unfinished = any(segment.kept for segment in record.segments)
     remedy = "--partial takes what was recorded" if unfinished else "no excitation was begun either"
     return InputError(f"{folder}: no stage was finished {state}; {remedy}")
@@ -231,7 +251,9 @@ def _recording(
     path: Path,
     digest: str,
 ) -> Recording:
-    """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be held twice."""
+    """Return one excitation; ``samples`` is emptied on the way, since a long run's would not be
+    held twice.
+    """
     fresh = samples.pop("fresh") != 0.0
     partial = segment.end is None
     if partial:
@@ -239,7 +261,8 @@ def _recording(
         fresh, samples = fresh[:stop], {name: values[:stop] for name, values in samples.items()}
     elif len(fresh) != segment.samples:
         raise InputError(
-            f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though it was finished"
+            f"{path}: {segment.name}: {len(fresh)} of {segment.samples} samples are there, though "
+            f"it was finished"
             f" ({damage or 'run.json says otherwise'}); use `rig recover {path.parent}`"
         )
     if not fresh.all():
@@ -256,12 +279,18 @@ def _recording(
         notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
     if partial:
         seconds = f"{time[-1] - time[0]:.4g} s"
-        notes.insert(0, f"partial: the run stopped after {len(fresh)} of {segment.samples} samples, {seconds}")
+        notes.insert(
+            0,
+            f"partial: the run stopped after {len(fresh)} of {segment.samples} samples, {seconds}",
+        )
     if not fresh.all():
         notes.append(f"{int(np.sum(~fresh))} samples left out: the answer of a device was missing")
     left_out = [name for name in run_samples.LEFT_OUT if name not in samples]
     if left_out:
-        notes.append(f"{', '.join(left_out)} not read: a run of this length would not fit into memory with them")
+        notes.append(
+            f"{', '.join(left_out)} not read: a run of this length would not fit into memory with "
+            f"them"
+        )
     channels, words = aligned({**samples, "time": time}, encoder_time, AVERAGED, bench.gear_ratio)
     if words:
         notes.append(words)

@@ -1,4 +1,6 @@
-"""Reads ``run.json`` back: of this version or an older one, checked to the last value, as people do edit it."""
+"""Reads ``run.json`` back: of this version or an older one, checked to the last value, as people do
+edit it.
+"""
 
 from __future__ import annotations
 
@@ -55,8 +57,8 @@ def read_record(folder: Path) -> RunRecord:
     """Read ``run.json``.
 
     Raises:
-        InputError: It is missing, damaged, of another version, or holds what cannot be; lists every error with its
-            place.
+        InputError: It is missing, damaged, of another version, or holds what cannot be; lists every
+            error with its place.
     """
     path = folder / RUN_FILE
     text = read_utf8(path, "is this a run folder?")
@@ -78,14 +80,27 @@ def read_record(folder: Path) -> RunRecord:
 
 
 def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
-    """Complete the record of a program that knew of no hot firings, of no second recording, or of no stage's end."""
+    """Complete the record of a program that knew of no hot firings, of no second recording, or of
+    no stage's end.
+    """
     if isinstance(raw.get("bench"), dict):
         raw = {**raw, "bench": {**_ADDED, **raw["bench"]}}
-    if isinstance(raw.get("state"), str) and raw["state"] in STAGE_ENDS and isinstance(raw.get("stages"), list):
-        raw = {**raw, "stages": [_ended(stage, STAGE_ENDS[raw["state"]]) for stage in raw["stages"]]}
+    if (
+        isinstance(raw.get("state"), str)
+        and raw["state"] in STAGE_ENDS
+        and isinstance(raw.get("stages"), list)
+    ):
+        raw = {
+            **raw,
+            "stages": [_ended(stage, STAGE_ENDS[raw["state"]]) for stage in raw["stages"]],
+        }
     if "parts" in raw or not isinstance(raw.get("stages"), list):
         return raw
-    part = {"operator": None, **{key: raw[key] for key in _PART_KEYS if key in raw}, "file": RECORDING_FILE}
+    part = {
+        "operator": None,
+        **{key: raw[key] for key in _PART_KEYS if key in raw},
+        "file": RECORDING_FILE,
+    }
     names = [stage.get("name") for stage in raw["stages"] if isinstance(stage, dict)]
     segments = raw.get("segments", [])
     for segment in segments if isinstance(segments, list) else []:
@@ -97,13 +112,23 @@ def _of_today(raw: dict[str, Any]) -> dict[str, Any]:
 
 def _ended(stage: Any, state: str) -> Any:
     """Return a stage with its end, where it was left as running in a run that has ended."""
-    return {**stage, "state": state} if isinstance(stage, dict) and stage.get("state") == "running" else stage
+    return (
+        {**stage, "state": state}
+        if isinstance(stage, dict) and stage.get("state") == "running"
+        else stage
+    )
 
 
 def recorded_bench(record: RunRecord) -> BenchConstants:
-    """Return the constants of the bench that a run was made on; ``record`` was read with :func:`read_record`."""
+    """Return the constants of the bench that a run was made on; ``record`` was read with
+    :func:`read_record`.
+    """
     burns = record.bench["gas_generator"]
-    rebuilt = None if burns is None else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])})
+    rebuilt = (
+        None
+        if burns is None
+        else GasGenerator(**{**burns, "valve": ValveGeometry(**burns["valve"])})
+    )
     return BenchConstants(**{**record.bench, "gas_generator": rebuilt})
 
 
@@ -136,16 +161,25 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
     last = 0
     for index, segment in enumerate(record.segments):
         if segment.index <= last:
-            yield ("segments", index, "index"), f"must be above {last}: segments are numbered in order, from 1"
+            yield (
+                ("segments", index, "index"),
+                f"must be above {last}: segments are numbered in order, from 1",
+            )
         last = max(last, segment.index)
         if not 0 <= segment.stage_index < len(record.stages):
-            yield ("segments", index, "stage_index"), f"there are {len(record.stages)} stages, numbered from 0"
+            yield (
+                ("segments", index, "stage_index"),
+                f"there are {len(record.stages)} stages, numbered from 0",
+            )
         elif segment.stage != record.stages[segment.stage_index].stage:
             yield ("segments", index, "stage"), "differs from its stage's"
         elif segment.kept and segment.weight_kg != record.stages[segment.stage_index].mass_kg:
             yield ("segments", index, "weight_kg"), "differs from its stage's confirmed mass"
         if not 1 <= segment.part <= len(record.parts):
-            yield ("segments", index, "part"), f"there are {len(record.parts)} recordings, numbered from 1"
+            yield (
+                ("segments", index, "part"),
+                f"there are {len(record.parts)} recordings, numbered from 1",
+            )
 
 
 def _lacking(item: Any, kind: str, loc: Loc) -> Iterator[tuple[Loc, str]]:

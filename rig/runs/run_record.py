@@ -15,7 +15,9 @@ RECORDING_FILE = "recording.mcap"
 BENCH_ATTACHMENT = "bench.yaml"
 SEQUENCE_ATTACHMENT = "sequence.yaml"
 FEEDFORWARD_INPUT = "feedforward.json"
-"""The identification that the drive's torque offsets were computed from, under the inputs and as attachment."""
+"""The identification that the drive's torque offsets were computed from, under the inputs and as
+attachment.
+"""
 DIED = "died"
 """State of a recording whose writer died."""
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False)
@@ -63,8 +65,12 @@ class StageRecord:
         """The mass that was confirmed, or the planned one where none was yet, kg."""
         return self.weight_kg if self.confirmed_kg is None else self.confirmed_kg
 
-    def segment(self, index: int, stage_index: int, repeat: int, start: float, part: int) -> SegmentRecord:
-        """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it begins."""
+    def segment(
+        self, index: int, stage_index: int, repeat: int, start: float, part: int
+    ) -> SegmentRecord:
+        """Return the record of one of this stage's excitations, numbered ``repeat`` from 1, as it
+        begins.
+        """
         name = self.name if self.repeats == 1 else f"{self.name}[{repeat}]"
         return SegmentRecord(
             index,
@@ -169,7 +175,8 @@ class RunRecord:
         message: How it ended, in words.
         trip: The limit that was broken: check, value, limit, unit, time.
         de_energised: Whether the drive was read back as de-energised.
-        drive_state: State that the drive was read back in, in the words of CiA 402; None where unknown.
+        drive_state: State that the drive was read back in, in the words of CiA 402; None where
+        unknown.
         cycles: Control cycles.
         overruns: Cycles that started late.
         stale: Cycles whose answer was incomplete.
@@ -207,7 +214,8 @@ class RunRecord:
     schema: str = SCHEMA
 
     def stage_ended(self, state: str) -> None:
-        """Note how the run ended on the stage that was going on, if any: ``state`` is that of the run.
+        """Note how the run ended on the stage that was going on, if any: ``state`` is that of the
+        run.
 
         A stage that still goes on where the run says that it is done has failed.
         """

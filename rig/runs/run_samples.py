@@ -1,4 +1,6 @@
-"""The samples of a run, segment by segment: streamed where the recording is whole, read at once where it is not."""
+"""The samples of a run, segment by segment: streamed where the recording is whole, read at once
+where it is not.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +20,31 @@ from rig.runs.run_record import SegmentRecord
 STAMPS = ("time", "host_time", "device_time", "encoder_time", "fresh")
 LEFT_OUT = ("velocity", "voltage", "supply_voltage", "temperature")
 """Channels that an identification does without."""
-CHANNELS = ("command", "motor_angle", "angle", "velocity", "current", "voltage", "supply_voltage", "temperature")
+CHANNELS = (
+    "command",
+    "motor_angle",
+    "angle",
+    "velocity",
+    "current",
+    "voltage",
+    "supply_voltage",
+    "temperature",
+)
 MOST_SAMPLES = 5_000_000
-"""Samples of one recording above which :data:`LEFT_OUT` is not read: ten hours at 1 kHz fit into 4 GiB without."""
+"""Samples of one recording above which :data:`LEFT_OUT` is not read: ten hours at 1 kHz fit into 4
+GiB without.
+"""
 _MOST_PER_BYTE = 4
-"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json that says more is wrong."""
+"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json that says
+more is wrong.
+"""
 
 Samples = dict[str, Array]
 
 
-def by_segment(path: Path, segments: Sequence[SegmentRecord], *, whole: bool) -> tuple[dict[int, Samples], str | None]:
+def by_segment(
+    path: Path, segments: Sequence[SegmentRecord], *, whole: bool
+) -> tuple[dict[int, Samples], str | None]:
     """Return segment index to its samples, stale ones among them, and what is damaged in words.
 
     Args:
@@ -66,12 +83,16 @@ def read_log(path: Path) -> Log:
 
 
 def _fields(segment: SegmentRecord, total: int) -> tuple[str, ...]:
-    channels = CHANNELS if total <= MOST_SAMPLES else tuple(c for c in CHANNELS if c not in LEFT_OUT)
+    channels = (
+        CHANNELS if total <= MOST_SAMPLES else tuple(c for c in CHANNELS if c not in LEFT_OUT)
+    )
     return (*STAMPS, *channels, *(["pressure"] if segment.stage == "hot_fire" else []))
 
 
 class _Growing:
-    """One field of a segment, filled in place: joining blocks at the end would hold a long run twice."""
+    """One field of a segment, filled in place: joining blocks at the end would hold a long run
+    twice.
+    """
 
     def __init__(self, expected: int) -> None:
         self._values = np.empty(expected)
@@ -81,7 +102,9 @@ class _Growing:
         """Add values; beyond what was expected by a copy."""
         stop = self._count + len(values)
         if stop > len(self._values):
-            self._values = np.concatenate((self._values[: self._count], np.empty(2 * len(values) + self._count)))
+            self._values = np.concatenate(
+                (self._values[: self._count], np.empty(2 * len(values) + self._count))
+            )
         self._values[self._count : stop] = values
         self._count = stop
 
@@ -91,7 +114,9 @@ class _Growing:
 
 
 def _gather(
-    blocks: Iterable[Mapping[str, Array]], fields: Mapping[int, Sequence[str]], expected: Mapping[int, int]
+    blocks: Iterable[Mapping[str, Array]],
+    fields: Mapping[int, Sequence[str]],
+    expected: Mapping[int, int],
 ) -> dict[int, Samples]:
     """Return the samples of each segment out of blocks of all."""
     held = {k: {name: _Growing(expected[k]) for name in names} for k, names in fields.items()}

@@ -1,6 +1,7 @@
 """The truth behind a simulated bench, for the tables of a demonstration.
 
-Only code that prints uses this, after the estimators are done; the dataset that they are given holds nothing of it.
+Only code that prints uses this, after the estimators are done; the dataset that they are given
+holds nothing of it.
 """
 
 from __future__ import annotations
@@ -37,10 +38,12 @@ def true_parameters(machine: Machine) -> dict[str, float]:
 
 
 def truth_of(source: Path) -> dict[str, float] | None:
-    """Return the true parameters of a run on the simulated bench, or None where they are not to be known.
+    """Return the true parameters of a run on the simulated bench, or None where they are not to be
+    known.
 
-    The run does not hold them. They come from the bench file that it was made with, if that is still where it was, or
-    packaged under the same name, and unchanged by its SHA-256. A bench that hides effects keeps its truth to itself.
+    The run does not hold them. They come from the bench file that it was made with, if that is
+    still where it was, or packaged under the same name, and unchanged by its SHA-256. A bench that
+    hides effects keeps its truth to itself.
 
     Raises:
         InputError: ``run.json`` is damaged.
@@ -57,7 +60,8 @@ def truth_of(source: Path) -> dict[str, float] | None:
             try:
                 machine = load_bench(candidate).value.mock
             except InputError:
-                # A bench file that this version does not know; the recording can be identified all the same.
+                # A bench file that this version does not know; the recording can be identified all
+                # the same.
                 return None
             return None if machine is None or machine.effects else true_parameters(machine)
     return None

@@ -49,7 +49,9 @@ class ArrayTable(Table):
         self.path = path
         columns = [column for name, shape in shapes.items() for column in _columns(name, shape)]
         self._columns = columns
-        self.names = tuple(c.variable if c.series is None else f"{c.variable}[{c.series}]" for c in columns)
+        self.names = tuple(
+            c.variable if c.series is None else f"{c.variable}[{c.series}]" for c in columns
+        )
 
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`."""
@@ -66,10 +68,17 @@ class ArrayTable(Table):
 
     def _series(self, column: _Column, array: np.ndarray) -> Array:
         if array.dtype.kind not in "biuf":
-            raise InputError(f"{self.path}: variable {column.variable!r} is not real numbers (type {array.dtype})")
+            raise InputError(
+                f"{self.path}: variable {column.variable!r} is not real numbers (type "
+                f"{array.dtype})"
+            )
         values = np.squeeze(array)
         if column.series is not None:
-            values = values[column.series] if values.shape[1] > values.shape[0] else values[:, column.series]
+            values = (
+                values[column.series]
+                if values.shape[1] > values.shape[0]
+                else values[:, column.series]
+            )
         return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -102,7 +111,9 @@ class MatTable(ArrayTable):
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
         with open_binary(self.path) as stream:
-            loaded: dict[str, np.ndarray] = scipy.io.loadmat(cast(Any, stream), variable_names=list(variables))
+            loaded: dict[str, np.ndarray] = scipy.io.loadmat(
+                cast(Any, stream), variable_names=list(variables)
+            )
         return loaded
 
 
@@ -116,9 +127,15 @@ class NpzTable(ArrayTable):
     def __init__(self, path: Path) -> None:
         try:
             with open_binary(path) as stream, zipfile.ZipFile(stream) as archive:
-                shapes = dict(_npy_shape(archive, member) for member in archive.namelist() if member.endswith(".npy"))
+                shapes = dict(
+                    _npy_shape(archive, member)
+                    for member in archive.namelist()
+                    if member.endswith(".npy")
+                )
         except _DAMAGED as error:
-            raise damaged(path, error, "save it again with numpy.savez, without object arrays") from error
+            raise damaged(
+                path, error, "save it again with numpy.savez, without object arrays"
+            ) from error
         super().__init__(path, shapes)
 
     def _load(self, variables: Iterable[str]) -> dict[str, np.ndarray]:
@@ -130,7 +147,11 @@ def _npy_shape(archive: zipfile.ZipFile, member: str) -> tuple[str, tuple[int, .
     """Read name and shape of one array without its data."""
     with archive.open(member) as stream:
         version = np.lib.format.read_magic(stream)
-        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        read = (
+            np.lib.format.read_array_header_1_0
+            if version == (1, 0)
+            else np.lib.format.read_array_header_2_0
+        )
         return member.removesuffix(".npy"), read(stream)[0]
 
 

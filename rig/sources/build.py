@@ -19,7 +19,9 @@ from rig.sources.repair import Mask, Timing, UnusableError, examine_time, fill_m
 from rig.sources.table import Table
 
 SLOW = frozenset({"supply_voltage", "temperature", "pressure"})
-"""Channels often logged less often than the rest: their missing samples are interpolated without a limit."""
+"""Channels often logged less often than the rest: their missing samples are interpolated without a
+limit.
+"""
 
 
 def build(
@@ -59,7 +61,9 @@ def build(
             (problems if finding[1] else notes).append(finding[0])
     if problems:
         raise InputError(f"{file}: {problem}" for problem in problems)
-    constant = [name for name, values in channels.items() if name != "enabled" and _is_constant(values)]
+    constant = [
+        name for name, values in channels.items() if name != "enabled" and _is_constant(values)
+    ]
     notes.extend(f"`{name}` is constant ({channels[name][0]:.6g})" for name in constant)
     whole = Recording(
         name=_stem(file),
@@ -98,8 +102,12 @@ def _read_channels(
     lengths = {name: len(data[column]) for name, column in columns.items()}
     if len(set(lengths.values())) > 1:
         listed = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise InputError(f"{table.path}: channels differ in length: {listed}; they must share their rows")
-    channels = {name: _to_si(data[column], section.channels[name]) for name, column in columns.items()}
+        raise InputError(
+            f"{table.path}: channels differ in length: {listed}; they must share their rows"
+        )
+    channels = {
+        name: _to_si(data[column], section.channels[name]) for name, column in columns.items()
+    }
     if section.rate is not None:
         channels["time"] = np.arange(next(iter(lengths.values()))) / section.rate
     return channels
@@ -109,18 +117,30 @@ def _find(table: Table, column: str | int) -> int | str:
     """Return a column's index, or what is wrong in words."""
     if isinstance(column, int):
         count = len(table.names)
-        return column if column < count else f"{table.path} has {count} columns, index 0 to {count - 1}"
+        return (
+            column
+            if column < count
+            else f"{table.path} has {count} columns, index 0 to {count - 1}"
+        )
     matches = [k for k, name in enumerate(table.names) if name == column]
     if len(matches) == 1:
         return matches[0]
     if matches:
-        return f"{table.path} has {len(matches)} columns of this name; give the index, one of {matches}"
+        return (
+            f"{table.path} has {len(matches)} columns of this name; give the index, one of "
+            f"{matches}"
+        )
     named = [name for name in table.names if name]
     if not named:
-        return f"{table.path} has no header line below the skipped rows; give the index, 0 to {len(table.names) - 1}"
+        return (
+            f"{table.path} has no header line below the skipped rows; give the index, 0 to "
+            f"{len(table.names) - 1}"
+        )
     listed = f"columns are {', '.join(named[:20])}{', ...' if len(named) > 20 else ''}"
     suggestion = nearest(column, named)
-    return f"no such column in {table.path}; " + (f"{suggestion} {listed}" if "did you" in suggestion else listed)
+    return f"no such column in {table.path}; " + (
+        f"{suggestion} {listed}" if "did you" in suggestion else listed
+    )
 
 
 def _column_loc(index: int, name: str) -> Loc:
@@ -167,7 +187,8 @@ def _power_off(table: Table, channels: dict[str, Array]) -> Mask | None:
     unknown = np.flatnonzero(~np.isfinite(channels["enabled"]))
     if unknown.size:
         raise InputError(
-            f"{table.place(int(unknown[0]))}: `enabled` is missing in {unknown.size} rows; it must be known"
+            f"{table.place(int(unknown[0]))}: `enabled` is missing in {unknown.size} rows; it "
+            f"must be known"
         )
     on = channels["enabled"] > 0.5
     channels["enabled"] = on.astype(np.float64)
@@ -180,7 +201,9 @@ def _fill(name: str, values: Array, time: Array, off: Mask | None) -> tuple[Arra
         count = int(len(values) - finite.sum())
         if count in (0, len(values)):
             return values, [f"`{name}` was never measured"] if count else []
-        return np.interp(time, time[finite], values[finite]), [f"`{name}`: {count} missing samples interpolated"]
+        return np.interp(time, time[finite], values[finite]), [
+            f"`{name}`: {count} missing samples interpolated"
+        ]
     filled, count = fill_missing(values, time, off if name == "voltage" else None)
     return filled, [f"`{name}`: {count} missing samples interpolated"] if count else []
 
@@ -194,7 +217,9 @@ def _at(table: Table, error: UnusableError, channel: str) -> str:
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per stretch, numbered from 1 where there are several, each on one clock."""
+    """Return one recording per stretch, numbered from 1 where there are several, each on one
+    clock.
+    """
     n = len(whole.time)
     if timing.pieces == ((0, n),):
         return [_on_one_clock(whole, stamps)]
@@ -213,8 +238,14 @@ def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recordi
 def _on_one_clock(recording: Recording, stamps: Array | None) -> Recording:
     if stamps is None:
         return recording
-    channels, words = aligned(recording.channels, stamps, recording.averaged, recording.bench.gear_ratio)
-    return replace(recording, channels=channels, notes=(*recording.notes, words)) if words else recording
+    channels, words = aligned(
+        recording.channels, stamps, recording.averaged, recording.bench.gear_ratio
+    )
+    return (
+        replace(recording, channels=channels, notes=(*recording.notes, words))
+        if words
+        else recording
+    )
 
 
 def _is_constant(values: Array) -> bool:

@@ -1,7 +1,8 @@
 """Delimited text: csv and its many relatives, plain or gzipped.
 
-The fast path is numpy's compiled reader on the needed columns. Only when that refuses a line is the file read again
-with tolerance for what vendors write: empty cells, rows quoted as a whole, stray trailing commas.
+The fast path is numpy's compiled reader on the needed columns. Only when that refuses a line is the
+file read again with tolerance for what vendors write: empty cells, rows quoted as a whole, stray
+trailing commas.
 """
 
 from __future__ import annotations
@@ -50,7 +51,10 @@ class DelimitedTable(Table):
             raise InputError(f"{path}: the file is empty{where}")
         text = text.lstrip("\ufeff")
         if "\0" in text:
-            raise InputError(f"{path}: line {line} holds zero bytes, so it is not text; name the file by its format")
+            raise InputError(
+                f"{path}: line {line} holds zero bytes, so it is not text; name the file by its "
+                f"format"
+            )
         self._decimal = options.decimal
         self._delimiter = options.delimiter or _guess_delimiter(text, options.decimal)
         cells = _split(text, self._delimiter)
@@ -64,7 +68,9 @@ class DelimitedTable(Table):
     def read(self, columns: Sequence[int]) -> list[Array]:
         """Read columns by index; see :meth:`Table.read`."""
         try:
-            table = self._read_fast(columns) if self._decimal == "." else self._read_tolerant(columns)
+            table = (
+                self._read_fast(columns) if self._decimal == "." else self._read_tolerant(columns)
+            )
         except ValueError:
             table = self._read_tolerant(columns)
         except _READ_ERRORS as error:
@@ -111,7 +117,8 @@ class DelimitedTable(Table):
             for column in columns:
                 if column >= len(cells):
                     raise InputError(
-                        f"{self.path}:{line}: {len(cells)} columns, but column {self._name(column)} is needed"
+                        f"{self.path}:{line}: {len(cells)} columns, but column "
+                        f"{self._name(column)} is needed"
                         f" (got {text[:60]!r}); repair or remove the line"
                     )
                 yield self._number(cells[column], line, column)
@@ -126,9 +133,14 @@ class DelimitedTable(Table):
             hint = '; if that is a decimal comma, set read.decimal: ","'
         else:
             hint = (
-                "; skip header lines with read.skip_rows" if line <= self._skip + 2 else "; repair or remove the line"
+                "; skip header lines with read.skip_rows"
+                if line <= self._skip + 2
+                else "; repair or remove the line"
             )
-        raise InputError(f"{self.path}:{line}: column {self._name(column)} is not a number (got {text[:60]!r}){hint}")
+        raise InputError(
+            f"{self.path}:{line}: column {self._name(column)} is not a number (got "
+            f"{text[:60]!r}){hint}"
+        )
 
     def _pointed(self, cell: str) -> str:
         """Return a cell with a decimal point."""
@@ -149,14 +161,17 @@ class DelimitedTable(Table):
 
 def _open_text(path: Path) -> TextIO:
     require_plain(path)
-    # Latin-1 decodes any byte, so that a degree sign in a vendor's header cannot stop the reading of numbers.
+    # Latin-1 decodes any byte, so that a degree sign in a vendor's header cannot stop the reading
+    # of numbers.
     if path.suffix.lower() == ".gz":
         return cast(TextIO, gzip.open(path, "rt", encoding="latin-1"))
     return path.open(encoding="latin-1")
 
 
 def _first_line(stream: TextIO, skip: int) -> tuple[int, str | None]:
-    """Return number (from 1) and text of the first line with content; ``skip`` lines were read before."""
+    """Return number (from 1) and text of the first line with content; ``skip`` lines were read
+    before.
+    """
     for line, text in enumerate(stream, start=skip + 1):
         if text.strip():
             return line, _utf8(text)
@@ -181,7 +196,12 @@ def _split(text: str, delimiter: str) -> list[str]:
     text = text.strip(" \r\n")
     if delimiter != ",":
         text = text.rstrip(",")
-    if len(text) > 1 and text[0] == text[-1] == '"' and text.count('"') % 2 == 0 and f'"{delimiter}"' not in text:
+    if (
+        len(text) > 1
+        and text[0] == text[-1] == '"'
+        and text.count('"') % 2 == 0
+        and f'"{delimiter}"' not in text
+    ):
         text = text[1:-1].replace('""', '"')
     if '"' not in text:
         return text.split(delimiter)

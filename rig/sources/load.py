@@ -28,7 +28,8 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
         partial: Whether to take a run's unfinished excitations as well.
 
     Raises:
-        InputError: It is neither, or something in it or its recordings cannot be used; lists everything found.
+        InputError: It is neither, or something in it or its recordings cannot be used; lists
+            everything found.
     """
     _require_visible(path)
     if is_file(path / "run.json"):
@@ -37,18 +38,27 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
 
         return load_run(path, partial=partial)
     if is_folder(path):
-        raise InputError(f"{path}: a folder without run.json; name a run folder or a campaign file (.yaml)")
+        raise InputError(
+            f"{path}: a folder without run.json; name a run folder or a campaign file (.yaml)"
+        )
     if path.suffix.lower() not in (".yaml", ".yml"):
-        remedy = "; describe recordings made elsewhere in a campaign file (.yaml)" if is_file(path) else ""
+        remedy = (
+            "; describe recordings made elsewhere in a campaign file (.yaml)"
+            if is_file(path)
+            else ""
+        )
         missing = "" if os.path.exists(path) else "no such file; "
         raise InputError(f"{path}: {missing}a source is a run folder or a campaign file{remedy}")
     if partial:
-        raise InputError(f"{path}: --partial is for a run folder; a campaign file names what is to be taken")
+        raise InputError(
+            f"{path}: --partial is for a run folder; a campaign file names what is to be taken"
+        )
     return _load_campaign(load_campaign(path))
 
 
 def _require_visible(path: Path) -> None:
-    """Refuse what there is no way to look at: a folder that may not be searched is not one without a run.
+    """Refuse what there is no way to look at: a folder that may not be searched is not one without
+    a run.
 
     Raises:
         InputError: Says why.
@@ -77,8 +87,12 @@ def _load_campaign(document: Document[Campaign]) -> Dataset:
     return Dataset(tuple(_distinct_names(recordings)), campaign.model.model())
 
 
-def _expand(document: Document[Campaign], problems: list[str]) -> list[tuple[Path, int, RecordingSection]]:
-    """Turn file names and globs into files, noting what is missing, of unknown format, or there twice."""
+def _expand(
+    document: Document[Campaign], problems: list[str]
+) -> list[tuple[Path, int, RecordingSection]]:
+    """Turn file names and globs into files, noting what is missing, of unknown format, or there
+    twice.
+    """
     files: list[tuple[Path, int, RecordingSection]] = []
     fitted: dict[tuple[str, str], str] = {}
     for index, section in enumerate(document.value.recordings):
@@ -90,7 +104,9 @@ def _expand(document: Document[Campaign], problems: list[str]) -> list[tuple[Pat
             key = (os.path.realpath(file), repr(sorted(section.channels.items())))
             if key in fitted:
                 again = "twice" if fitted[key] == section.role else "both to fit and to validate"
-                problems.append(document.problem(loc, f"{file} is used {again}; keep one entry for it"))
+                problems.append(
+                    document.problem(loc, f"{file} is used {again}; keep one entry for it")
+                )
             fitted[key] = section.role
             files.append((file, index, section))
     return files
@@ -106,23 +122,35 @@ def _files(
             loc = (*loc, position)
         exact = folder / stored_path(pattern)
         # A name that exists is taken literally: file names may contain brackets.
-        matches = [exact] if os.path.exists(exact) else [Path(m) for m in sorted(glob(str(exact), recursive=True))]
+        matches = (
+            [exact]
+            if os.path.exists(exact)
+            else [Path(m) for m in sorted(glob(str(exact), recursive=True))]
+        )
         if not matches:
             what = "no file matches this pattern" if has_magic(pattern) else "no such file"
             problems.append(document.problem(loc, f"{what} in {folder}"))
         for file in matches:
             if is_folder(file):
-                problems.append(document.problem(loc, f"{file} is a folder; name files, or add /* to the pattern"))
+                problems.append(
+                    document.problem(
+                        loc, f"{file} is a folder; name files, or add /* to the pattern"
+                    )
+                )
             elif format_of(file) not in FORMATS:
                 problems.append(
-                    document.problem(loc, f"{file.name}: unknown format; readable are {', '.join(FORMATS)}")
+                    document.problem(
+                        loc, f"{file.name}: unknown format; readable are {', '.join(FORMATS)}"
+                    )
                 )
             else:
                 yield loc, file
 
 
 def _distinct_names(recordings: list[Recording]) -> Iterator[Recording]:
-    """Prefix names that occur more than once with their folder, then number what is still the same."""
+    """Prefix names that occur more than once with their folder, then number what is still the
+    same.
+    """
     count = Counter(recording.name for recording in recordings)
     used: Counter[str] = Counter()
     for recording in recordings:

@@ -18,14 +18,24 @@ from rig.sources.table import Table, damaged, open_binary
 
 LOG_TIME = "log_time"
 # lz4 raises RuntimeError; a damaged length field asks for more memory than there is.
-_DAMAGED = (McapError, ZstdError, struct.error, OSError, EOFError, ValueError, LookupError, RuntimeError, MemoryError)
+_DAMAGED = (
+    McapError,
+    ZstdError,
+    struct.error,
+    OSError,
+    EOFError,
+    ValueError,
+    LookupError,
+    RuntimeError,
+    MemoryError,
+)
 
 
 class McapTable(Table):
     """One column per number in the JSON messages, named ``topic.field``, with dots for nesting.
 
-    ``topic.log_time`` is the logger's time stamp in seconds since the first message of that topic. All columns read
-    together must come from one topic, because only then do they share rows.
+    ``topic.log_time`` is the logger's time stamp in seconds since the first message of that topic.
+    All columns read together must come from one topic, because only then do they share rows.
 
     Raises:
         InputError: The file is damaged, or holds no JSON messages.
@@ -45,11 +55,14 @@ class McapTable(Table):
                     fields[LOG_TIME] = message.log_time * 1e-9
                     self._rows.setdefault(channel.topic, []).append(fields)
         except _DAMAGED as error:
-            raise damaged(path, error, "recover it first; a run of this program is opened by its folder") from error
+            raise damaged(
+                path, error, "recover it first; a run of this program is opened by its folder"
+            ) from error
         if not self._rows:
             found = f"; found {', '.join(sorted(others))}" if others else ""
             raise InputError(
-                f"{path}: no JSON messages{found}; a run of this program is opened by its folder, not by this file"
+                f"{path}: no JSON messages{found}; a run of this program is opened by its folder, "
+                f"not by this file"
             )
         self._columns = [
             (topic, field)
@@ -64,7 +77,8 @@ class McapTable(Table):
         topics = sorted({topic for topic, _ in wanted})
         if len(topics) > 1:
             raise InputError(
-                f"{self.path}: columns of several topics ({', '.join(topics)}) share no rows; use those of one topic"
+                f"{self.path}: columns of several topics ({', '.join(topics)}) share no rows; use "
+                f"those of one topic"
             )
         return [self._series(topic, field) for topic, field in wanted]
 

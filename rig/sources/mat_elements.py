@@ -1,7 +1,7 @@
 """Checks the element headers of a MATLAB file (level 5, ``-v6`` and ``-v7``) before scipy reads it.
 
-scipy trusts them: a wrong type or length in an uncompressed file ends the whole process instead of raising. Compressed
-elements carry a checksum, which scipy checks.
+scipy trusts them: a wrong type or length in an uncompressed file ends the whole process instead of
+raising. Compressed elements carry a checksum, which scipy checks.
 """
 
 from __future__ import annotations
@@ -18,7 +18,9 @@ INT8, INT32, UINT32, UTF8 = 1, 5, 6, 16
 SIZES = {1: 1, 2: 1, 3: 2, 4: 2, 5: 4, 6: 4, 7: 4, 9: 8, 12: 8, 13: 8}
 """Bytes per number of each numeric data type, miINT8 to miUINT64."""
 NUMERIC_CLASSES = range(6, 16)
-"""Array classes mxDOUBLE to mxUINT64; of cells, structs, text and sparse arrays nothing but the header is read."""
+"""Array classes mxDOUBLE to mxUINT64; of cells, structs, text and sparse arrays nothing but the
+header is read.
+"""
 CLASSES = range(1, 19)
 OPAQUE_CLASS = 17
 """A MATLAB object; it has no dimensions."""
@@ -55,7 +57,9 @@ def check_elements(stream: IO[bytes]) -> None:
         if element.kind == MATRIX:
             _check_matrix(stream, order, element)
         elif element.kind != COMPRESSED:
-            raise DamagedElementError(f"no variable where one should start, at byte {element.start}")
+            raise DamagedElementError(
+                f"no variable where one should start, at byte {element.start}"
+            )
 
 
 def _elements(stream: IO[bytes], order: str, start: int, stop: int) -> Iterator[_Element]:
@@ -74,7 +78,9 @@ def _elements(stream: IO[bytes], order: str, start: int, stop: int) -> Iterator[
             element = _Element(first, length, start + 8, start + 8 + length + padding)
             fits = start + 8 + length <= stop
         if not fits:
-            raise DamagedElementError(f"an element of {element.length} bytes does not fit, at byte {start}")
+            raise DamagedElementError(
+                f"an element of {element.length} bytes does not fit, at byte {start}"
+            )
         yield element
         start = element.end
 
@@ -87,13 +93,17 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
     stream.seek(flags.start)
     word = int(struct.unpack(f"{order}I", stream.read(4))[0])
     if word & 0xFF not in CLASSES:
-        raise DamagedElementError(f"array of the impossible class {word & 0xFF}, at byte {flags.start}")
+        raise DamagedElementError(
+            f"array of the impossible class {word & 0xFF}, at byte {flags.start}"
+        )
     if word & 0xFF == OPAQUE_CLASS:
         return
     dimensions = _part(parts, matrix, "dimensions", INT32, UINT32)
     count, odd = divmod(dimensions.length, 4)
     if odd or not 2 <= count <= _MOST_DIMENSIONS:
-        raise DamagedElementError(f"dimensions of {dimensions.length} bytes, at byte {dimensions.start}")
+        raise DamagedElementError(
+            f"dimensions of {dimensions.length} bytes, at byte {dimensions.start}"
+        )
     stream.seek(dimensions.start)
     shape = struct.unpack(f"{order}{count}i", stream.read(4 * count))
     _part(parts, matrix, "name", INT8, UTF8)
@@ -103,7 +113,8 @@ def _check_matrix(stream: IO[bytes], order: str, matrix: _Element) -> None:
         values = _part(parts, matrix, name, *SIZES)
         if min(shape) < 0 or values.length != prod(shape) * SIZES[values.kind]:
             raise DamagedElementError(
-                f"{values.length} bytes of {name} for {' x '.join(map(str, shape))} numbers, at byte {values.start}"
+                f"{values.length} bytes of {name} for {' x '.join(map(str, shape))} numbers, at "
+                f"byte {values.start}"
             )
 
 
@@ -112,5 +123,7 @@ def _part(parts: Iterator[_Element], matrix: _Element, name: str, *kinds: int) -
     if part is None:
         raise DamagedElementError(f"the variable at byte {matrix.start} has no {name}")
     if part.kind not in kinds:
-        raise DamagedElementError(f"{name} of the impossible type {part.kind}, at byte {part.start}")
+        raise DamagedElementError(
+            f"{name} of the impossible type {part.kind}, at byte {part.start}"
+        )
     return part

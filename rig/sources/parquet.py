@@ -28,7 +28,8 @@ class ParquetTable(Table):
             parquet: Any = importlib.import_module("pyarrow.parquet")
         except ImportError as error:
             raise InputError(
-                f"{path}: reading Parquet needs pyarrow; install it with: pip install loadrig[parquet]"
+                f"{path}: reading Parquet needs pyarrow; install it with: pip install "
+                f"loadrig[parquet]"
             ) from error
         self._parquet = parquet
         try:
@@ -55,5 +56,7 @@ class ParquetTable(Table):
                 return cast(Array, (ticks - ticks[0]) * 1e-9)
             values = column.cast(arrow.float64()).to_numpy()
         except arrow.ArrowException as error:
-            raise InputError(f"{self.path}: column {name!r} is not numbers (type {column.type})") from error
+            raise InputError(
+                f"{self.path}: column {name!r} is not numbers (type {column.type})"
+            ) from error
         return np.asarray(values, dtype=np.float64)

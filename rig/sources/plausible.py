@@ -1,4 +1,6 @@
-"""Can the channels of a recording be what they are said to be, and do they agree with each other? Signs above all.
+"""Can the channels of a recording be what they are said to be, and do they agree with each other?
+
+Signs above all.
 
 Pure functions of arrays; each returns words for an error or a note, or nothing.
 """
@@ -13,15 +15,23 @@ import numpy as np
 from identification.recording import CHANNELS, Array
 
 BLOCK_S = 0.02
-"""Samples are averaged over this time first, s, so that encoder steps and noise do not hide the sign."""
+"""Samples are averaged over this time first, s, so that encoder steps and noise do not hide the
+sign.
+"""
 OPPOSED = -0.3
-"""Correlation of torque and velocity while moving below which the torque drives against the motion."""
+"""Correlation of torque and velocity while moving below which the torque drives against the
+motion.
+"""
 LARGEST, SMALLEST = 1e12, 1e-12
-"""No channel reaches the one in SI units; drive and motion, where there are any, exceed the other."""
+"""No channel reaches the one in SI units; drive and motion, where there are any, exceed the
+other.
+"""
 _MOVING = frozenset({"torque", "current", "voltage", "angle", "motor_angle", "velocity"})
 UNRELATED = 0.5
-"""Mean square step over twice the variance of a position above which neighbouring samples have nothing in common (1 for
-rows in random order and for mere noise; a sine has less up to a sixth of the sample rate)."""
+"""Mean square step over twice the variance of a position above which neighbouring samples have
+nothing in common (1 for rows in random order and for mere noise; a sine has less up to a sixth of
+the sample rate).
+"""
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peaks from which it is asked whether the channel is in thousandths."""
 RATIO_TOLERANCE = 0.05
@@ -31,8 +41,8 @@ RATIO_TOLERANCE = 0.05
 def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Iterator[str]:
     """Yield an error for each pair of channels with opposite sign conventions.
 
-    Over a whole recording friction takes energy from the motor, so torque and velocity must correlate positively,
-    unless a turning weight drives the joint.
+    Over a whole recording friction takes energy from the motor, so torque and velocity must
+    correlate positively, unless a turning weight drives the joint.
 
     Args:
         channels: Canonical channels in SI units, shape (n,); time increasing.
@@ -41,13 +51,20 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
     time = channels["time"]
     position = "angle" if "angle" in channels else "motor_angle"
     block = max(1, min(round(BLOCK_S / float(np.median(np.diff(time)))), len(time) // 2))
-    mean = {name: _block_mean(channels[name], block) for name in ("time", position, "velocity") if name in channels}
+    mean = {
+        name: _block_mean(channels[name], block)
+        for name in ("time", position, "velocity")
+        if name in channels
+    }
     derived = cast(Array, np.gradient(mean[position], mean["time"])) if position in mean else None
     measured = mean.get("velocity")
     if derived is not None and measured is not None:
         correlation = _correlation(derived, measured, derived)
         if correlation < OPPOSED:
-            yield f"`velocity` runs against `{position}` (correlation {correlation:.2f}); negate the scale of one"
+            yield (
+                f"`velocity` runs against `{position}` (correlation {correlation:.2f}); negate "
+                f"the scale of one"
+            )
     velocity, mover = (measured, "velocity") if derived is None else (derived, position)
     effort = next((name for name in ("torque", "current", "voltage") if name in channels), None)
     if velocity is None or effort is None or driven_by_weight:
@@ -55,14 +72,18 @@ def sign_errors(channels: Mapping[str, Array], *, driven_by_weight: bool) -> Ite
     correlation = _correlation(_block_mean(channels[effort], block), velocity, velocity)
     if correlation < OPPOSED:
         yield (
-            f"`{effort}` opposes the motion (correlation {correlation:.2f} with velocity while moving), as if the load"
-            f" drove the motor: negate the scale of `{effort}` or of `{mover}`; a weight that turns with the joint is"
+            f"`{effort}` opposes the motion (correlation {correlation:.2f} with velocity while "
+            f"moving), as if the load"
+            f" drove the motor: negate the scale of `{effort}` or of `{mover}`; a weight that "
+            f"turns with the joint is"
             " declared by `gravity`"
         )
 
 
 def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
-    """Yield an error for each channel of impossible size, and for a position whose rows do not follow each other."""
+    """Yield an error for each channel of impossible size, and for a position whose rows do not
+    follow each other.
+    """
     for name, values in channels.items():
         top = _peak(values)
         if name != "time" and (top > LARGEST or (name in _MOVING and 0.0 < top < SMALLEST)):
@@ -70,21 +91,35 @@ def value_errors(channels: Mapping[str, Array]) -> Iterator[str]:
     for name in ("angle", "motor_angle"):
         if name in channels and _unrelated(channels[name]):
             yield (
-                f"`{name}` jumps from sample to sample as far as over the whole recording: its rows are out of order,"
+                f"`{name}` jumps from sample to sample as far as over the whole recording: its "
+                f"rows are out of order,"
                 " or it holds nothing but noise; sort them by time, or leave the file out"
             )
 
 
-def unit_hints(channels: Mapping[str, Array], gear_ratio: float, *, has_lever: bool) -> Iterator[str]:
+def unit_hints(
+    channels: Mapping[str, Array], gear_ratio: float, *, has_lever: bool
+) -> Iterator[str]:
     """Yield a note for each channel whose size suggests another unit."""
-    for name, limit, unit in (("current", LARGE_CURRENT_A, "mA"), ("voltage", LARGE_VOLTAGE_V, "mV")):
+    for name, limit, unit in (
+        ("current", LARGE_CURRENT_A, "mA"),
+        ("voltage", LARGE_VOLTAGE_V, "mV"),
+    ):
         if name in channels and (top := _peak(channels[name])) > limit:
-            yield f"`{name}` reaches {top:.4g} {CHANNELS[name]}: if it is in {unit}, set its scale to 0.001"
+            yield (
+                f"`{name}` reaches {top:.4g} {CHANNELS[name]}: if it is in {unit}, set its "
+                f"scale to 0.001"
+            )
     for name, gear in (("angle", 1.0), ("motor_angle", gear_ratio)):
-        turns = float(np.ptp(channels[name])) / (2.0 * np.pi * gear) if name in channels and has_lever else 0.0
+        turns = (
+            float(np.ptp(channels[name])) / (2.0 * np.pi * gear)
+            if name in channels and has_lever
+            else 0.0
+        )
         if turns > 1.0:
             yield (
-                f"`{name}` turns the joint {turns:.3g} times, which a lever with weights cannot: if it is in degrees,"
+                f"`{name}` turns the joint {turns:.3g} times, which a lever with weights cannot: "
+                f"if it is in degrees,"
                 " set its scale to 0.017453292519943295"
             )
 

@@ -71,13 +71,17 @@ def examine_time(time: Array) -> Timing:
         raise UnusableError(f"only {len(time)} samples; at least {MIN_SAMPLES} are needed")
     bad = np.flatnonzero(~np.isfinite(time))
     if bad.size:
-        raise UnusableError(f"time is not a number in {bad.size} rows; remove them or give `rate`", int(bad[0]))
+        raise UnusableError(
+            f"time is not a number in {bad.size} rows; remove them or give `rate`", int(bad[0])
+        )
     steps = np.diff(time)
     back = np.flatnonzero(steps < 0)
     if back.size:
         row = int(back[0]) + 1
         raise UnusableError(
-            f"time runs backwards, from {time[row - 1]:.9g} to {time[row]:.9g} s; sort or cut the file there", row
+            f"time runs backwards, from {time[row - 1]:.9g} to {time[row]:.9g} s; sort or cut the "
+            f"file there",
+            row,
         )
     notes: list[str] = []
     keep: Mask | None = None
@@ -106,15 +110,20 @@ def _split(steps: Array) -> tuple[tuple[tuple[int, int], ...], list[str]]:
     edges = [0, *(int(gap) + 1 for gap in gaps), len(steps) + 1]
     pieces = list(pairwise(edges))
     long = tuple(piece for piece in pieces if piece[1] - piece[0] >= MIN_SAMPLES)
-    notes = [f"{gaps.size} gaps, the longest {steps[gaps].max():.4g} s: split into {len(pieces)} stretches"]
+    notes = [
+        f"{gaps.size} gaps, the longest {steps[gaps].max():.4g} s: split into {len(pieces)} "
+        f"stretches"
+    ]
     dropped = sum(stop - start for start, stop in pieces if stop - start < MIN_SAMPLES)
     if dropped:
         notes.append(
-            f"{len(pieces) - len(long)} stretches shorter than {MIN_SAMPLES} samples dropped ({dropped} samples)"
+            f"{len(pieces) - len(long)} stretches shorter than {MIN_SAMPLES} samples dropped "
+            f"({dropped} samples)"
         )
     if not long:
         raise UnusableError(
-            f"{gaps.size} gaps leave no stretch of {MIN_SAMPLES} samples (median period {median:.4g} s,"
+            f"{gaps.size} gaps leave no stretch of {MIN_SAMPLES} samples (median period "
+            f"{median:.4g} s,"
             f" a gap is longer than {GAP_PERIODS:g} of them)",
             int(gaps[0]) + 1,
         )
@@ -126,10 +135,14 @@ def _describe(steps: Array) -> list[str]:
     notes = []
     if high - low > UNEVEN_SHARE * median:
         notes.append(
-            f"uneven sampling kept as recorded: median period {median:.4g} s, 5 to 95 % {low:.4g} to {high:.4g} s"
+            f"uneven sampling kept as recorded: median period {median:.4g} s, 5 to 95 % {low:.4g} "
+            f"to {high:.4g} s"
         )
     if median >= SLOW_PERIOD_S:
-        notes.append(f"median period {median:.4g} s: if `time` is in ms or us, set its scale to 0.001 or 1e-6")
+        notes.append(
+            f"median period {median:.4g} s: if `time` is in ms or us, set its scale to 0.001 or "
+            f"1e-6"
+        )
     return notes
 
 
@@ -139,7 +152,8 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     Args:
         values: Samples, NaN or infinite where missing, shape (n,).
         time: Time stamps, s, shape (n,), not decreasing.
-        legitimate: Rows where a missing sample is right and stays NaN (power stage off), shape (n,).
+        legitimate: Rows where a missing sample is right and stays NaN (power stage off), shape
+            (n,).
 
     Returns:
         The samples (the same array where nothing was missing) and how many were interpolated.

@@ -51,10 +51,14 @@ def open_binary(path: Path) -> IO[bytes]:
 
 def format_of(path: Path) -> str:
     """Return the extension that names the format, without a dot and without ``.gz``."""
-    return (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower().lstrip(".")
+    return (
+        (path.with_suffix("") if path.suffix.lower() == ".gz" else path).suffix.lower().lstrip(".")
+    )
 
 
 def damaged(path: Path, error: Exception, remedy: str) -> InputError:
     """Word what a library said about a file it could not read."""
     said = str(error).strip().splitlines()
-    return InputError(f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}")
+    return InputError(
+        f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"
+    )

@@ -12,7 +12,9 @@ class ShareBar:
 
     def __init__(self) -> None:
         tqdm.monitor_interval = 0  # no helper thread
-        self._bar = tqdm(total=100.0, disable=None, leave=False, bar_format="{desc} |{bar}| {n:.0f} %, {elapsed}")
+        self._bar = tqdm(
+            total=100.0, disable=None, leave=False, bar_format="{desc} |{bar}| {n:.0f} %, {elapsed}"
+        )
 
     def __enter__(self) -> Self:
         return self

@@ -1,8 +1,8 @@
 """The standard streams of the command line: writing to them never raises, and never ends the work.
 
-A reader that went away (``| head -1``, a terminal that was closed) takes no more output, which is its
-right: the command goes on and its exit status is its own. A stream that cannot hold what is written (a
-full disk) is a failure of storage, which is said and gives a status of its own.
+A reader that went away (``| head -1``, a terminal that was closed) takes no more output, which is
+its right: the command goes on and its exit status is its own. A stream that cannot hold what is
+written (a full disk) is a failure of storage, which is said and gives a status of its own.
 """
 
 from __future__ import annotations
@@ -16,18 +16,23 @@ import sys
 from typing import Any, Final
 
 SHOWN: Final = "rig.shown"
-"""Error handler of the encoder: undecoded bytes go out as they came, other characters as escapes."""
+"""Error handler of the encoder: undecoded bytes go out as they came, other characters as
+escapes.
+"""
 _GONE: Final = frozenset({errno.EPIPE, errno.ECONNRESET, errno.ENXIO})
 
 
 class Outlet(io.FileIO):
-    """The raw end of an output stream. After the first failure it takes everything and keeps nothing.
+    """The raw end of an output stream.
+
+    After the first failure it takes everything and keeps nothing.
 
     Args:
         descriptor: Open file descriptor; it stays open.
 
     Attributes:
-        failure: Why nothing more can be written; None while it can, or where only the reader went away.
+        failure: Why nothing more can be written; None while it can, or where only the reader went
+            away.
     """
 
     def __init__(self, descriptor: int) -> None:
@@ -37,7 +42,9 @@ class Outlet(io.FileIO):
         self._terminal = self.isatty()
 
     def write(self, data: Any, /) -> int:
-        """Write, and return how much was taken; waits where the descriptor is in non-blocking mode."""
+        """Write, and return how much was taken; waits where the descriptor is in non-blocking
+        mode.
+        """
         size = memoryview(data).nbytes
         while not self._ended:
             try:
@@ -61,7 +68,8 @@ def reader_gone(error: OSError, *, terminal: bool) -> bool:
 
     Args:
         error: Of a write.
-        terminal: Whether it was to a terminal, which says "input/output error" when it is gone, as a broken disk does.
+        terminal: Whether it was to a terminal, which says "input/output error" when it is gone, as
+            a broken disk does.
     """
     return error.errno in _GONE or (terminal and error.errno == errno.EIO)
 
@@ -80,7 +88,8 @@ class Inlet(io.FileIO):
         """Read into a buffer; 0 is the end."""
         while True:
             try:
-                # None, which the stubs do not know, is a descriptor in non-blocking mode that has nothing yet.
+                # None, which the stubs do not know, is a descriptor in non-blocking mode that has
+                # nothing yet.
                 count: int | None = super().readinto(buffer)
             except OSError:
                 return 0
@@ -90,21 +99,27 @@ class Inlet(io.FileIO):
 
 
 class Streams:
-    """The standard streams of this process, made safe; :meth:`finish` says at the end how that went."""
+    """The standard streams of this process, made safe; :meth:`finish` says at the end how that
+    went.
+    """
 
     def __init__(self) -> None:
         _occupy_standard_descriptors()
         codecs.register_error(SHOWN, _shown)
         self._output = Outlet(1)
         if _is_standard(sys.stdin, 0):
-            sys.stdin = io.TextIOWrapper(io.BufferedReader(Inlet(0)), encoding=_encoding(sys.stdin), errors="replace")
+            sys.stdin = io.TextIOWrapper(
+                io.BufferedReader(Inlet(0)), encoding=_encoding(sys.stdin), errors="replace"
+            )
         if _is_standard(sys.stdout, 1):
             sys.stdout = _writer(self._output, sys.stdout, line_buffering=self._output.isatty())
         if _is_standard(sys.stderr, 2):
             sys.stderr = _writer(Outlet(2), sys.stderr, line_buffering=True)
 
     def finish(self) -> str | None:
-        """Write what is buffered; return why the output could not be written, or None where it was."""
+        """Write what is buffered; return why the output could not be written, or None where it
+        was.
+        """
         for stream in (sys.stdout, sys.stderr):
             stream.flush()
         failure = self._output.failure
@@ -112,7 +127,9 @@ class Streams:
 
 
 def complain(words: str) -> None:
-    """Print to stderr, wherever that is, or nowhere: what is said there must not hide what is said next."""
+    """Print to stderr, wherever that is, or nowhere: what is said there must not hide what is said
+    next.
+    """
     if sys.stderr is None:
         return
     try:
@@ -128,8 +145,8 @@ def complain(words: str) -> None:
 def _occupy_standard_descriptors() -> None:
     """Open the null device wherever a standard descriptor is closed.
 
-    The next file that is opened would get its number, and everything that is written to stderr would go into it: into
-    the recording, or to the drive.
+    The next file that is opened would get its number, and everything that is written to stderr
+    would go into it: into the recording, or to the drive.
     """
     for descriptor in (0, 1, 2):
         try:
@@ -140,7 +157,9 @@ def _occupy_standard_descriptors() -> None:
 
 
 def _is_standard(stream: object, descriptor: int) -> bool:
-    """Return whether a stream is the one that Python opened, or missing; what a caller put in its place stays."""
+    """Return whether a stream is the one that Python opened, or missing; what a caller put in its
+    place stays.
+    """
     if stream is None:
         return True
     try:

@@ -1,8 +1,9 @@
 """Questions to the operator, read so that nothing typed before a question answers it.
 
-An answer is one line. At a terminal everything that was typed before the question is dropped. Lines from
-a pipe can't be told from answers and are taken in order; a bench that isn't simulated refuses weight
-prompts without a terminal for that reason (:func:`rig.control.attendance.require_attendance`).
+An answer is one line. At a terminal everything that was typed before the question is dropped. Lines
+from a pipe can't be told from answers and are taken in order; a bench that isn't simulated refuses
+weight prompts without a terminal for that reason
+(:func:`rig.control.attendance.require_attendance`).
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ class Asker(Protocol):
 def unanswered(patience_s: float) -> OperatorStopError:
     """Return the end of a run whose prompt nobody answered in time."""
     return OperatorStopError(
-        f"nobody answered the prompt within {patience_s:g} s; `rig resume` goes on, or raise prompt_timeout_s"
+        f"nobody answered the prompt within {patience_s:g} s; `rig resume` goes on, or raise "
+        f"prompt_timeout_s"
     )
 
 

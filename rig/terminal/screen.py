@@ -1,8 +1,9 @@
-"""What an operator sees: messages and one status line, written so that no terminal can hold the control loop.
+"""What an operator sees: messages and one status line, written so that no terminal can hold the
+control loop.
 
-A terminal that was stopped (Ctrl-S), a pipe that nobody reads or an ssh that hangs takes no more bytes.
-What is to be shown is queued then, and written when there is room; the status line is left out
-meanwhile. Nothing here waits, but :meth:`Screen.drain`, which is for moments without power.
+A terminal that was stopped (Ctrl-S), a pipe that nobody reads or an ssh that hangs takes no more
+bytes. What is to be shown is queued then, and written when there is room; the status line is left
+out meanwhile. Nothing here waits, but :meth:`Screen.drain`, which is for moments without power.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ _COLUMNS: Final = 80
 class Outlet:
     """One output stream of this program, written without blocking.
 
-    A terminal is opened again for this, as the mode belongs to the open file, which other programs share. A stream that
-    has no descriptor (in tests) is written as it is.
+    A terminal is opened again for this, as the mode belongs to the open file, which other programs
+    share. A stream that has no descriptor (in tests) is written as it is.
 
     Args:
         stream: ``sys.stdout`` or ``sys.stderr``; None where the program was started without.
@@ -65,7 +66,9 @@ class Outlet:
         if self.terminal:
             with suppress(OSError, AttributeError):
                 name = os.ttyname(self._descriptor)
-                self._descriptor = os.open(name, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC)
+                self._descriptor = os.open(
+                    name, os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY | os.O_CLOEXEC
+                )
                 self._own = True
 
     @property
@@ -120,7 +123,9 @@ class Outlet:
 
 
 def _wrapped(words: str, columns: int) -> str:
-    """Break lines that are too long between words; the rows of a table, which double spaces tell, stay as they are."""
+    """Break lines that are too long between words; the rows of a table, which double spaces tell,
+    stay as they are.
+    """
     return "\n".join(
         textwrap.fill(line, columns, break_long_words=False, break_on_hyphens=False)
         if len(line) > columns and "  " not in line
@@ -187,7 +192,9 @@ class Screen:
         self._line_open = False
 
     def status(self, text: str) -> None:
-        """Replace the status line; left out where the terminal takes nothing, and where it was just drawn."""
+        """Replace the status line; left out where the terminal takes nothing, and where it was just
+        drawn.
+        """
         self.pump()
         now = self._clock.now_ns()
         recent = self._drawn_ns is not None and now - self._drawn_ns < STATUS_NS
@@ -211,7 +218,9 @@ class Screen:
             self._line_open = False
 
     def _erase(self) -> str:
-        """Return what erases the status line, also where a narrower window has broken it into several rows."""
+        """Return what erases the status line, also where a narrower window has broken it into
+        several rows.
+        """
         rows = max(self._shown - 1, 0) // max(self._err.columns, 1)
         up = f"\x1b[{rows}A" if rows else ""
         return f"\r{up}\x1b[J" if self._shown else "\r"
@@ -222,7 +231,9 @@ class Screen:
         self._out.pump()
 
     def drain(self, patience_s: float = DRAIN_S) -> bool:
-        """Wait until everything is shown, for so long at the most. Only where the drive has no power.
+        """Wait until everything is shown, for so long at the most.
+
+        Only where the drive has no power.
 
         Returns:
             Whether everything was shown.

@@ -1,4 +1,5 @@
-"""The stop and pause buttons of a run: the signals that a terminal, a shell or another program sends.
+"""The stop and pause buttons of a run: the signals that a terminal, a shell or another program
+sends.
 
 | signal | sent by | what it does |
 |---|---|---|
@@ -36,7 +37,9 @@ IGNORED_SIGNALS = ("SIGTTOU",)
 KEPT_IF_IGNORED = frozenset({"SIGHUP"})
 PAUSE_SIGNAL = getattr(signal, "SIGUSR1", None)
 """Asks for a pause, and ends it; None on a system that has no such signal."""
-PAUSE_ASKED = "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back"
+PAUSE_ASKED = (
+    "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back"
+)
 PAUSE_ENDED = "no pause"
 
 
@@ -47,7 +50,8 @@ class OperatorStopError(Exception):
 class StopButton:
     """Turns signals into flags that the control loop looks at every cycle.
 
-    A context manager; outside the main thread, where signals cannot be caught, only the methods set the flags.
+    A context manager; outside the main thread, where signals cannot be caught, only the methods set
+    the flags.
 
     Args:
         tell: Shows words to the operator without blocking; called from a signal handler.
@@ -105,7 +109,9 @@ class StopButton:
     @property
     def words(self) -> str:
         """Who stopped the run, and how."""
-        return f"stopped by the operator ({self.cause})" if self.cause else "stopped by the operator"
+        return (
+            f"stopped by the operator ({self.cause})" if self.cause else "stopped by the operator"
+        )
 
     def check(self) -> None:
         """Stop if it was asked for.
@@ -118,7 +124,9 @@ class StopButton:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Let a stop raise KeyboardInterrupt at once: for what may wait for long while the drive has no power."""
+        """Let a stop raise KeyboardInterrupt at once: for what may wait for long while the drive
+        has no power.
+        """
         self._raise_at_once = True
         try:
             self.check()

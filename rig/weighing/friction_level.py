@@ -1,7 +1,7 @@
 """How much friction a motion met, by speed: the work done over the way gone.
 
-Work, not torque at an instant: current noise averages out, no acceleration has to be computed, and what the inertia
-takes while the joint speeds up it gives back while it slows down.
+Work, not torque at an instant: current noise averages out, no acceleration has to be computed, and
+what the inertia takes while the joint speeds up it gives back while it slows down.
 """
 
 from __future__ import annotations
@@ -13,12 +13,17 @@ import numpy as np
 from rig.config.sequence import Array
 
 EDGES = np.geomspace(2e-3, 4.0, 67)
-"""Ends of the speed bins, rad/s; the same for every motion, so that levels can be compared bin by bin."""
+"""Ends of the speed bins, rad/s; the same for every motion, so that levels can be compared bin by
+bin.
+"""
 SPEED_WINDOW_S = 0.006
-"""The speed is that over this time: shorter than the jumps of a loaded joint that sticks and slips (some 20 ms)."""
+"""The speed is that over this time: shorter than the jumps of a loaded joint that sticks and slips
+(some 20 ms).
+"""
 SLOWEST_SHARE = 0.2
-"""Speeds below this share of the greatest are left out: friction changes steeply there, and the steps of the encoder
-show."""
+"""Speeds below this share of the greatest are left out: friction changes steeply there, and the
+steps of the encoder show.
+"""
 FEWEST_SAMPLES = 100
 
 

@@ -25,9 +25,13 @@ def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weig
 
 
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
-    """Whether there is anything to judge by: a reference, or three stages of two masses or more, two of them loaded."""
+    """Whether there is anything to judge by: a reference, or three stages of two masses or more,
+    two of them loaded.
+    """
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
-    return reference is not None or (len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2)
+    return reference is not None or (
+        len(set(masses)) >= 2 and sum(mass > 0 for mass in masses) >= 2
+    )
 
 
 def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
@@ -35,7 +39,13 @@ def _levels(recordings: Iterable[Recording]) -> list[LoadedLevel]:
     for recording in recordings:
         angle, torque = recording.channels.get("angle"), _torque(recording)
         rotary = recording.bench.motion == "rotary"
-        if angle is None or torque is None or recording.pendulum is not None or recording.hot_fire or not rotary:
+        if (
+            angle is None
+            or torque is None
+            or recording.pendulum is not None
+            or recording.hot_fire
+            or not rotary
+        ):
             continue
         level = friction_level(angle, torque, recording.period)
         if level is not None:

@@ -26,11 +26,15 @@ class Scale:
         self._seen: dict[str, LoadedLevel] = {}
 
     def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
-        """Check the weight of a stage by the friction of its first pass; only right or unchecked ones are kept."""
+        """Check the weight of a stage by the friction of its first pass; only right or unchecked
+        ones are kept.
+        """
         if level is None:
             text = (
-                f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves the joint, even at "
-                f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen first_pass.duration_s or stiffen the drive"
+                f"stage {stage.name}: the weight cannot be checked: its first pass hardly moves "
+                f"the joint, even at "
+                f"{stage.first_passes[-1].amplitude:.0%} amplitude; lengthen "
+                f"first_pass.duration_s or stiffen the drive"
             )
             return Weighing(stage.name, stage.weight_kg, Verdict.UNCHECKED, None, None, text)
         item = LoadedLevel(stage.name, stage.weight_kg, level)

@@ -1,7 +1,8 @@
 """Is the mass on the lever the one that was confirmed? Friction tells.
 
-Two yardsticks: an accepted identification of the bench, or what stages of other masses measured on the same day, which
-lie on a straight line at each speed (eq. 13: the working load is proportional to the contact force).
+Two yardsticks: an accepted identification of the bench, or what stages of other masses measured on
+the same day, which lie on a straight line at each speed (eq. 13: the working load is proportional
+to the contact force).
 """
 
 from __future__ import annotations
@@ -18,7 +19,9 @@ from rig.runs.run_record import Verdict, Weighing
 from rig.weighing.friction_level import FrictionLevel
 
 TOLERANCE = 0.075
-"""Share of the confirmed mass by which the measured one may differ: half of the 15 % that must be found."""
+"""Share of the confirmed mass by which the measured one may differ: half of the 15 % that must be
+found.
+"""
 EMPTY_TOLERANCE_KG = 1.0
 """Mass that an empty lever may seem to carry."""
 UNCERTAINTY_SHARE = 0.4
@@ -27,7 +30,9 @@ UNCERTAINTY_SHARE = 0.4
 
 _LEAST_FREEDOM = 0.5
 SIGMAS = 2.0
-"""Standard errors beyond the tolerance at which a finished stage contradicts the others: a doubt costs a whole run."""
+"""Standard errors beyond the tolerance at which a finished stage contradicts the others: a doubt
+costs a whole run.
+"""
 
 
 @dataclass(frozen=True)
@@ -44,19 +49,27 @@ def tolerance_kg(weight_kg: float) -> float:
     return TOLERANCE * weight_kg if weight_kg else EMPTY_TOLERANCE_KG
 
 
-def weigh(item: LoadedLevel, reference: Reference | None, earlier: Sequence[LoadedLevel]) -> Weighing:
+def weigh(
+    item: LoadedLevel, reference: Reference | None, earlier: Sequence[LoadedLevel]
+) -> Weighing:
     """Compare a stage's friction with its confirmed mass, by the best yardstick there is."""
     if reference is not None:
         return _against_reference(item, reference)
     if len({other.weight_kg for other in earlier}) < 2:
         text = (
-            "the weight cannot be checked yet: that takes an accepted identification of this bench (--identification), "
+            "the weight cannot be checked yet: that takes an accepted identification of this "
+            "bench (--identification), "
             "or stages of two different masses before this one; look at the weight again"
         )
-        return Weighing(item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, f"stage {item.stage}: {text}")
+        return Weighing(
+            item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, f"stage {item.stage}: {text}"
+        )
     found = _from_line(item.level, earlier)
     if found is None:
-        text = f"stage {item.stage}: the weight cannot be checked: the stages before it moved at other speeds"
+        text = (
+            f"stage {item.stage}: the weight cannot be checked: the stages before it moved at "
+            f"other speeds"
+        )
         return Weighing(item.stage, item.weight_kg, Verdict.UNCHECKED, None, None, text)
     return _judge(item, *found, f"the stages {', '.join(other.stage for other in earlier)}")
 
@@ -64,18 +77,27 @@ def weigh(item: LoadedLevel, reference: Reference | None, earlier: Sequence[Load
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
     """Find the stages of a finished run whose mass is not their label.
 
-    With a reference each stage is weighed by itself. Without one, a stage is named if the others agree among
-    themselves without it; where that holds for several, the data cannot tell which of them it is, and all are named.
+    With a reference each stage is weighed by itself. Without one, a stage is named if the others
+    agree among themselves without it; where that holds for several, the data cannot tell which of
+    them it is, and all are named.
 
     Returns:
         Those that are, or may be, wrong.
     """
     if reference is not None:
-        return [found for item in items if (found := weigh(item, reference, ())).verdict is Verdict.WRONG]
+        return [
+            found
+            for item in items
+            if (found := weigh(item, reference, ())).verdict is Verdict.WRONG
+        ]
     if _consistent(items):
         return []
     left_out = [[other for other in items if other is not item] for item in items]
-    candidates = [item for item, others in zip(items, left_out, strict=True) if item.weight_kg and _consistent(others)]
+    candidates = [
+        item
+        for item, others in zip(items, left_out, strict=True)
+        if item.weight_kg and _consistent(others)
+    ]
     return [_named(item, items, [c.stage for c in candidates]) for item in candidates]
 
 
@@ -84,16 +106,26 @@ def _named(item: LoadedLevel, items: Sequence[LoadedLevel], candidates: Sequence
     mass, sigma = _from_line(item.level, others) or (None, None)
     alone = len(candidates) == 1
     words = (
-        f"stage {item.stage}: its friction is that of {mass or math.nan:.3g} kg, its label says {item.weight_kg:g} kg"
+        f"stage {item.stage}: its friction is that of {mass or math.nan:.3g} kg, its label says "
+        f"{item.weight_kg:g} kg"
         if alone
-        else f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; one of "
+        else f"stage {item.stage}: its mass may not be the {item.weight_kg:g} kg of its label; "
+        f"one of "
         f"{', '.join(candidates)} is wrong, and an identification or one more mass would tell which"
     )
-    return Weighing(item.stage, item.weight_kg, Verdict.WRONG, mass, sigma, f"{words}; weigh it before using the data")
+    return Weighing(
+        item.stage,
+        item.weight_kg,
+        Verdict.WRONG,
+        mass,
+        sigma,
+        f"{words}; weigh it before using the data",
+    )
 
 
 def _consistent(items: Sequence[LoadedLevel]) -> bool:
-    """Whether every loaded stage agrees with the line through the others; true where there is no line.
+    """Whether every loaded stage agrees with the line through the others; true where there is no
+    line.
 
     One that is measured too loosely to tell agrees with anything.
     """
@@ -131,22 +163,31 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, yardstick: str) -> Weig
         f"{item.weight_kg:g} kg were confirmed, and {allowed:.2g} kg of difference is the limit"
     )
     if not sigma <= UNCERTAINTY_SHARE * allowed:
-        verdict, rest = Verdict.UNCHECKED, f"but that is uncertain by {sigma:.2g} kg: the weight cannot be checked"
+        verdict, rest = (
+            Verdict.UNCHECKED,
+            f"but that is uncertain by {sigma:.2g} kg: the weight cannot be checked",
+        )
     elif abs(mass - item.weight_kg) <= allowed:
         verdict, rest = Verdict.RIGHT, "the weight is taken as right"
     else:
-        verdict, rest = Verdict.WRONG, "hang the right weight, or look for what else rubs, then go on with `rig resume`"
+        verdict, rest = (
+            Verdict.WRONG,
+            "hang the right weight, or look for what else rubs, then go on with `rig resume`",
+        )
     return Weighing(item.stage, item.weight_kg, verdict, mass, sigma, f"{found}; {rest}")
 
 
 def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[float, float] | None:
-    """Return the mass at which the straight lines through other stages' levels do the measured work, and its error.
+    """Return the mass at which the straight lines through other stages' levels do the measured
+    work, and its error.
 
-    None where there are no such lines. The standard error is that of the scatter from speed to speed, where what the
-    inertia takes at one is given back at another, and where friction is steep.
+    None where there are no such lines. The standard error is that of the scatter from speed to
+    speed, where what the inertia takes at one is given back at another, and where friction is
+    steep.
 
-    One line a speed bin, least squares over the stages that have it. Bins count by the way that all of them went there:
-    what one hardly went through at the end of its range is not known, however far another went.
+    One line a speed bin, least squares over the stages that have it. Bins count by the way that all
+    of them went there: what one hardly went through at the end of its range is not known, however
+    far another went.
     """
     stages = list(others)
     masses = np.array([other.weight_kg for other in stages])
@@ -168,7 +209,9 @@ def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[flo
     total = float(np.sum(weight_of))
     if not total > 0.0:
         return None
-    masses_there = mean_mass[shared] + (level.torque[shared] - mean_torque[shared]) / np.where(slope, slope, np.inf)
+    masses_there = mean_mass[shared] + (level.torque[shared] - mean_torque[shared]) / np.where(
+        slope, slope, np.inf
+    )
     mass = float(np.sum(weight_of * masses_there)) / total
     squares = weight_of**2
     independent = total**2 / float(np.sum(squares))

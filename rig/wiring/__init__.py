@@ -1,1 +1,3 @@
-"""From configuration to devices: connect, guardian, teardown, limits in the drive, checks before a run."""
+"""From configuration to devices: connect, guardian, teardown, limits in the drive, checks before a
+run.
+"""

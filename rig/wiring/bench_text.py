@@ -1,4 +1,6 @@
-"""What an operator must know of a bench first: which it is, whether it is real, and who stops it."""
+"""What an operator must know of a bench first: which it is, whether it is real, and who stops
+it.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,10 @@ class Watcher:
             return f"the drive itself: it stops when it hears nothing of this program for {wait}"
         if self.kind == "guardian" and self.after_s is not None:
             wait = f"{self.after_s * 1e3:g} ms"
-            return f"a guardian: a process that stops the drive when this program dies or hangs for {wait}"
+            return (
+                f"a guardian: a process that stops the drive when this program dies or hangs "
+                f"for {wait}"
+            )
         return "NOBODY: the drive goes on holding its last target when this program dies"
 
 

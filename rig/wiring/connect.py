@@ -1,4 +1,6 @@
-"""From a bench file to devices on an open bus: the only place where drivers are chosen and wired together."""
+"""From a bench file to devices on an open bus: the only place where drivers are chosen and wired
+together.
+"""
 
 from __future__ import annotations
 
@@ -40,12 +42,19 @@ TRANSMITTER_EDS = _EDS / "transmitter.eds"
 _TWIN_EDS = {"servo": DRIVE_EDS, "encoder": ENCODER_EDS, "pressure": TRANSMITTER_EDS}
 
 _ENCODER_NODES = (2, 3)
-"""Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive has not taken."""
-NO_BUS = "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, or add a bus"
+"""Where the simulated CAN encoder goes on a bench that does not use it: the first that the drive
+has not taken.
+"""
+NO_BUS = (
+    "this bench has no bus and is only simulated directly, by `rig paper`; use `practical`, "
+    "or add a bus"
+)
 Hang = Callable[[float], None]
 """Hangs a mass in kg on the lever of a simulated machine."""
 Attach = Callable[[SimulatedBench | SimulatedDbcBench], Clock]
-"""Called with a simulated bench before its bus is opened; returns the clock that the host is to see."""
+"""Called with a simulated bench before its bus is opened; returns the clock that the host is to
+see.
+"""
 
 
 @contextmanager
@@ -97,7 +106,9 @@ def connect(
         servo = Cia402Servo(drive, link, scales, torque_offset=torque_offset)
     pressure: PressureTransmitter | None = None
     if bench.pressure is not None and isinstance(link, CanopenLink):
-        pressure = bench.pressure.transmitter(link.add_node(bench.pressure.node, eds_path(document, "pressure")))
+        pressure = bench.pressure.transmitter(
+            link.add_node(bench.pressure.node, eds_path(document, "pressure"))
+        )
     encoder: Encoder
     if isinstance(bench.encoder, Amt21Section):
         encoder = amt21 = amt21_encoder(bench.encoder, twin, link.clock)
@@ -112,7 +123,17 @@ def connect(
         link.open()
         try:
             pacer = RealClock() if realtime and bench.simulated else None
-            yield Devices(link, servo, encoder, hang, pacer, guard=guard, pressure=pressure, ignite=ignite, lock=lock)
+            yield Devices(
+                link,
+                servo,
+                encoder,
+                hang,
+                pacer,
+                guard=guard,
+                pressure=pressure,
+                ignite=ignite,
+                lock=lock,
+            )
         finally:
             link.close()
             if guard is not None:
@@ -122,7 +143,9 @@ def connect(
 def _epos(
     document: Document[Bench], bus: SerialBus, seed: int, attach: Attach | None
 ) -> tuple[EposSerialLink, Cia402Servo, SimulatedBench | None, Guard | None]:
-    """Return the link of a drive on a serial line, the drive, the bench where they are simulated, else the guard."""
+    """Return the link of a drive on a serial line, the drive, the bench where they are simulated,
+    else the guard.
+    """
     bench = document.value
     assert isinstance(bench.servo, ServoSection)
     twin, clock = _twin(bench, bench.servo, 1_000_000, seed, attach)
@@ -146,7 +169,9 @@ def _twin(
     )
     transmitter_node = None if bench.pressure is None else bench.pressure.node
     rating = Rating(servo.rated_current_A, servo.rated_torque_N_m)
-    twin = simulated_bench(bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating)
+    twin = simulated_bench(
+        bench.mock, seed, bitrate, servo.node, encoder_node, transmitter_node, rating
+    )
     return twin, twin.clock if attach is None else attach(twin)
 
 
@@ -163,7 +188,9 @@ def _link(
 def _dbc_servo(
     document: Document[Bench], servo: DbcServoSection, bus: Bus, seed: int, attach: Attach | None
 ) -> tuple[DbcLink, DbcServo, Hang | None]:
-    """Return the link with a drive of its own frames on it, and what hangs a weight on a simulated lever."""
+    """Return the link with a drive of its own frames on it, and what hangs a weight on a simulated
+    lever.
+    """
     bench = document.value
     wiring = wire(servo, document.path, bench.simulated, document.problem)
     hang: Hang | None = None
@@ -233,5 +260,7 @@ def servo_scales(servo: ServoSection, gear_ratio: float) -> ServoScales:
 def encoder_scales(encoder: EncoderSection) -> EncoderScales:
     """Return the joint encoder's scales in SI units."""
     return EncoderScales(
-        counts_per_turn=encoder.counts_per_turn, sign=encoder.sign, offset_rad=math.radians(encoder.offset_deg)
+        counts_per_turn=encoder.counts_per_turn,
+        sign=encoder.sign,
+        offset_rad=math.radians(encoder.offset_deg),
     )

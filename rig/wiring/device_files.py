@@ -23,7 +23,11 @@ from rig.config.serial_bus import SerialBus
 from rig.wiring.connect import eds_path, encoder_scales, servo_scales
 
 Role = Literal["servo", "encoder", "pressure"]
-_WORDS: dict[Role, str] = {"servo": "servo", "encoder": "encoder", "pressure": "pressure transmitter"}
+_WORDS: dict[Role, str] = {
+    "servo": "servo",
+    "encoder": "encoder",
+    "pressure": "pressure transmitter",
+}
 
 
 class _Described(Protocol):
@@ -54,23 +58,32 @@ def _nodes(bench: Bench) -> Iterator[tuple[Role, int]]:
 
 def _conflicts(document: Document[Bench]) -> Iterator[Finding]:
     bench = document.value
-    owners: dict[int, str] = {} if isinstance(bench.bus, SerialBus) else {MASTER_ID: "this program's own heartbeat"}
+    owners: dict[int, str] = (
+        {} if isinstance(bench.bus, SerialBus) else {MASTER_ID: "this program's own heartbeat"}
+    )
     for role, node in _nodes(bench):
         if node in owners:
-            text = f"{node} is the node identifier of {owners[node]} as well; give each its own, 1 to {MASTER_ID - 1}"
+            text = (
+                f"{node} is the node identifier of {owners[node]} as well; give each its own, "
+                f"1 to {MASTER_ID - 1}"
+            )
             yield Finding(Cause.NODES, document.problem((role, "node"), text), connectable=False)
         owners.setdefault(node, f"the {_WORDS[role]}")
 
 
 def _declared(document: Document[Bench]) -> Iterator[Finding]:
-    """Declare every device as :func:`rig.wiring.connect.connect` does, and yield what is refused."""
+    """Declare every device as :func:`rig.wiring.connect.connect` does, and yield what is
+    refused.
+    """
     bench = document.value
     link: CanopenLink | EposSerialLink
     if isinstance(bench.bus, SerialBus):
         link = EposSerialLink(SimulatedClock(), _never_opened)
     elif isinstance(bench.servo, DbcServoSection):
         link = DbcLink(SimulatedClock(), _never_opened)
-        link.add_channel(wire(bench.servo, document.path, bench.simulated, document.problem), bench.servo.name)
+        link.add_channel(
+            wire(bench.servo, document.path, bench.simulated, document.problem), bench.servo.name
+        )
     else:
         link = CanopenLink(SimulatedClock(), _never_opened)
     for role, number in _nodes(bench):
@@ -81,11 +94,15 @@ def _declared(document: Document[Bench]) -> Iterator[Finding]:
             continue
         refused: list[DeviceError]
         try:
-            refused = list(_profile(bench, role, link, link.add_node(number, eds)).description_refusals())
+            refused = list(
+                _profile(bench, role, link, link.add_node(number, eds)).description_refusals()
+            )
         except ConfigurationError as error:
             refused = [error]
         for lacking in refused:
-            yield Finding(Cause.FILES, document.problem((role, "eds"), str(lacking)), connectable=False)
+            yield Finding(
+                Cause.FILES, document.problem((role, "eds"), str(lacking)), connectable=False
+            )
     if isinstance(link, DbcLink):
         for text in link.conflicts():
             yield Finding(Cause.NODES, document.problem(("servo",), text), connectable=False)

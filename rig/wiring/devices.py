@@ -21,11 +21,13 @@ class Devices:
         servo: The drive.
         encoder: The joint encoder.
         hang: Puts a mass in kg on a simulated lever; None where a person does.
-        pacer: Real clock that holds simulated time back to real time; None to run on the link's clock alone.
+        pacer: Real clock that holds simulated time back to real time; None to run on the link's
+        clock alone.
         observer: Told the stage's name and every phase as it begins.
         pressure: The transmitter on the gas generator's chamber; None where there is none.
         ignite: Lights a simulated gas generator; None where a person does.
-        guard: Process that stops a drive without a watchdog when this program dies; None where there is none.
+        guard: Process that stops a drive without a watchdog when this program dies; None where
+        there is none.
         lock: What keeps other programs from the bench; None where nobody has to be kept from it.
     """
 

@@ -1,4 +1,6 @@
-"""The limits of the bench beside those that the drive itself holds, before and after they are written."""
+"""The limits of the bench beside those that the drive itself holds, before and after they are
+written.
+"""
 
 from __future__ import annotations
 
@@ -9,9 +11,13 @@ from drivers.errors import ConfigurationError
 from drivers.interfaces import LimitSteps, ServoLimits
 
 ROUNDING = 1e-3
-"""Share of a limit by which two may differ and be the same: bench files state limits to three or four digits."""
+"""Share of a limit by which two may differ and be the same: bench files state limits to three or
+four digits.
+"""
 _WHOLE_STEP = 1.0 + 1e-6
-"""Steps by which two limits may differ and be the same: one, with a margin for rounding of floating-point numbers."""
+"""Steps by which two limits may differ and be the same: one, with a margin for rounding of
+floating-point numbers.
+"""
 _STAYING = frozenset({5, 6, 7, 8})
 """Options of 605Ah that leave the drive in QUICK STOP ACTIVE, with power, after the ramp."""
 
@@ -47,16 +53,25 @@ _ROWS = (
     ("motor current", "6073h", "current_A", "A", "current_A"),
     ("following error", "6065h", "following_error_rad", "rad", "following_error_rad"),
     ("quick stop option", "605Ah", "quick_stop_option", "", ""),
-    ("quick stop deceleration", "6085h", "quick_stop_deceleration_rad_s2", "rad/s^2", "quick_stop_deceleration_rad_s2"),
+    (
+        "quick stop deceleration",
+        "6085h",
+        "quick_stop_deceleration_rad_s2",
+        "rad/s^2",
+        "quick_stop_deceleration_rad_s2",
+    ),
 )
-"""Name, objects, field, unit, and the field of :class:`~drivers.interfaces.LimitSteps` that holds its resolution."""
+"""Name, objects, field, unit, and the field of :class:`~drivers.interfaces.LimitSteps` that holds
+its resolution.
+"""
 _REACTIONS = frozenset({"quick_stop_option", "quick_stop_deceleration_rad_s2"})
 
 
 def compare(first: ServoLimits, second: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
     """Return every limit of ``first`` beside that of ``second``, and whether it is looser.
 
-    Two limits are the same within one step of the drive, or within :data:`ROUNDING` of them, whichever is more.
+    Two limits are the same within one step of the drive, or within :data:`ROUNDING` of them,
+    whichever is more.
 
     Args:
         first: What is tested.
@@ -75,22 +90,28 @@ def _step(steps: LimitSteps | None, resolution: str) -> float:
 
 
 def loosened(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None) -> list[Row]:
-    """Return the drive's own limits that ``wanted`` would loosen; see :func:`require_within_own`."""
+    """Return the drive's own limits that ``wanted`` would loosen; see
+    :func:`require_within_own`.
+    """
     keeps_power = wanted.quick_stop_option in _STAYING and own.quick_stop_option not in _STAYING
     return [
         row
         for row in compare(wanted, own, steps)
-        if (row.looser and row.field not in _REACTIONS) or (keeps_power and row.field == "quick_stop_option")
+        if (row.looser and row.field not in _REACTIONS)
+        or (keeps_power and row.field == "quick_stop_option")
     ]
 
 
-def require_within_own(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None) -> None:
+def require_within_own(
+    wanted: ServoLimits, own: ServoLimits, steps: LimitSteps | None = None
+) -> None:
     """Refuse to loosen what the drive was commissioned with.
 
     Args:
         wanted: What is about to be written.
-        own: What the drive held when the bus was opened. Its quick stop option is compared as far as a drive that
-            takes the power off after the ramp must not be told to keep it; its deceleration is a setting, not a limit.
+        own: What the drive held when the bus was opened. Its quick stop option is compared as far
+            as a drive that takes the power off after the ramp must not be told to keep it; its
+            deceleration is a setting, not a limit.
         steps: As for :func:`compare`.
 
     Raises:
@@ -99,8 +120,10 @@ def require_within_own(wanted: ServoLimits, own: ServoLimits, steps: LimitSteps 
     rows = loosened(wanted, own, steps)
     if rows:
         raise ConfigurationError(
-            f"the bench file is looser than the drive's own limits: {_list(rows, 'bench file', 'drive')}; tighten the "
-            "bench file, or change the drive with its maker's tool; limits left by a run that died go when the "
+            f"the bench file is looser than the drive's own limits: "
+            f"{_list(rows, 'bench file', 'drive')}; tighten the "
+            "bench file, or change the drive with its maker's tool; limits left by a run that "
+            "died go when the "
             "drive's supply is switched off and on"
         )
 
@@ -119,14 +142,16 @@ def require_held(held: ServoLimits, wanted: ServoLimits, steps: LimitSteps | Non
     rows = [row for row in compare(held, wanted, steps) if row.looser]
     if rows:
         raise ConfigurationError(
-            f"the drive does not hold the limits written into it: {_list(rows, 'drive', 'wanted')}; it is not "
+            f"the drive does not hold the limits written into it: "
+            f"{_list(rows, 'drive', 'wanted')}; it is not "
             "enabled; check in its manual the range of these objects and whether they are locked"
         )
 
 
 def _list(rows: list[Row], first: str, second: str) -> str:
     return "; ".join(
-        f"{row.name} ({row.objects}): {first} {show(row.field, row.first)}, {second} {show(row.field, row.second)}"
+        f"{row.name} ({row.objects}): {first} {show(row.field, row.first)}, {second} "
+        f"{show(row.field, row.second)}"
         for row in rows
     )
 

@@ -26,7 +26,9 @@ _START_S: Final = 20.0
 _END_S: Final = 2.0
 _FEED_NS: Final = NS // 50
 _TAKEOVER_S: Final = 3.0
-"""How long the guardian's report is waited for once it has taken over: braking and reading back take less."""
+"""How long the guardian's report is waited for once it has taken over: braking and reading back
+take less.
+"""
 _CHUNK: Final = 4096
 
 
@@ -78,7 +80,9 @@ class Guard:
         return self._port
 
     def keep(self, descriptors: Sequence[int]) -> None:
-        """Have the guardian hold the bench's lock, given as file descriptors, for as long as it lives."""
+        """Have the guardian hold the bench's lock, given as file descriptors, for as long as it
+        lives.
+        """
         self._keep = tuple(descriptors)
 
     def record_in(self, folder: Path) -> None:
@@ -86,7 +90,8 @@ class Guard:
         self._folder = folder.resolve()
 
     def arm(self, limit_s: float) -> None:
-        """Have the drive stopped if this program dies from now on, or does not feed for this long, s.
+        """Have the drive stopped if this program dies from now on, or does not feed for this long,
+        s.
 
         Raises:
             LinkError: There is no guardian, so that the drive must not be enabled.
@@ -102,8 +107,9 @@ class Guard:
         """Show the guardian that the control loop is alive; nothing unless armed.
 
         Raises:
-            LinkError: The guardian has taken over, or is gone. It is raised once where the guardian has left the drive,
-                so that the drive can be read back, and every time as long as it has not.
+            LinkError: The guardian has taken over, or is gone. It is raised once where the guardian
+                has left the drive, so that the drive can be read back, and every time as long as it
+                has not.
         """
         if self._taken:
             self._await_report(0.0)
@@ -117,7 +123,8 @@ class Guard:
             self._taken = True
             words = self._await_report(_TAKEOVER_S)
             raise LinkError(
-                f"the control loop did not run for {silent_ns / NS:.2f} s, and the guardian stopped: {words}"
+                f"the control loop did not run for {silent_ns / NS:.2f} s, and the guardian "
+                f"stopped: {words}"
             )
         self._fed_ns = now
         self._write(b"\n")
@@ -133,7 +140,9 @@ class Guard:
             self._tell({"armed": False})
 
     def close(self) -> None:
-        """Let the guardian go; one that has not been released stops the drive now, and goes on trying by itself."""
+        """Let the guardian go; one that has not been released stops the drive now, and goes on
+        trying by itself.
+        """
         process, self._process = self._process, None
         if process is None:
             return
@@ -164,7 +173,8 @@ class Guard:
         self._tell({"drive": self._drive})
         if self._says(READY, _START_S) is None:
             raise LinkError(
-                f"the guardian of {self.name} did not start within {_START_S:g} s; the drive is not enabled without it"
+                f"the guardian of {self.name} did not start within {_START_S:g} s; the drive is "
+                f"not enabled without it"
             )
         return process
 
@@ -177,14 +187,16 @@ class Guard:
         line = self._says(b"\n", patience_s)
         if line is None:
             raise LinkError(
-                f"the guardian of {self.name} has taken over and is still trying to take the power off: "
+                f"the guardian of {self.name} has taken over and is still trying to take the "
+                f"power off: "
                 "switch the main supply off"
             )
         self._taken = self._armed = False
         return line.decode(errors="replace").strip()
 
     def _says(self, words: bytes, patience_s: float) -> bytes | None:
-        """Return what the guardian says up to and with these words; None where it does not say them in time.
+        """Return what the guardian says up to and with these words; None where it does not say them
+        in time.
 
         Raises:
             LinkError: The guardian is gone.
@@ -213,9 +225,13 @@ class Guard:
             # A pipe takes a line whole or not at all.
             os.write(_pipe(self._process.stdin).fileno(), data)
         except BlockingIOError as error:
-            raise LinkError(f"the guardian of {self.name} does not listen; stop and run again") from error
+            raise LinkError(
+                f"the guardian of {self.name} does not listen; stop and run again"
+            ) from error
         except OSError as error:
-            raise LinkError(f"the guardian of {self.name} is gone ({error.strerror}); stop and run again") from error
+            raise LinkError(
+                f"the guardian of {self.name} is gone ({error.strerror}); stop and run again"
+            ) from error
 
 
 def _pipe(pipe: IO[bytes] | None) -> IO[bytes]:

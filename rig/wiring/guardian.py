@@ -1,15 +1,18 @@
-"""The guardian: a process that takes the power off a drive without a watchdog when its program dies or hangs.
+"""The guardian: a process that takes the power off a drive without a watchdog when its program dies
+or hangs.
 
-It is started with the open port before the drive is enabled, and hears on its standard input, line by line in JSON, how
-to reach the drive, where to write, and whether the drive is under power (``armed``). While that is so, each line, an
-empty one too, shows that the control loop is alive. Two things make it act:
+It is started with the open port before the drive is enabled, and hears on its standard input, line
+by line in JSON, how to reach the drive, where to write, and whether the drive is under power
+(``armed``). While that is so, each line, an empty one too, shows that the control loop is alive.
+Two things make it act:
 
 - the input ends while the drive is armed: the other program is gone;
-- no line comes for ``limit_s``: the other program hangs, or was suspended. ``took over`` goes to the standard output
-  first, so that the other one, should it wake, keeps off the line; what was done follows as a line of words.
+- no line comes for ``limit_s``: the other program hangs, or was suspended. ``took over`` goes to
+  the standard output first, so that the other one, should it wake, keeps off the line; what was
+  done follows as a line of words.
 
-It brakes the drive, takes the power off, reads 6041h back, and writes what it did beside the recording. Its own output
-never blocks it.
+It brakes the drive, takes the power off, reads 6041h back, and writes what it did beside the
+recording. Its own output never blocks it.
 """
 
 from __future__ import annotations
@@ -77,7 +80,9 @@ class Ward:
     _rest: bytes = b""
 
     def hear(self, data: bytes) -> None:
-        """Take what came in; half a line, as a dying program may leave it, and unknown words change nothing."""
+        """Take what came in; half a line, as a dying program may leave it, and unknown words change
+        nothing.
+        """
         *lines, self._rest = (self._rest + data).split(b"\n")
         for line in lines:
             self._take(line)
@@ -96,7 +101,9 @@ class Ward:
 
 @dataclass(frozen=True)
 class Deed:
-    """What the guardian did: how the drive was left, how often it was tried, and how long that took."""
+    """What the guardian did: how the drive was left, how often it was tried, and how long that
+    took.
+    """
 
     safe: SafeState
     attempts: int
@@ -109,7 +116,8 @@ def stop(
     patience_s: float = _PATIENCE_S,
     failed: Callable[[SafeState], None] = lambda safe: None,
 ) -> Deed:
-    """Brake, take the power off and read the state back, again and again until that is verified or patience ends.
+    """Brake, take the power off and read the state back, again and again until that is verified or
+    patience ends.
 
     Args:
         servo: The drive.
@@ -138,12 +146,14 @@ def stop(
 
 
 def watch(descriptor: int, ward: Ward, wait: Callable[[int, float | None], bool]) -> Cause:
-    """Listen until the drive must be stopped, or the other program has closed the pipe with the drive off.
+    """Listen until the drive must be stopped, or the other program has closed the pipe with the
+    drive off.
 
     Args:
         descriptor: The pipe.
         ward: Takes what is heard.
-        wait: Waits for input on a descriptor for so many seconds, None for ever; returns whether there is any.
+        wait: Waits for input on a descriptor for so many seconds, None for ever; returns whether
+            there is any.
     """
     while True:
         if not wait(descriptor, ward.limit_s if ward.armed else None):
@@ -162,12 +172,15 @@ def words_of(deed: Deed, ward: Ward, cause: Cause) -> str:
     """Return what was done in a sentence."""
     why = "is gone" if cause is Cause.GONE else f"did not run for {ward.limit_s:g} s"
     return (
-        f"guardian: the program that drove {ward.drive['name']} {why}; after {deed.seconds:.2f} s {deed.safe.message}"
+        f"guardian: the program that drove {ward.drive['name']} {why}; after "
+        f"{deed.seconds:.2f} s {deed.safe.message}"
     )
 
 
 def report(deed: Deed, ward: Ward, cause: Cause) -> str:
-    """Write what was done beside the recording, and return it in words; a full disk is no reason to be silent."""
+    """Write what was done beside the recording, and return it in words; a full disk is no reason to
+    be silent.
+    """
     words = words_of(deed, ward, cause)
     if ward.folder is not None:
         record = {
@@ -180,7 +193,9 @@ def report(deed: Deed, ward: Ward, cause: Cause) -> str:
             "message": words,
         }
         try:
-            (ward.folder / REPORT_FILE).write_text(json.dumps(record, indent=1) + "\n", encoding="utf-8")
+            (ward.folder / REPORT_FILE).write_text(
+                json.dumps(record, indent=1) + "\n", encoding="utf-8"
+            )
         except OSError as error:
             words += f"; {REPORT_FILE} cannot be written: {error.strerror}"
     return words
@@ -201,13 +216,19 @@ def drive_on(port: int, ward: Ward) -> tuple[Servo, Clock]:
 def act(servo: Servo, clock: Clock, ward: Ward, cause: Cause, screen: Screen) -> Deed:
     """Stop the drive, and say and write what came of it."""
     name = ward.drive["name"]
-    deed = stop(servo, clock, failed=lambda safe: screen.say(f"guardian of {name}: {safe.message}; still trying"))
+    deed = stop(
+        servo,
+        clock,
+        failed=lambda safe: screen.say(f"guardian of {name}: {safe.message}; still trying"),
+    )
     screen.say(report(deed, ward, cause))
     return deed
 
 
 def main() -> int:
-    """Be the guardian of the port whose file descriptor is given first; those after it are the bench's lock."""
+    """Be the guardian of the port whose file descriptor is given first; those after it are the
+    bench's lock.
+    """
     for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGTSTP", "SIGTTOU"):
         # The end of the input is what ends it.
         signal.signal(getattr(signal, name), signal.SIG_IGN)
@@ -243,7 +264,9 @@ def main() -> int:
 
 
 def _speak(descriptor: int, words: bytes) -> None:
-    """Say something to the other program; its pipe is empty but for a few words, and so takes them."""
+    """Say something to the other program; its pipe is empty but for a few words, and so takes
+    them.
+    """
     # Where it is gone, the end of the input will say so.
     with suppress(OSError):
         os.write(descriptor, words)

@@ -1,4 +1,7 @@
-"""Are the constants of a bench file physically plausible? A moment arm of 95 m was given in millimetres."""
+"""Are the constants of a bench file physically plausible?
+
+A moment arm of 95 m was given in millimetres.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +33,14 @@ class Range:
 _NONE = ", and no bench of this kind has it there"
 _FEW = ", where benches of this kind have it"
 CONSTANTS = {
-    "torque_constant_N_m_A": Range((1e-3, 20.0), (1e-5, 1e3), "N m/A", "data sheets often give mN m/A"),
+    "torque_constant_N_m_A": Range(
+        (1e-3, 20.0), (1e-5, 1e3), "N m/A", "data sheets often give mN m/A"
+    ),
     "back_emf_constant_V_s_rad": Range(
-        (1e-3, 20.0), (1e-5, 1e3), "V s/rad", "data sheets often give its inverse, rpm/V: 9.549 over that"
+        (1e-3, 20.0),
+        (1e-5, 1e3),
+        "V s/rad",
+        "data sheets often give its inverse, rpm/V: 9.549 over that",
     ),
     "resistance_ohm": Range((0.01, 500.0), (1e-4, 1e5), "ohm", "check value and unit"),
     "inductance_H": Range((1e-6, 0.5), (0.0, 10.0), "H", "data sheets often give mH"),
@@ -44,7 +52,9 @@ CONSTANTS = {
 """Ranges of the keys of the section ``machine``."""
 _EMF = Range((0.4, 2.5), (0.2, 5.0), "", "in SI units an ideal motor has the same number for both")
 _TIME = Range((1e-5, 0.1), (1e-7, 10.0), "s", "check the units of both")
-_RATED = Range((0.4, 2.5), (0.05, 20.0), "", "6076h is the torque of the motor before the gear, in mN m")
+_RATED = Range(
+    (0.4, 2.5), (0.05, 20.0), "", "6076h is the torque of the motor before the gear, in mN m"
+)
 _MOTOR_SPEED = Range((0.0, 20e3), (0.0, 200e3), "rpm", "check speed_deg_s and gear_ratio")
 
 
@@ -70,10 +80,20 @@ _Derived = tuple[Loc, str, float, Range]
 def _motor(machine: Constants) -> Iterator[_Derived]:
     place = "machine"
     ratio = machine.back_emf_constant_V_s_rad / machine.torque_constant_N_m_A
-    yield (place, "back_emf_constant_V_s_rad"), "its ratio to torque_constant_N_m_A of ", ratio, _EMF
+    yield (
+        (place, "back_emf_constant_V_s_rad"),
+        "its ratio to torque_constant_N_m_A of ",
+        ratio,
+        _EMF,
+    )
     if machine.inductance_H > 0.0:
         time_s = machine.inductance_H / machine.resistance_ohm
-        yield (place, "inductance_H"), "with resistance_ohm a time constant of the current of ", time_s, _TIME
+        yield (
+            (place, "inductance_H"),
+            "with resistance_ohm a time constant of the current of ",
+            time_s,
+            _TIME,
+        )
 
 
 def _drive(bench: Bench) -> Iterator[_Derived]:
@@ -89,7 +109,10 @@ def _drive(bench: Bench) -> Iterator[_Derived]:
 def _judge(place: Loc, what: str, value: float, bounds: Range) -> Iterator[tuple[Loc, str, bool]]:
     unit = f" {bounds.unit}" if bounds.unit else ""
     found = f"{what}{value:g}{unit} is outside"
-    for (low, high), words, refused in ((bounds.possible, _NONE, True), (bounds.usual, _FEW, False)):
+    for (low, high), words, refused in (
+        (bounds.possible, _NONE, True),
+        (bounds.usual, _FEW, False),
+    ):
         if not low <= value <= high:
             yield place, f"{found} {low:g} to {high:g}{unit}{words}; {bounds.hint}", refused
             return

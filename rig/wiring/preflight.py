@@ -48,7 +48,9 @@ def bench_findings(document: Document[Bench], today: date) -> list[Finding]:
     return found
 
 
-def require_startable(document: Document[Bench], today: date, warn: Callable[[str], object]) -> None:
+def require_startable(
+    document: Document[Bench], today: date, warn: Callable[[str], object]
+) -> None:
     """Refuse a bench whose file, or a file it names, is wrong; before anything is connected to.
 
     Args:
@@ -100,7 +102,9 @@ def device_findings(
     yield from _refused(Cause.LIMITS, servo.limit_refusals(wanted))
 
 
-def require_ready(devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False) -> None:
+def require_ready(
+    devices: Devices, wanted: ServoLimits, cycle_s: float, reset_fault: bool = False
+) -> None:
     """Refuse devices that a run would refuse later, when the operator has hung a weight.
 
     Args:
@@ -121,7 +125,9 @@ def energised(state: ServoState) -> StateError | None:
     """Return why no weight may be asked for in this state of the drive; None if it is off."""
     if not state.energised:
         return None
-    return StateError(f"the drive is in {state.value!r} before the weight prompt; it must be de-energised")
+    return StateError(
+        f"the drive is in {state.value!r} before the weight prompt; it must be de-energised"
+    )
 
 
 def _refused(cause: Cause, errors: Iterable[DeviceError]) -> Iterator[Finding]:

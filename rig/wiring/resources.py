@@ -41,7 +41,9 @@ def _channel(bus: Bus) -> list[Resource]:
         channel = channel.partition("@")[0]
     if "://" not in channel and (bus.interface in _ON_SERIAL_PORTS or os.sep in channel):
         return [_port(channel)]
-    return [Resource(f"{bus.interface}:{channel}", f"{bus.interface} channel {channel or 'by default'}")]
+    return [
+        Resource(f"{bus.interface}:{channel}", f"{bus.interface} channel {channel or 'by default'}")
+    ]
 
 
 def _port(path: str) -> Resource:

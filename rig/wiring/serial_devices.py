@@ -19,8 +19,12 @@ from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.guard import Guard
 
 
-def epos_link(bus: SerialBus, twin: SimulatedBench | None, clock: Clock, guard: Guard | None) -> EposSerialLink:
-    """Return the link of a drive on a serial line: a real port with its guard, or the twin's in simulated time."""
+def epos_link(
+    bus: SerialBus, twin: SimulatedBench | None, clock: Clock, guard: Guard | None
+) -> EposSerialLink:
+    """Return the link of a drive on a serial line: a real port with its guard, or the twin's in
+    simulated time.
+    """
     if twin is None:
         assert guard is not None
         return EposSerialLink(clock, guard.open_port, guard.name, guard=guard)
@@ -38,10 +42,14 @@ def amt21_encoder(section: Amt21Section, twin: SimulatedBench | None, clock: Clo
         connect, name = _simulated(twin, "encoder", section.baud, station), "simulated AMT21"
     line = Amt21Line(clock, connect, name, section.address)
     scales = EncoderScales(COUNTS_PER_TURN, section.sign, math.radians(section.offset_deg))
-    gate = Gate(math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2))
+    gate = Gate(
+        math.radians(section.gate_speed_deg_s), math.radians(section.gate_acceleration_deg_s2)
+    )
     return Amt21Encoder(line, scales, gate)
 
 
-def _simulated(twin: SimulatedBench, device: str, baud: int, station: Station) -> Callable[[], BytePort]:
+def _simulated(
+    twin: SimulatedBench, device: str, baud: int, station: Station
+) -> Callable[[], BytePort]:
     line = twin.lines[device] = SimulatedLine(twin.clock, baud, station)
     return lambda: line

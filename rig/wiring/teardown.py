@@ -25,8 +25,9 @@ class SafeState:
         state: That state in words, or ``unknown``.
         problems: What went wrong on the way.
         watched: Whether the drive takes its power off by itself once nobody commands it.
-        unforeseen: Exceptions of the steps that are neither device or storage errors nor Ctrl-C: defects
-            of this program, to be raised again once the operator knows how the drive was left.
+        unforeseen: Exceptions of the steps that are neither device or storage errors nor Ctrl-C:
+            defects of this program, to be raised again once the operator knows how the drive was
+            left.
     """
 
     verified: bool
@@ -41,9 +42,11 @@ class SafeState:
         if self.verified:
             return f"the drive is de-energised (read back: {self.state})"
         by_itself = (
-            "its own heartbeat watch takes the power off; switch the main supply off before approaching the bench"
+            "its own heartbeat watch takes the power off; switch the main supply off before "
+            "approaching the bench"
             if self.watched
-            else "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main supply off now"
+            else "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main "
+            "supply off now"
         )
         return (
             "it could NOT be verified that the drive is de-energised "
@@ -110,11 +113,12 @@ def make_safe(
 
     Args:
         servo: The drive.
-        watch: Runs one control cycle; called while the drive brakes, so that its heartbeat watch does not cut the ramp
-            short, and so that the recording shows the shaft stopping.
+        watch: Runs one control cycle; called while the drive brakes, so that its heartbeat watch
+            does not cut the ramp short, and so that the recording shows the shaft stopping.
         cycle_ns: Control cycle, ns.
         brake: Start with a quick stop: after anything but an orderly end.
-        hurry: Whether the operator asks again: then the power goes off without waiting for the end of the ramp.
+        hurry: Whether the operator asks again: then the power goes off without waiting for the end
+        of the ramp.
         watched: Whether the drive takes its power off by itself once nobody commands it.
 
     Returns:
@@ -148,8 +152,12 @@ def attempt_all(*steps: Callable[[], object]) -> tuple[BaseException, ...]:
     return tuple(taken.unforeseen)
 
 
-def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]) -> None:
-    """Keep the bus alive until the drive has braked, or for the time-out, or until the operator cannot wait."""
+def _wait_for_standstill(
+    servo: Servo, watch: Callable[[], None], cycle_ns: int, hurry: Callable[[], bool]
+) -> None:
+    """Keep the bus alive until the drive has braked, or for the time-out, or until the operator
+    cannot wait.
+    """
     for cycle in range(round(BRAKING_TIMEOUT_S * NS / cycle_ns)):
         if hurry():
             return
@@ -159,9 +167,11 @@ def _wait_for_standstill(servo: Servo, watch: Callable[[], None], cycle_ns: int,
 
 
 def give_back(servo: Servo, own: ServoLimits, safe: SafeState) -> tuple[BaseException, ...]:
-    """Write the drive's own limits back, so that the tighter ones of a run do not stand in the way of the next.
+    """Write the drive's own limits back, so that the tighter ones of a run do not stand in the way
+    of the next.
 
-    Only into a drive that is verified off. A drive that does not take them keeps the tighter ones, which is safe.
+    Only into a drive that is verified off. A drive that does not take them keeps the tighter ones,
+    which is safe.
 
     Returns:
         What nobody foresaw, as in :attr:`SafeState.unforeseen`.

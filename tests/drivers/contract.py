@@ -1,4 +1,6 @@
-"""What every servo on every transport must do; a transport joins by subclassing and giving the fixture ``rig``."""
+"""What every servo on every transport must do; a transport joins by subclassing and giving the
+fixture ``rig``.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +21,9 @@ class Rig:
     encoder: Encoder
     cycle_s: float
     cycles: Callable[..., None]
-    """``cycles(count, target=None)`` exchanges at the cycle's pace, with a target angle as a function of time."""
+    """``cycles(count, target=None)`` exchanges at the cycle's pace, with a target angle as a
+    function of time.
+    """
 
 
 class ServoContract:
@@ -72,7 +76,9 @@ class ServoContract:
         live.cycles(1)
         first = live.servo.sample().device_time_s
         live.cycles(100)
-        assert live.servo.sample().device_time_s - first == pytest.approx(100 * live.cycle_s, abs=live.cycle_s)
+        assert live.servo.sample().device_time_s - first == pytest.approx(
+            100 * live.cycle_s, abs=live.cycle_s
+        )
 
     def test_disable_is_verified_and_final(self, live: Rig) -> None:
         live.servo.disable()
@@ -84,7 +90,10 @@ class ServoContract:
         live.servo.quick_stop()
         for _ in range(5):
             live.cycles(20, lambda _: 0.2)
-            assert live.servo.state() in (ServoState.QUICK_STOP_ACTIVE, ServoState.SWITCH_ON_DISABLED)
+            assert live.servo.state() in (
+                ServoState.QUICK_STOP_ACTIVE,
+                ServoState.SWITCH_ON_DISABLED,
+            )
         live.servo.disable()
         assert not live.servo.state().energised
 

@@ -14,7 +14,17 @@ from drivers.dbc.channel import DbcChannel
 from drivers.dbc.file import read_dbc
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
-from drivers.dbc.map import DbcMap, Inputs, LimitMap, LimitSignals, Orders, Protection, Quantity, Status, StopFrame
+from drivers.dbc.map import (
+    DbcMap,
+    Inputs,
+    LimitMap,
+    LimitSignals,
+    Orders,
+    Protection,
+    Quantity,
+    Status,
+    StopFrame,
+)
 from drivers.dbc.servo import DbcServo
 from drivers.interfaces import Identity, ServoLimits
 from drivers.mock.bench import ENCODER_NODE
@@ -29,7 +39,9 @@ ORDER = "DRV_Command.Order"
 
 
 def limit(signal: str, scale: float = 1.0) -> LimitSignals:
-    return LimitSignals(Quantity(f"DRV_Limits.{signal}", scale), Quantity(f"DRV_LimitsHeld.{signal}", scale))
+    return LimitSignals(
+        Quantity(f"DRV_Limits.{signal}", scale), Quantity(f"DRV_LimitsHeld.{signal}", scale)
+    )
 
 
 MAP = DbcMap(

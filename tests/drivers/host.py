@@ -20,7 +20,9 @@ from drivers.mock.plant.parts.constants import Machine
 from drivers.units import EncoderScales, ServoScales
 
 CYCLE_S = 0.001
-SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
+SCALES = ServoScales(
+    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+)
 
 
 @dataclass
@@ -59,7 +61,9 @@ def make_host(
     python_can: bool = False,
     torque_offset: bool = False,
 ) -> Host:
-    """Return an open link to a booted bench, natively or through python-can; nothing is prepared."""
+    """Return an open link to a booted bench, natively or through python-can; nothing is
+    prepared.
+    """
     bench = simulated_bench(machine or Machine(), seed, bitrate)
     port = PythonCanPort(bench.bus, bench.clock) if python_can else bench.bus
     link = CanopenLink(bench.clock, lambda: port, "simulated bus")

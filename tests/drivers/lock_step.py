@@ -1,6 +1,8 @@
-"""Real pseudo-terminals and sockets in simulated time: bytes really go through, and time waits for them.
+"""Real pseudo-terminals and sockets in simulated time: bytes really go through, and time waits for
+them.
 
-Nothing here depends on how busy the machine is: simulated time stands still while bytes are on their way.
+Nothing here depends on how busy the machine is: simulated time stands still while bytes are on
+their way.
 """
 
 from __future__ import annotations
@@ -21,7 +23,9 @@ ON_THE_WAY_S = 10.0
 
 
 class LockStep:
-    """Moves the bytes of one port until none is on its way, then simulated time to the next event."""
+    """Moves the bytes of one port until none is on its way, then simulated time to the next
+    event.
+    """
 
     def __init__(self, clock: SimulatedClock, ports: Ports, name: str | int) -> None:
         self.clock = clock
@@ -39,7 +43,9 @@ class LockStep:
             self.ports.serve(ready)
 
     def wait(self, timeout_s: float, look: Callable[[float], object]) -> None:
-        """Let time pass until ``look(real seconds to wait)`` finds something, at most for ``timeout_s``."""
+        """Let time pass until ``look(real seconds to wait)`` finds something, at most for
+        ``timeout_s``.
+        """
         deadline = self.clock.now_ns() + round(timeout_s * NS)
         while True:
             self.settle()

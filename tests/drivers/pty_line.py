@@ -1,4 +1,6 @@
-"""A pseudo-terminal whose far end is the test: it speaks, stalls, and hangs up as an adapter does."""
+"""A pseudo-terminal whose far end is the test: it speaks, stalls, and hangs up as an adapter
+does.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""The simulated bench behind serial lines and CAN adapters, with the host's drivers on it, for tests."""
+"""The simulated bench behind serial lines and CAN adapters, with the host's drivers on it, for
+tests.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,9 @@ class SerialHost:
         pace(self.link, self.servo, self.cycle_s, count, target)
 
 
-def pace(link: Link, servo, cycle_s: float, count: int, target: Callable[[float], float] | None = None) -> None:
+def pace(
+    link: Link, servo, cycle_s: float, count: int, target: Callable[[float], float] | None = None
+) -> None:
     clock = link.clock
     start = due = clock.now_ns()
     for _ in range(count):
@@ -70,7 +74,9 @@ def pace(link: Link, servo, cycle_s: float, count: int, target: Callable[[float]
         link.exchange()
 
 
-def make_serial_host(seed: int = 1, baud: int = BAUD, cycle_s: float = CYCLE_S, echo: bool = False) -> SerialHost:
+def make_serial_host(
+    seed: int = 1, baud: int = BAUD, cycle_s: float = CYCLE_S, echo: bool = False
+) -> SerialHost:
     """Return an open link over simulated lines to a booted bench; nothing is prepared."""
     bench = simulated_bench(MACHINE, seed)
     line = SimulatedLine(bench.clock, baud, SimulatedEposPort(bench.bus, bench.clock, bench.drive))
@@ -102,7 +108,9 @@ def serial_over_pty() -> Iterator[Rig]:
         serial_devices(
             bench.clock,
             lambda: LockStepSerial(path, BAUD, LockStep(bench.clock, ports, path)),
-            lambda: LockStepSerial(encoder_path, ENCODER_BAUD, LockStep(bench.clock, ports, encoder_path)),
+            lambda: LockStepSerial(
+                encoder_path, ENCODER_BAUD, LockStep(bench.clock, ports, encoder_path)
+            ),
         ),
     )
 
@@ -126,7 +134,13 @@ def socketcand_on_loopback() -> Iterator[Rig]:
     step = LockStep(bench.clock, ports, port)
 
     def connect() -> LockStepCan:
-        options = {"interface": "socketcand", "channel": "can0", "host": "127.0.0.1", "port": port, "tcp_tune": True}
+        options = {
+            "interface": "socketcand",
+            "channel": "can0",
+            "host": "127.0.0.1",
+            "port": port,
+            "tcp_tune": True,
+        }
         bus = served_meanwhile(ports, lambda: can.Bus(**options))
         step.sent, step.read = step.traffic.taken, step.traffic.given
         count_socketcand(bus, step)
@@ -153,7 +167,9 @@ def serial_devices(
 
 def can_devices(link: CanopenLink) -> tuple[Link, Cia402Servo, Encoder]:
     servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES)
-    encoder = Cia406Encoder(link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(COUNTS_PER_TURN))
+    encoder = Cia406Encoder(
+        link.add_node(ENCODER_NODE, ENCODER_EDS), EncoderScales(COUNTS_PER_TURN)
+    )
     return link, servo, encoder
 
 

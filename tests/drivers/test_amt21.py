@@ -63,7 +63,9 @@ def test_what_the_check_bits_let_pass() -> None:
     assert passed == 1 << 14
     good = int.from_bytes(encode(1234), "little")
     pairs = [(a, b) for a in range(16) for b in range(a)]
-    missed = sum(decode((good ^ 1 << a ^ 1 << b).to_bytes(2, "little")) is not None for a, b in pairs)
+    missed = sum(
+        decode((good ^ 1 << a ^ 1 << b).to_bytes(2, "little")) is not None for a, b in pairs
+    )
     assert missed / len(pairs) == pytest.approx(0.46, abs=0.01)
 
 
@@ -86,7 +88,9 @@ class TestGate:
         assert gate.position == 100
         assert gate.admit(101, 4 * MS)
 
-    @pytest.mark.parametrize(("moved", "good"), [(22, True), (23, False), (-22, True), (-23, False)])
+    @pytest.mark.parametrize(
+        ("moved", "good"), [(22, True), (23, False), (-22, True), (-23, False)]
+    )
     def test_speed_on_both_sides_of_the_limit(self, moved: int, good: bool) -> None:
         gate = PlausibilityGate(10_000.0, 1e9)
         gate.start(8000, 0.002)
@@ -154,7 +158,9 @@ def flip(mask: int):
 
 
 @pytest.mark.parametrize(
-    "mask", [1 << 3, 1 << 15, 1 << 12 | 1 << 10, 1 << 9 | 1 << 15], ids=["value", "check", "pair", "value and check"]
+    "mask",
+    [1 << 3, 1 << 15, 1 << 12 | 1 << 10, 1 << 9 | 1 << 15],
+    ids=["value", "check", "pair", "value and check"],
 )
 def test_a_bad_or_implausible_answer_leaves_the_angle(host: SerialHost, mask: int) -> None:
     live(host)
@@ -172,13 +178,16 @@ def test_a_bad_or_implausible_answer_leaves_the_angle(host: SerialHost, mask: in
 def test_random_words_hardly_pass(host: SerialHost) -> None:
     live(host)
     rng = np.random.default_rng(0)
-    host.encoder_line.filters.append(lambda _now, data, sent: rng.bytes(2) if not sent and rng.random() < 0.1 else data)
+    host.encoder_line.filters.append(
+        lambda _now, data, sent: rng.bytes(2) if not sent and rng.random() < 0.1 else data
+    )
     passed = 0
     for _ in range(2000):
         host.cycles(1)
         sample = host.encoder.sample()
         passed += sample.fresh
-        # A quarter of random words passes the check bits; what passes the gate as well is near the truth.
+        # A quarter of random words passes the check bits; what passes the gate as well is near the
+        # truth.
         assert abs(sample.angle_rad) < 0.02
     assert 1700 < passed < 1900
 
@@ -233,5 +242,7 @@ def test_answers_that_disagree_at_rest_stop_preparation(host: SerialHost) -> Non
 
 def test_another_resolution_is_refused(host: SerialHost) -> None:
     line = Amt21Line(host.bench.clock, lambda: host.encoder_line, "line")
-    with pytest.raises(ConfigurationError, match="has 16384 counts per turn, the bench file says 4096"):
+    with pytest.raises(
+        ConfigurationError, match="has 16384 counts per turn, the bench file says 4096"
+    ):
         Amt21Encoder(line, EncoderScales(4096), GATE)

@@ -48,7 +48,9 @@ def test_lowest_identifier_wins_but_a_controller_keeps_its_order(bus: SimulatedB
 def test_answers_to_one_frame_compete_in_one_arbitration(bus: SimulatedBus) -> None:
     for identifier in (0x182, 0x181):
         port = bus.attach()
-        port.listen(0x80, lambda _data, port=port, identifier=identifier: port.send(identifier, b""))
+        port.listen(
+            0x80, lambda _data, port=port, identifier=identifier: port.send(identifier, b"")
+        )
     bus.send(frame(0x80))
     assert [bus.recv(1.0).arbitration_id for _ in range(2)] == [0x181, 0x182]
 
@@ -74,8 +76,12 @@ def test_nobody_hears_his_own_frame(bus: SimulatedBus) -> None:
 
 def test_filters_lose_and_change_frames(bus: SimulatedBus) -> None:
     port = bus.attach()
-    bus.frame_filters.append(lambda _t, identifier, data, host: None if identifier == 1 else (identifier, data))
-    bus.frame_filters.append(lambda _t, identifier, data, host: (identifier, bytes(b ^ 0xFF for b in data)))
+    bus.frame_filters.append(
+        lambda _t, identifier, data, host: None if identifier == 1 else (identifier, data)
+    )
+    bus.frame_filters.append(
+        lambda _t, identifier, data, host: (identifier, bytes(b ^ 0xFF for b in data))
+    )
     port.send(1, b"\x01")
     port.send(2, b"\x02")
     message = bus.recv(1.0)
@@ -114,7 +120,10 @@ def test_frames_without_a_gap_come_in_together_each_with_its_own_time(bus: Simul
     port = bus.attach()
     port.send(0x181, bytes(8))
     port.send(0x281, b"")
-    assert bus.collect(1.0) == [RawFrame(135_000, 0x181, bytes(8), False), RawFrame(190_000, 0x281, b"", False)]
+    assert bus.collect(1.0) == [
+        RawFrame(135_000, 0x181, bytes(8), False),
+        RawFrame(190_000, 0x281, b"", False),
+    ]
 
 
 def test_collecting_stops_at_its_time_out_in_the_middle_of_a_burst() -> None:
@@ -132,7 +141,9 @@ def test_collecting_stops_at_its_time_out_in_the_middle_of_a_burst() -> None:
 
 
 def test_what_falls_due_in_a_burst_happens_at_its_time() -> None:
-    """An event between two frames sees the bus as it is then, and a frame it sends takes part in arbitration."""
+    """An event between two frames sees the bus as it is then, and a frame it sends takes part in
+    arbitration.
+    """
     clock = SimulatedClock()
     bus = SimulatedBus(clock)
     first, second = bus.attach(), bus.attach()
@@ -159,7 +170,11 @@ def test_a_port_hands_over_all_that_has_come_in(bus: SimulatedBus) -> None:
     port = bus.attach()
     for identifier in (1, 2, 3):
         port.send(identifier, b"")
-    assert [frame.identifier for frame in PythonCanPort(bus, SimulatedClock()).collect(1.0)] == [1, 2, 3]
+    assert [frame.identifier for frame in PythonCanPort(bus, SimulatedClock()).collect(1.0)] == [
+        1,
+        2,
+        3,
+    ]
 
 
 def test_a_flooded_bus_does_not_hold_the_loop() -> None:
@@ -173,7 +188,10 @@ def test_a_flooded_bus_does_not_hold_the_loop() -> None:
 
 def test_other_kinds_of_frame_are_flagged() -> None:
     """As SocketCAN does, so that no base-format identifier can be mistaken for one of them."""
-    with can.Bus(interface="virtual", channel="kinds") as near, can.Bus(interface="virtual", channel="kinds") as far:
+    with (
+        can.Bus(interface="virtual", channel="kinds") as near,
+        can.Bus(interface="virtual", channel="kinds") as far,
+    ):
         far.send(can.Message(arbitration_id=0x12, is_extended_id=True))
         far.send(can.Message(arbitration_id=0x12, is_extended_id=False, is_remote_frame=True))
         port = PythonCanPort(near, SimulatedClock())
@@ -182,4 +200,8 @@ def test_other_kinds_of_frame_are_flagged() -> None:
         port.transmit(0x123, b"\x01")
         heard = far.recv(0)
         assert heard is not None
-        assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == (0x123, b"\x01", False)
+        assert (heard.arbitration_id, bytes(heard.data), heard.is_extended_id) == (
+            0x123,
+            b"\x01",
+            False,
+        )

@@ -10,7 +10,14 @@ from threading import Thread
 import can
 import pytest
 
-from drivers.can.port import ERROR_FLAG, EXTENDED_FLAG, MAX_COLLECTED, REMOTE_FLAG, SEND_LIMIT_S, PythonCanPort
+from drivers.can.port import (
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    MAX_COLLECTED,
+    REMOTE_FLAG,
+    SEND_LIMIT_S,
+    PythonCanPort,
+)
 from drivers.canopen.link import CanopenLink
 from drivers.clock import RealClock, SimulatedClock
 from drivers.errors import LinkError
@@ -23,7 +30,9 @@ from .library_errors import ERRORS, name
 class Interface(can.BusABC):
     """An interface whose every part can fail."""
 
-    def __init__(self, *messages: can.Message | Exception, on_send: Exception | None = None) -> None:
+    def __init__(
+        self, *messages: can.Message | Exception, on_send: Exception | None = None
+    ) -> None:
         super().__init__(channel=0)
         self.messages = list(messages)
         self.on_send = on_send
@@ -62,7 +71,9 @@ def test_whatever_an_interface_raises_is_an_os_error(make: Callable[[], Exceptio
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
-def test_a_link_over_any_interface_raises_link_errors_and_goes_on(make: Callable[[], Exception]) -> None:
+def test_a_link_over_any_interface_raises_link_errors_and_goes_on(
+    make: Callable[[], Exception],
+) -> None:
     """A message that its backend could not read costs one error; what comes after it is read."""
     bus = Interface(make(), frame(0x701, b"\x05"), on_send=make())
     link = CanopenLink(RealClock(), lambda: PythonCanPort(bus, RealClock()), "CAN at can0")
@@ -105,7 +116,9 @@ def test_who_ends_the_program_is_not_held_up() -> None:
         (can.Message(0, 0, is_extended_id=False, is_error_frame=True), ERROR_FLAG),
     ],
 )
-def test_identifiers_that_do_not_exist_are_no_base_format_ones(found: can.Message, identifier: int) -> None:
+def test_identifiers_that_do_not_exist_are_no_base_format_ones(
+    found: can.Message, identifier: int
+) -> None:
     with Interface(found) as bus:
         (read,) = PythonCanPort(bus, SimulatedClock()).collect(0.0)
     assert read.identifier == identifier

@@ -36,7 +36,8 @@ WORDS = {
 }
 REFUSED = {
     Command.ENABLE: "'enable' is not allowed in state '{}': disable it, or reset its fault, first",
-    Command.RESET_FAULT: "'reset fault' is not allowed in state '{}': disable it first; there is no fault to reset, "
+    Command.RESET_FAULT: "'reset fault' is not allowed in state '{}': disable it first; there is "
+    "no fault to reset, "
     "or its reaction is not over",
 }
 TOWARD_POWER = [
@@ -69,7 +70,10 @@ def test_the_statusword_is_read_as_the_standard_says(word: int) -> None:
         return
     with pytest.raises(StateError) as caught:
         decode_state(word)
-    assert str(caught.value) == f"statusword {word:04X}h shows no state of CiA 402: check the process data mapping"
+    assert (
+        str(caught.value)
+        == f"statusword {word:04X}h shows no state of CiA 402: check the process data mapping"
+    )
 
 
 @pytest.mark.parametrize("state", list(ServoState))
@@ -88,11 +92,17 @@ def test_the_objects_and_the_states_a_quick_stop_may_end_in() -> None:
     assert cia402.CONTROLWORD == (0x6040, 0)
     assert cia402.STATUSWORD == (0x6041, 0)
     assert cia402.CYCLIC_SYNCHRONOUS_POSITION == 8
-    assert {ServoState.QUICK_STOP_ACTIVE, ServoState.SWITCH_ON_DISABLED, ServoState.FAULT} == cia402.STOPPED
+    assert {
+        ServoState.QUICK_STOP_ACTIVE,
+        ServoState.SWITCH_ON_DISABLED,
+        ServoState.FAULT,
+    } == cia402.STOPPED
     assert [order.value for order in Command] == ["enable", "disable", "quick stop", "reset fault"]
 
 
-@pytest.mark.parametrize("word", [w for words in WORDS.values() for w in words[1:] if w is not None])
+@pytest.mark.parametrize(
+    "word", [w for words in WORDS.values() for w in words[1:] if w is not None]
+)
 @pytest.mark.parametrize("state", list(State))
 def test_no_sequence_of_words_without_enable_leads_toward_power(state: State, word: int) -> None:
     """From any state, sent again and again, whatever the drive does meanwhile."""
@@ -139,7 +149,9 @@ def test_only_enable_leads_toward_power(state: State, order: Command) -> None:
         assert RANK[ServoState[after.name]] <= RANK[ServoState[state.name]]
 
 
-@pytest.mark.parametrize("word", [w for (_, order), w in cia402.CONTROLWORDS.items() if order is not Command.ENABLE])
+@pytest.mark.parametrize(
+    "word", [w for (_, order), w in cia402.CONTROLWORDS.items() if order is not Command.ENABLE]
+)
 @pytest.mark.parametrize("state", list(State))
 def test_no_word_but_those_of_enable_energises_from_any_state(word: int, state: State) -> None:
     after = TRANSITIONS.get((state, command(word)), state)
@@ -152,7 +164,12 @@ def test_enable_takes_one_transition_at_a_time() -> None:
     while state is not State.OPERATION_ENABLED:
         state = TRANSITIONS[state, command(controlword(ServoState[state.name], Command.ENABLE))]
         path.append(state)
-    assert path == [State.SWITCH_ON_DISABLED, State.READY, State.SWITCHED_ON, State.OPERATION_ENABLED]
+    assert path == [
+        State.SWITCH_ON_DISABLED,
+        State.READY,
+        State.SWITCHED_ON,
+        State.OPERATION_ENABLED,
+    ]
 
 
 @pytest.mark.parametrize("order", [Command.DISABLE, Command.QUICK_STOP])

@@ -1,4 +1,6 @@
-"""The CiA 402 servo against a channel that notes everything: what is sent, in which order, when, and in which unit."""
+"""The CiA 402 servo against a channel that notes everything: what is sent, in which order, when,
+and in which unit.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,12 @@ from drivers.mock.power_state import FAULT_RESET, TRANSITIONS, State, command
 from drivers.objects import PdoLayout
 from drivers.units import ServoScales
 
-SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
-UNITY = ServoScales(counts_per_turn=math.tau, gear_ratio=1.0, rated_current_A=15.0, rated_torque_N_m=1000.0)
+SCALES = ServoScales(
+    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+)
+UNITY = ServoScales(
+    counts_per_turn=math.tau, gear_ratio=1.0, rated_current_A=15.0, rated_torque_N_m=1000.0
+)
 """One count is one radian, one per mille of the torque one N m."""
 CONTROLWORD, STATUSWORD, MODE, MODE_DISPLAY = (0x6040, 0), (0x6041, 0), (0x6060, 0), (0x6061, 0)
 READ_NS = 1_000_000
@@ -29,7 +35,8 @@ class Drive:
     """A drive, its channel and the link to it; a read takes a millisecond, an exchange none.
 
     Attributes:
-        log: What was written, insisted on, staged, mapped, watched and exchanged, with the time of each exchange.
+        log: What was written, insisted on, staged, mapped, watched and exchanged, with the time of
+        each exchange.
         follows: Whether controlwords change its state.
         loses: Exchange, counted from 1, to what goes wrong in it.
     """
@@ -45,7 +52,13 @@ class Drive:
         self.fresh = True
         self.cycle = 0
         self.word = 0
-        self.objects = {(0x6075, 0): 15000, (0x6076, 0): 450, (0x6064, 0): 1234, (0x603F, 0): 0x8611, TORQUE_OFFSET: 0}
+        self.objects = {
+            (0x6075, 0): 15000,
+            (0x6076, 0): 450,
+            (0x6064, 0): 1234,
+            (0x603F, 0): 0x8611,
+            TORQUE_OFFSET: 0,
+        }
         self.objects |= {MODE: 0, MODE_DISPLAY: 0, (0x608F, 1): 4096, (0x608F, 2): 1}
         self.inputs: dict[int, tuple[int, ...]] = {}
         self.loses: dict[int, Callable[[], None]] = {}
@@ -198,7 +211,12 @@ def test_prepared_again_it_starts_from_nothing() -> None:
     drive.state = State.SWITCH_ON_DISABLED
     servo.prepare(CYCLE_S)
     assert drive.take("stage")[-1] == ("stage", 1, (0, 1234, 0))
-    for time_us, seconds in ((5, 5e-6), (2**31, 2147.483648), (2**32 - 1, 4294.967295), (7, 4294.967303)):
+    for time_us, seconds in (
+        (5, 5e-6),
+        (2**31, 2147.483648),
+        (2**32 - 1, 4294.967295),
+        (7, 4294.967303),
+    ):
         drive.inputs[2] = (0, time_us)
         assert servo.sample().device_time_s == pytest.approx(seconds, abs=1e-9)
 
@@ -208,7 +226,10 @@ def test_preparing_under_power_is_refused() -> None:
     drive.state = State.OPERATION_ENABLED
     with pytest.raises(StateError) as caught:
         make(drive).prepare(CYCLE_S)
-    assert str(caught.value) == "the drive is in state 'operation enabled': disable it before preparing it"
+    assert (
+        str(caught.value)
+        == "the drive is in state 'operation enabled': disable it before preparing it"
+    )
     assert drive.take() == []
 
 
@@ -221,7 +242,13 @@ def test_a_cycle_of_whole_milliseconds(cycle_s: float) -> None:
 
 @pytest.mark.parametrize(
     ("cycle_s", "shown"),
-    [(0.0, "0"), (0.0005, "0.5"), (0.0015, "1.5"), (0.001 + 1.2e-9, "1"), (0.001 - 1.2e-9, "0.999999")],
+    [
+        (0.0, "0"),
+        (0.0005, "0.5"),
+        (0.0015, "1.5"),
+        (0.001 + 1.2e-9, "1"),
+        (0.001 - 1.2e-9, "0.999999"),
+    ],
 )
 def test_a_cycle_of_a_part_of_a_millisecond_is_refused(cycle_s: float, shown: str) -> None:
     drive = Drive()
@@ -248,7 +275,10 @@ def test_a_drive_without_the_torque_offset_is_refused(error: Exception) -> None:
     prepared(drive)
     with pytest.raises(ConfigurationError) as caught:
         prepared(drive, torque_offset=True)
-    assert str(caught.value) == f"drive 1 has no torque offset 60B2h ({error}): run without feed-forward"
+    assert (
+        str(caught.value)
+        == f"drive 1 has no torque offset 60B2h ({error}): run without feed-forward"
+    )
     assert caught.value.__cause__ is error
 
 
@@ -270,7 +300,8 @@ def test_enabling_step_by_step(offset: bool) -> None:
     none = [0] if offset else []
     at = began + 2 * READ_NS
     assert all(type(entry[1]) is int for entry in drive.log if entry[0] == "exchange")
-    # The state and the position were read; then one exchange a cycle: one for the mode, one for each transition.
+    # The state and the position were read; then one exchange a cycle: one for the mode, one for
+    # each transition.
     assert drive.take() == [
         ("watch", 0.1),
         ("stage", 1, (0x00, 1234, *none)),
@@ -318,7 +349,8 @@ def test_a_drive_in_fault_is_not_enabled(state: State) -> None:
         servo.enable()
     assert caught.value.code == 0x8611
     assert str(caught.value) == (
-        "drive fault 8611h: drive 1 is in fault: following error: the axis did not keep up with the target; "
+        "drive fault 8611h: drive 1 is in fault: following error: the axis did not keep up with "
+        "the target; "
         "check for a jam and the limits, then reset"
     )
     assert drive.take() == []
@@ -365,7 +397,11 @@ def test_an_answer_that_is_missing_moves_nothing_on() -> None:
     for exchange, fresh in ((2, False), (4, True), (6, False), (7, True), (8, False), (10, True)):
         drive.loses[exchange] = lambda fresh=fresh: setattr(drive, "fresh", fresh)  # type: ignore[misc]
     servo.enable()
-    assert [entry[2] for entry in drive.take("stage")[2:]] == [(0x06, 1304), (0x07, 1305), (0x0F, 1307)]
+    assert [entry[2] for entry in drive.take("stage")[2:]] == [
+        (0x06, 1304),
+        (0x07, 1305),
+        (0x0F, 1307),
+    ]
     assert drive.cycle == 10
 
 
@@ -377,7 +413,8 @@ def test_a_drive_that_does_not_come_up_is_given_a_second() -> None:
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert str(caught.value) == (
-        "the drive is still in state 'switch on disabled' after 1 s of enabling: check its supply and its enable input"
+        "the drive is still in state 'switch on disabled' after 1 s of enabling: check its supply "
+        "and its enable input"
     )
     first, *_, last = [at for _, at in drive.take("exchange")[1:]]
     # The first and the last look are a second apart, but for the cycle that starts it.
@@ -397,11 +434,15 @@ def test_a_drive_that_does_not_offer_the_mode_is_not_enabled() -> None:
     drive = Drive()
     servo = prepared(drive)
     drive.take()
-    drive.loses = {exchange: lambda: drive.objects.update({MODE_DISPLAY: 3}) for exchange in range(1, 1000)}
+    drive.loses = {
+        exchange: lambda: drive.objects.update({MODE_DISPLAY: 3}) for exchange in range(1, 1000)
+    }
     began = drive.clock.now_ns()
     with pytest.raises(StateError) as caught:
         servo.enable()
-    assert str(caught.value) == ("mode of operation is 3 (6061h), wanted 8: the drive does not offer CSP (6502h)")
+    assert str(caught.value) == (
+        "mode of operation is 3 (6061h), wanted 8: the drive does not offer CSP (6502h)"
+    )
     assert drive.take("exchange")[-1][1] - began == NS + 2 * READ_NS
 
 
@@ -459,9 +500,11 @@ def test_a_drive_that_does_not_obey_is_given_a_second(verb: str, wanted: str) ->
         getattr(servo, verb)()
     shown = ServoState[drive.state.name].value
     assert str(caught.value) == (
-        f"the drive reports '{shown}' 1 s after the command, wanted {wanted}: take its power away by hand"
+        f"the drive reports '{shown}' 1 s after the command, wanted {wanted}: take its power away "
+        f"by hand"
     )
-    # Read every millisecond, the last time as the time is up; a reset reads the state before it begins.
+    # Read every millisecond, the last time as the time is up; a reset reads the state before it
+    # begins.
     reads = 1 if verb == "reset_fault" else 0
     assert drive.clock.now_ns() - began == NS + reads * READ_NS
     assert ("unwatch",) not in drive.take()
@@ -471,7 +514,9 @@ def test_a_drive_that_obeys_late_has_obeyed() -> None:
     drive = Drive()
     servo = enabled(drive)
     drive.follows = False
-    drive.clock.call_at(drive.clock.now_ns() + 999_500_000, lambda: setattr(drive, "state", State.READY))
+    drive.clock.call_at(
+        drive.clock.now_ns() + 999_500_000, lambda: setattr(drive, "state", State.READY)
+    )
     servo.disable()
     assert drive.take()[-1] == ("unwatch",)
 
@@ -514,7 +559,9 @@ def test_a_reset_ends_in_no_other_state() -> None:
     servo = prepared(drive)
     drive.state = State.FAULT
     drive.follows = False
-    drive.clock.call_at(drive.clock.now_ns() + 500_000_000, lambda: setattr(drive, "state", State.READY))
+    drive.clock.call_at(
+        drive.clock.now_ns() + 500_000_000, lambda: setattr(drive, "state", State.READY)
+    )
     with pytest.raises(StateError, match="reports 'ready to switch on' 1 s"):
         servo.reset_fault()
 
@@ -535,7 +582,10 @@ def test_a_target_beyond_the_object_is_refused(counts: int) -> None:
     drive.take()
     with pytest.raises(ConfigurationError) as caught:
         servo.set_target(float(counts))
-    assert str(caught.value) == f"target {float(counts):g} rad is {counts} counts, beyond 32 bits: check the scales"
+    assert (
+        str(caught.value)
+        == f"target {float(counts):g} rad is {counts} counts, beyond 32 bits: check the scales"
+    )
     assert drive.take() == []
 
 
@@ -553,7 +603,9 @@ def test_an_offset_beyond_the_object_is_refused(units: int) -> None:
     servo = enabled(drive, UNITY, torque_offset=True)
     with pytest.raises(ConfigurationError) as caught:
         servo.set_torque_offset(float(units))
-    assert str(caught.value) == (f"torque offset {float(units):g} N m is {units} per mille of 6076h, beyond 16 bits")
+    assert str(caught.value) == (
+        f"torque offset {float(units):g} N m is {units} per mille of 6076h, beyond 16 bits"
+    )
     assert drive.take() == []
 
 
@@ -579,7 +631,14 @@ def test_without_power_no_offset_is_staged() -> None:
 def test_a_sample_in_si_units() -> None:
     drive = Drive()
     scales = ServoScales(
-        4096, 100.0, 15.0, 0.45, sign=-1, offset_rad=0.25, velocity_unit_rad_s=0.5, voltage_unit_V=0.02
+        4096,
+        100.0,
+        15.0,
+        0.45,
+        sign=-1,
+        offset_rad=0.25,
+        velocity_unit_rad_s=0.5,
+        voltage_unit_V=0.02,
     )
     servo = make(drive, scales)
     drive.inputs = {1: (0x1640, 2048, 40), 2: (30, 2_500_000), 3: (150,), 4: (59_900, 251)}

@@ -40,16 +40,22 @@ def test_the_map_binds() -> None:
 
 def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
     messages = {**MAP.messages, "DRV_Status": Protection(period_ms=40)}
-    assert bind(replace(MAP, messages=messages), LAYOUTS).received["DRV_Status"].period_s == pytest.approx(0.04)
+    assert bind(replace(MAP, messages=messages), LAYOUTS).received[
+        "DRV_Status"
+    ].period_s == pytest.approx(0.04)
 
 
 @pytest.mark.parametrize(
     ("spec", "place", "words"),
     [
-        (inputs(position=Quantity("DRV_Moton.Position")), "inputs.position.signal", "did you mean 'DRV_Motion'"),
-        (inputs(position=Quantity("DRV_Motion.Postion")), "inputs.position.signal", "did you mean 'Position'?"),
-        (inputs(position=Quantity("Position")), "inputs.position.signal", "must be written Message.Signal"),
-        (inputs(position=Quantity("DRV_Motion.Position", -1.0)), "inputs.position.scale", "more than zero, not -1"),
+        (inputs(position=Quantity("DRV_Moton.Position")), "inputs.position.signal",
+         "did you mean 'DRV_Motion'"),
+        (inputs(position=Quantity("DRV_Motion.Postion")), "inputs.position.signal",
+         "did you mean 'Position'?"),
+        (inputs(position=Quantity("Position")), "inputs.position.signal",
+         "must be written Message.Signal"),
+        (inputs(position=Quantity("DRV_Motion.Position", -1.0)), "inputs.position.scale",
+         "more than zero, not -1"),
         (inputs(current=None), "inputs", "one of current and torque"),
         (inputs(torque=MAP.inputs.current), "inputs", "one of current and torque"),
         (inputs(voltage=Quantity("DRV_Command.Order")), "inputs", "'DRV_Command' has two uses"),
@@ -61,19 +67,24 @@ def test_periods_of_the_map_go_before_those_of_the_dbc() -> None:
          "status.states.running.0", "already means another state"),
         (replace(MAP, status=Status("DRV_Motion.State", {"running": ("RUN",), "disabled": (0,)})),
          "status.states", "no value means 'fault'"),
-        (replace(MAP, orders=replace(MAP.orders, stop={ORDER: "HALT"})), f"orders.stop.{ORDER}", "no value 'HALT'"),
+        (replace(MAP, orders=replace(MAP.orders, stop={ORDER: "HALT"})),
+         f"orders.stop.{ORDER}", "no value 'HALT'"),
         (replace(MAP, orders=replace(MAP.orders, stop={"DRV_Command.Ordr": 1})),
          "orders.stop.DRV_Command.Ordr", "did you mean 'Order'?"),
         (replace(MAP, orders=replace(MAP.orders, enable={"disabled": {ORDER: "READY"}})),
          "orders.enable", "keeps a 'running' drive running"),
-        (replace(MAP, stop_frame=StopFrame("DRV_Stp")), "stop_frame.message", "did you mean 'DRV_Stop'"),
-        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Cod": 1})), "stop_frame.signals.Cod", "did you mean 'Code'?"),
-        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Code": 300})), "stop_frame.signals.Code", "0 to 255"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Stp")),
+         "stop_frame.message", "did you mean 'DRV_Stop'"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Cod": 1})),
+         "stop_frame.signals.Cod", "did you mean 'Code'?"),
+        (replace(MAP, stop_frame=StopFrame("DRV_Stop", {"Code": 300})),
+         "stop_frame.signals.Code", "0 to 255"),
         (replace(MAP, messages={"DRV_Motion": Protection(counter="Live")}),
          "messages.DRV_Motion.counter", "did you mean 'Life'?"),
         (replace(MAP, messages={"DRV_Motion": Protection(checksum="Life")}),
          "messages.DRV_Motion.checksum", "has 4 bits; a checksum has 8"),
-        (replace(MAP, messages={"DRV_Stop": Protection()}), "messages.DRV_Stop", "carries nothing in this map"),
+        (replace(MAP, messages={"DRV_Stop": Protection()}), "messages.DRV_Stop",
+         "carries nothing in this map"),
         (replace(MAP, messages={"DRV_Motion": Protection(period_ms=-1)}),
          "messages.DRV_Motion.period_ms", "zero or more"),
     ],
@@ -100,9 +111,15 @@ def test_states_and_codes_are_whole_numbers() -> None:
     motion, status = LAYOUTS["DRV_Motion"], LAYOUTS["DRV_Status"]
     layouts = {
         **LAYOUTS,
-        "DRV_Motion": replace(motion, signals={**motion.signals, "State": replace(motion.signals["State"], real=True)}),
+        "DRV_Motion": replace(
+            motion, signals={**motion.signals, "State": replace(motion.signals["State"], real=True)}
+        ),
         "DRV_Status": replace(
-            status, signals={**status.signals, "FaultCode": replace(status.signals["FaultCode"], real=True)}
+            status,
+            signals={
+                **status.signals,
+                "FaultCode": replace(status.signals["FaultCode"], real=True),
+            },
         ),
     }
     with pytest.raises(DbcMapError) as caught:

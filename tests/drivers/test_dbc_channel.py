@@ -42,7 +42,11 @@ def cycle(channel: DbcChannel, number: int, *frames: tuple[int, bytes]) -> None:
     """Run exchange ``number``, from 1; status comes every hundredth."""
     channel.begin(number * 1_000_000)
     if number % 100 == 1:
-        channel.receive(channel.slots[STATUS], guarded(bytes([0, 0, 0, 0, (number // 100 & 15) << 4])), number * 10**6)
+        channel.receive(
+            channel.slots[STATUS],
+            guarded(bytes([0, 0, 0, 0, (number // 100 & 15) << 4])),
+            number * 10**6,
+        )
     for identifier, data in frames:
         channel.receive(channel.slots[identifier], data, number * 1_000_000)
 
@@ -105,7 +109,9 @@ def test_a_bad_frame_updates_nothing(channel: DbcChannel, bad: bytes) -> None:
 
 
 @pytest.mark.parametrize("lost", range(8))
-def test_frames_that_were_lost_before_do_not_spoil_a_good_one(channel: DbcChannel, lost: int) -> None:
+def test_frames_that_were_lost_before_do_not_spoil_a_good_one(
+    channel: DbcChannel, lost: int
+) -> None:
     cycle(channel, 1, *whole(1))
     number = 2 + lost
     cycle(channel, number, *whole(number))
@@ -120,8 +126,14 @@ def test_a_drive_that_restarted_its_counter_costs_one_sample(channel: DbcChannel
     assert channel.fresh
 
 
-@given(frames=st.lists(st.tuples(st.sampled_from([MOTION, POWER, STATUS]), st.binary(max_size=8)), max_size=20))
-def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(frames: list[tuple[int, bytes]]) -> None:
+@given(
+    frames=st.lists(
+        st.tuples(st.sampled_from([MOTION, POWER, STATUS]), st.binary(max_size=8)), max_size=20
+    )
+)
+def test_no_bytes_make_it_fail_and_none_get_past_the_checksum(
+    frames: list[tuple[int, bytes]],
+) -> None:
     channel = DbcChannel(WIRING, "the drive")
     channel.set_cycle(0.001)
     for number, (identifier, data) in enumerate(frames):
@@ -159,7 +171,9 @@ def test_an_order_keeps_the_target(channel: DbcChannel) -> None:
     assert (data[0] & 15, data[1]) == (3, 77)
 
 
-@pytest.mark.parametrize(("state", "faulty"), [(OFF, False), (1, False), (3, False), (FAULT, True), (4, True)])
+@pytest.mark.parametrize(
+    ("state", "faulty"), [(OFF, False), (1, False), (3, False), (FAULT, True), (4, True)]
+)
 def test_a_drive_that_stopped_by_itself_is_not_asked_to_run_again(
     channel: DbcChannel, state: int, faulty: bool
 ) -> None:

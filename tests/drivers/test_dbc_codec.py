@@ -49,7 +49,9 @@ def load(tmp_path_factory: pytest.TempPathFactory, text: str) -> dict[str, Layou
 
 
 @given(signal=drawn(), content=st.binary(min_size=8, max_size=8), share=st.floats(0, 1))
-def test_every_layout_reads_and_writes_as_cantools_does(tmp_path_factory, signal, content, share) -> None:
+def test_every_layout_reads_and_writes_as_cantools_does(
+    tmp_path_factory, signal, content, share
+) -> None:
     text = f"{HEAD}BO_ 5 M: {signal.size} A\n{signal.text()}\n"
     ours = load(tmp_path_factory, text)["M"].signals["S"]
     theirs = cantools.database.load_string(text, "dbc").get_message_by_name("M")
@@ -61,7 +63,9 @@ def test_every_layout_reads_and_writes_as_cantools_does(tmp_path_factory, signal
     value = min(max(value, low), high)
     assert ours.insert(bytes(signal.size), ours.pack(value)) == theirs.encode({"S": value})
     # Every other bit stays.
-    other = bytes(a & ~b & 0xFF for a, b in zip(data, ours.insert(bytes(signal.size), ours.mask), strict=True))
+    other = bytes(
+        a & ~b & 0xFF for a, b in zip(data, ours.insert(bytes(signal.size), ours.mask), strict=True)
+    )
     changed = ours.insert(data, ours.pack(value))
     assert ours.raw(changed) == value
     assert ours.insert(changed, 0) == other
@@ -70,7 +74,10 @@ def test_every_layout_reads_and_writes_as_cantools_does(tmp_path_factory, signal
 @given(value=st.floats(allow_nan=False, allow_infinity=False, width=32), motorola=st.booleans())
 def test_floating_point_signals(tmp_path_factory, value: float, motorola: bool) -> None:
     start = 7 if motorola else 0
-    text = f'{HEAD}BO_ 5 M: 8 A\n SG_ S : {start}|32@{int(not motorola)}- (1,0) [0|0] "" B\n\nSIG_VALTYPE_ 5 S : 1;\n'
+    text = (
+        f'{HEAD}BO_ 5 M: 8 A\n SG_ S : {start}|32@{int(not motorola)}- (1,0) [0|0] "" '
+        f"B\n\nSIG_VALTYPE_ 5 S : 1;\n"
+    )
     ours = load(tmp_path_factory, text)["M"].signals["S"]
     data = cantools.database.load_string(text, "dbc").get_message_by_name("M").encode({"S": value})
     assert ours.real

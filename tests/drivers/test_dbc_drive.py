@@ -50,7 +50,13 @@ class Wire:
 
     def command(self, order: Order, target: float = 0.0, **changes: int) -> None:
         self.life = (self.life + 1) % 16
-        signals = {"Order": int(order), "Life": self.life, "TargetPosition": target, "Check": 0, **changes}
+        signals = {
+            "Order": int(order),
+            "Life": self.life,
+            "TargetPosition": target,
+            "Check": 0,
+            **changes,
+        }
         data = DBC.encode_message(COMMAND, signals, strict=False)
         if "Check" not in changes:
             data = data[:7] + bytes([crc8_j1850(data)])
@@ -101,9 +107,11 @@ def test_every_order_in_every_state(wire: Wire, state: State, order: Order) -> N
 def test_power_needs_two_orders_in_their_states() -> None:
     toward = {pair for pair, after in TRANSITIONS.items() if after is State.RUN}
     assert toward == {(State.READY, Order.RUN)}
-    assert {pair for pair, after in TRANSITIONS.items() if after is State.READY and pair[0] not in POWERED} == {
-        (State.OFF, Order.READY)
-    }
+    assert {
+        pair
+        for pair, after in TRANSITIONS.items()
+        if after is State.READY and pair[0] not in POWERED
+    } == {(State.OFF, Order.READY)}
 
 
 def test_its_frames_say_what_the_machine_does(wire: Wire) -> None:
@@ -122,8 +130,12 @@ def test_its_frames_say_what_the_machine_does(wire: Wire) -> None:
     assert power["Time"] == pytest.approx(wire.clock.now_ns() / NS, abs=2e-3)
 
 
-@pytest.mark.parametrize("changes", [{"Check": 0}, {"Life": 0}, {"Order": 9}], ids=["checksum", "counter", "order"])
-def test_a_bad_command_is_not_obeyed_and_does_not_feed_the_watchdog(wire: Wire, changes: dict[str, int]) -> None:
+@pytest.mark.parametrize(
+    "changes", [{"Check": 0}, {"Life": 0}, {"Order": 9}], ids=["checksum", "counter", "order"]
+)
+def test_a_bad_command_is_not_obeyed_and_does_not_feed_the_watchdog(
+    wire: Wire, changes: dict[str, int]
+) -> None:
     wire.to(State.RUN)
     wire.command(Order.RUN, Life=0)
     answered = wire.drive._told_ns

@@ -27,7 +27,9 @@ def test_a_syntax_error_names_line_and_column(tmp_path: Path) -> None:
 def test_signals_that_overlap_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "bad.dbc"
     path.write_text(DRIVE_DBC.read_text().replace("Life : 4|4@1+", "Life : 3|4@1+"))
-    with pytest.raises(ConfigurationError, match=r"bad\.dbc: The signals .* overlapping in message DRV_Command"):
+    with pytest.raises(
+        ConfigurationError, match=r"bad\.dbc: The signals .* overlapping in message DRV_Command"
+    ):
         read_dbc(path)
 
 
@@ -48,8 +50,14 @@ def test_bytes_that_are_no_text_are_named(tmp_path: Path) -> None:
     [
         ("BO_ 2147483653 M: 8 A", "29-bit identifier"),
         ("BO_ 5 M: 16 A", "16 bytes; classical CAN carries at most 8"),
-        ('BO_ 5 M: 8 A\n SG_ K M : 0|8@1+ (1,0) [0|0] "" B\n SG_ X m0 : 8|8@1+ (1,0) [0|0] "" B', "is multiplexed"),
-        ('BO_ 5 M: 8 A\n SG_ H : 0|16@1- (1,0) [0|0] "" B\n\nSIG_VALTYPE_ 5 H : 1;', "not of 32 or 64 bits: H"),
+        (
+            'BO_ 5 M: 8 A\n SG_ K M : 0|8@1+ (1,0) [0|0] "" B\n SG_ X m0 : 8|8@1+ (1,0) [0|0] "" B',
+            "is multiplexed",
+        ),
+        (
+            'BO_ 5 M: 8 A\n SG_ H : 0|16@1- (1,0) [0|0] "" B\n\nSIG_VALTYPE_ 5 H : 1;',
+            "not of 32 or 64 bits: H",
+        ),
     ],
 )
 def test_what_cannot_be_used_says_why(tmp_path: Path, lines: str, words: str) -> None:

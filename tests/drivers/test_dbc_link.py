@@ -171,7 +171,9 @@ def test_the_encoder_on_the_same_wire_answers_too(host: DbcHost) -> None:
         ((" 400 ", " 1919 "), "CANopen node 127"),
     ],
 )
-def test_identifiers_may_not_collide(host: DbcHost, tmp_path, change: tuple[str, str], owner: str) -> None:
+def test_identifiers_may_not_collide(
+    host: DbcHost, tmp_path, change: tuple[str, str], owner: str
+) -> None:
     path = tmp_path / "moved.dbc"
     path.write_text(DRIVE_DBC.read_text().replace(*change))
     link = DbcLink(host.clock, lambda: host.bench.bus, "simulated bus")

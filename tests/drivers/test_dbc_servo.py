@@ -9,7 +9,15 @@ import pytest
 from drivers.dbc.map import LimitMap, Protection, Quantity
 from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
 from drivers.interfaces import ServoState
-from drivers.mock.dbc_drive import COMMAND_LOST, COMMISSIONED, FIRMWARE, POWERED, SERIAL_NUMBER, Order, State
+from drivers.mock.dbc_drive import (
+    COMMAND_LOST,
+    COMMISSIONED,
+    FIRMWARE,
+    POWERED,
+    SERIAL_NUMBER,
+    Order,
+    State,
+)
 
 from .dbc_host import DRIVE, HELD, MAP, DbcHost, enabled, make_dbc_host, prepared
 
@@ -99,7 +107,9 @@ def test_a_stop_survives_lost_commands(host: DbcHost, verb: str) -> None:
 
 def test_the_stop_frame_alone_stops(host: DbcHost) -> None:
     enabled(host)
-    host.bench.bus.frame_filters.append(lambda _t, found, data, _s: None if found == COMMAND else (found, data))
+    host.bench.bus.frame_filters.append(
+        lambda _t, found, data, _s: None if found == COMMAND else (found, data)
+    )
     host.servo.quick_stop()
     host.servo.disable()
     assert host.bench.drive.state is State.OFF
@@ -110,21 +120,29 @@ def test_a_drive_that_ignores_disable_is_found_out(host: DbcHost) -> None:
     host.bench.drive._obey = lambda order: None
     host.bench.drive._on_stop = lambda data: None
     host.bench.drive._port.listen(STOP, lambda data: None)
-    with pytest.raises(StateError, match=r"reports 'operation enabled' 1 s after the command.*by hand"):
+    with pytest.raises(
+        StateError, match=r"reports 'operation enabled' 1 s after the command.*by hand"
+    ):
         host.servo.disable()
 
 
 def test_a_silent_drive_is_found_out(host: DbcHost) -> None:
     enabled(host)
-    host.bench.bus.frame_filters.append(lambda _t, found, data, _s: None if found == MOTION else (found, data))
-    with pytest.raises(LinkError, match=r"sent no good DRV_Motion \(190h\) in 0\.3 s: check its supply and bus"):
+    host.bench.bus.frame_filters.append(
+        lambda _t, found, data, _s: None if found == MOTION else (found, data)
+    )
+    with pytest.raises(
+        LinkError, match=r"sent no good DRV_Motion \(190h\) in 0\.3 s: check its supply and bus"
+    ):
         host.servo.state()
 
 
 def test_a_wrong_checksum_in_the_map_is_told_apart_from_silence() -> None:
     messages = {**MAP.messages, "DRV_Motion": Protection("Life", "Check", "sum8")}
     host = make_dbc_host(spec=replace(MAP, messages=messages))
-    with pytest.raises(LinkError, match=r"\d+ came with a bad length, checksum or counter: check the map"):
+    with pytest.raises(
+        LinkError, match=r"\d+ came with a bad length, checksum or counter: check the map"
+    ):
         host.servo.state()
     host.link.close()
 
@@ -175,7 +193,9 @@ def test_a_drive_that_does_not_reach_power_is_left_without(host: DbcHost) -> Non
     prepared(host)
     obey = host.bench.drive._obey
     host.bench.drive._obey = lambda order: None if order is Order.RUN else obey(order)
-    with pytest.raises(StateError, match="still in state 'ready to switch on' after 1 s of enabling"):
+    with pytest.raises(
+        StateError, match="still in state 'ready to switch on' after 1 s of enabling"
+    ):
         host.servo.enable()
     assert host.bench.drive.state is State.OFF
 
@@ -235,7 +255,9 @@ def test_sign_scale_and_zero_of_a_sample(sign: int) -> None:
 
 def test_a_torque_signal_gives_the_current() -> None:
     torque = Quantity("DRV_Motion.Current", 0.03)
-    spec = replace(MAP, inputs=replace(MAP.inputs, current=None, torque=torque, voltage=None, time=None))
+    spec = replace(
+        MAP, inputs=replace(MAP.inputs, current=None, torque=torque, voltage=None, time=None)
+    )
     host, plain = make_dbc_host(spec=spec), make_dbc_host()
     for each in (host, plain):
         enabled(each)
@@ -250,7 +272,9 @@ def test_a_torque_signal_gives_the_current() -> None:
 
 
 def test_a_target_beyond_its_signal_is_named(host: DbcHost) -> None:
-    with pytest.raises(ConfigurationError, match=r"TargetPosition = .* is outside -524288 to 524288"):
+    with pytest.raises(
+        ConfigurationError, match=r"TargetPosition = .* is outside -524288 to 524288"
+    ):
         host.servo.set_target(1e6)
 
 
@@ -270,13 +294,19 @@ def test_limits_survive_the_way_to_the_drive_and_back(host: DbcHost) -> None:
 
 
 def test_limits_that_do_not_arrive_are_named(host: DbcHost) -> None:
-    host.bench.bus.frame_filters.append(lambda _t, found, data, _s: None if found == LIMITS else (found, data))
-    with pytest.raises(ConfigurationError, match=r"house servo does not take these limits.*speed reads 240 after"):
+    host.bench.bus.frame_filters.append(
+        lambda _t, found, data, _s: None if found == LIMITS else (found, data)
+    )
+    with pytest.raises(
+        ConfigurationError, match=r"house servo does not take these limits.*speed reads 240 after"
+    ):
         host.servo.write_limits(HELD)
 
 
 def test_a_limit_beyond_its_signal_is_named(host: DbcHost) -> None:
-    with pytest.raises(ConfigurationError, match=r"limit angle_max: AngleMax = .* outside -327\.68 to 327\.67"):
+    with pytest.raises(
+        ConfigurationError, match=r"limit angle_max: AngleMax = .* outside -327\.68 to 327\.67"
+    ):
         host.servo.write_limits(replace(HELD, angle_max_rad=100.0))
 
 
@@ -313,7 +343,9 @@ def test_limits_that_a_restart_took_away_are_missed(host: DbcHost) -> None:
     enabled(host)
     host.cycles(300)
     host.bench.drive.limits = COMMISSIONED
-    with pytest.raises(StateError, match=r"no longer holds the limits written into it .*speed.* restarted"):
+    with pytest.raises(
+        StateError, match=r"no longer holds the limits written into it .*speed.* restarted"
+    ):
         host.cycles(300)
     # Told once, so that the drive can be stopped.
     host.cycles(300)

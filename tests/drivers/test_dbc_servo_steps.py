@@ -1,4 +1,6 @@
-"""The DBC servo against a link that notes everything: which order goes out when, and what is waited for how long."""
+"""The DBC servo against a link that notes everything: which order goes out when, and what is waited
+for how long.
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,15 @@ from drivers.errors import ConfigurationError, DriveFault, LinkError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState
 
 S = ServoState
-OFF, STOP, RESET, READY, RUN = ({"Command": word} for word in (b"off", b"stop", b"reset", b"ready", b"run"))
-OBEY = {b"off": S.SWITCH_ON_DISABLED, b"stop": S.QUICK_STOP_ACTIVE, b"ready": S.READY, b"run": S.OPERATION_ENABLED}
+OFF, STOP, RESET, READY, RUN = (
+    {"Command": word} for word in (b"off", b"stop", b"reset", b"ready", b"run")
+)
+OBEY = {
+    b"off": S.SWITCH_ON_DISABLED,
+    b"stop": S.QUICK_STOP_ACTIVE,
+    b"ready": S.READY,
+    b"run": S.OPERATION_ENABLED,
+}
 STOP_FRAME = (0x010, b"\xa5")
 HELD = ServoLimits(-0.5, 0.5, 2.0, 60.0, 20.0, 0.02, 2, 35.0)
 DRIVE = DbcDrive(Identity("house servo", 1, 2, 3, 4), HELD, 100.0, 0.03, 0.25, 0.1)
@@ -41,7 +50,8 @@ class Bench:
     """Channel, link and drive in one.
 
     Attributes:
-        log: What was ordered, commanded, sent, aimed at, awaited, pumped and exchanged, with the time of each exchange.
+        log: What was ordered, commanded, sent, aimed at, awaited, pumped and exchanged, with the
+        time of each exchange.
         follows: Whether orders change the drive's state.
         loses: Exchange, counted from 1, to what happens in it.
         silent: Messages that do not come.
@@ -63,7 +73,13 @@ class Bench:
         self.silent: set[str] = set()
         self.refused = 0
         self.fails: Exception | None = None
-        self.values = {"position": 25.0, "velocity": 50.0, "current": 1.5, "supply_voltage": 60.0, "temperature": 30.0}
+        self.values = {
+            "position": 25.0,
+            "velocity": 50.0,
+            "current": 1.5,
+            "supply_voltage": 60.0,
+            "temperature": 30.0,
+        }
         self.values |= {"status": 9.0}
         self.slots = {
             "Status": Slot("Status", 0x190, 0.001, self.values),
@@ -90,7 +106,9 @@ class Bench:
     def quantity(name: str, message: str = "Motion", **signal: Any) -> Any:
         return SimpleNamespace(
             message=message,
-            signal=SimpleNamespace(**({"real": False, "width": 8, "raw": lambda data: data[name]} | signal)),
+            signal=SimpleNamespace(
+                **({"real": False, "width": 8, "raw": lambda data: data[name]} | signal)
+            ),
             read=lambda data: data[name],
             gain=0.5,
             bias=3.0,
@@ -201,7 +219,9 @@ def replaced(drive: DbcDrive = DRIVE, **changes: Any) -> DbcDrive:
 @pytest.mark.parametrize(
     ("link", "watchdog_s", "watched"), [(True, 0.1, True), (True, None, False), (False, 0.1, False)]
 )
-def test_a_link_is_watched_where_every_drive_on_it_watches(link: bool, watchdog_s: float | None, watched: bool) -> None:
+def test_a_link_is_watched_where_every_drive_on_it_watches(
+    link: bool, watchdog_s: float | None, watched: bool
+) -> None:
     bench = Bench()
     bench.has_watchdog = link
     make(bench, replaced(watchdog_s=watchdog_s))
@@ -229,7 +249,10 @@ def test_a_message_that_does_not_come_is_asked_for_again_and_again() -> None:
     began = bench.clock.now_ns()
     with pytest.raises(LinkError) as caught:
         make(bench).prepare(CYCLE_S)
-    assert str(caught.value) == "house servo sent no good Motion (191h) in 0.5 s: check its supply and bus"
+    assert (
+        str(caught.value)
+        == "house servo sent no good Motion (191h) in 0.5 s: check its supply and bus"
+    )
     assert bench.take("command", "pump")[-4:] == [("command", b"off"), ("pump", 0.02)] * 2
     # Two frames of the status, and two and a half periods of the other.
     assert bench.clock.now_ns() - began == 2 * FRAME_NS + NS // 2
@@ -244,7 +267,8 @@ def test_a_message_that_comes_damaged_is_told_apart() -> None:
         make(bench).prepare(CYCLE_S)
     # 25 waits, two frames in each; those before do not count.
     assert str(caught.value) == (
-        "house servo sent no good Motion (191h) in 0.5 s: 50 came with a bad length, checksum or counter: check the map"
+        "house servo sent no good Motion (191h) in 0.5 s: 50 came with a bad length, checksum or "
+        "counter: check the map"
     )
 
 
@@ -254,7 +278,10 @@ def test_a_status_that_does_not_come_or_comes_damaged() -> None:
     servo = make(bench)
     with pytest.raises(LinkError) as caught:
         servo.state()
-    assert str(caught.value) == "house servo sent no good Status (190h) in 0.3 s: check its supply and bus"
+    assert (
+        str(caught.value)
+        == "house servo sent no good Status (190h) in 0.3 s: check its supply and bus"
+    )
     bench.slots["Status"].refused = 5
     bench.refused = 1
     with pytest.raises(LinkError, match=r"in 0\.3 s: 1 came with a bad length"):
@@ -274,12 +301,16 @@ def test_preparing_under_power_is_refused() -> None:
     bench.state = S.OPERATION_ENABLED
     with pytest.raises(StateError) as caught:
         make(bench).prepare(CYCLE_S)
-    assert str(caught.value) == "the drive is in state 'operation enabled': disable it before preparing it"
+    assert (
+        str(caught.value)
+        == "the drive is in state 'operation enabled': disable it before preparing it"
+    )
     assert bench.take() == [("await", "Status", 0.3)]
 
 
 @pytest.mark.parametrize(
-    ("cycle_s", "watchdog_s", "slowest"), [(0.004, 0.03, "20"), (0.032, 0.063, "32"), (0.004, 0.0399, "20")]
+    ("cycle_s", "watchdog_s", "slowest"),
+    [(0.004, 0.03, "20"), (0.032, 0.063, "32"), (0.004, 0.0399, "20")],
 )
 def test_commands_that_are_too_rare_for_the_watchdog_are_refused(
     cycle_s: float, watchdog_s: float, slowest: str
@@ -288,7 +319,8 @@ def test_commands_that_are_too_rare_for_the_watchdog_are_refused(
     with pytest.raises(ConfigurationError) as caught:
         make(bench, replaced(watchdog_s=watchdog_s)).prepare(cycle_s)
     assert str(caught.value) == (
-        f"commands go every {slowest} ms, the drive stops after {watchdog_s * 1e3:g} ms without one: "
+        f"commands go every {slowest} ms, the drive stops after {watchdog_s * 1e3:g} ms without "
+        f"one: "
         "at most half of that; raise cycle_Hz"
     )
     assert bench.take() == [("await", "Status", 0.3)]
@@ -350,7 +382,10 @@ def test_a_drive_that_brakes_is_not_enabled() -> None:
     bench.take()
     with pytest.raises(StateError) as caught:
         servo.enable()
-    assert str(caught.value) == "'enable' is not allowed in state 'quick stop active': disable it first"
+    assert (
+        str(caught.value)
+        == "'enable' is not allowed in state 'quick stop active': disable it first"
+    )
     assert bench.take() == [("await", "Status", 0.3)]
 
 
@@ -364,7 +399,9 @@ def test_a_fault_on_the_way_ends_the_enabling(state: ServoState) -> None:
         bench.follows = False
 
     bench.loses[2] = fault
-    bench.clock.call_at(bench.clock.now_ns() + 50_000_000, lambda: setattr(bench, "state", S.SWITCH_ON_DISABLED))
+    bench.clock.call_at(
+        bench.clock.now_ns() + 50_000_000, lambda: setattr(bench, "state", S.SWITCH_ON_DISABLED)
+    )
     bench.take()
     with pytest.raises(DriveFault, match="the fault"):
         servo.enable()
@@ -410,11 +447,20 @@ def test_an_answer_that_is_missing_or_says_nothing_moves_nothing_on() -> None:
         exchanges += entry[0] == "exchange"
         if entry[0] == "order":
             orders[exchanges] = entry[1:]
-    assert orders == {0: (b"off", False), 4: (b"ready", False), 6: (b"run", False), 9: (b"run", True)}
+    assert orders == {
+        0: (b"off", False),
+        4: (b"ready", False),
+        6: (b"run", False),
+        9: (b"run", True),
+    }
 
 
-@pytest.mark.parametrize(("state", "shown"), [(S.SWITCH_ON_DISABLED, "switch on disabled"), (None, "unknown")])
-def test_a_drive_that_does_not_come_up_is_given_a_second(state: ServoState | None, shown: str) -> None:
+@pytest.mark.parametrize(
+    ("state", "shown"), [(S.SWITCH_ON_DISABLED, "switch on disabled"), (None, "unknown")]
+)
+def test_a_drive_that_does_not_come_up_is_given_a_second(
+    state: ServoState | None, shown: str
+) -> None:
     bench = Bench()
     servo = prepared(bench)
 
@@ -432,7 +478,8 @@ def test_a_drive_that_does_not_come_up_is_given_a_second(state: ServoState | Non
     with pytest.raises(StateError) as caught:
         servo.enable()
     assert str(caught.value) == (
-        f"the drive is still in state '{shown}' after 1 s of enabling: check its supply and its enable input"
+        f"the drive is still in state '{shown}' after 1 s of enabling: check its supply and its "
+        f"enable input"
     )
     assert bench.cycle == 250
     assert [entry[1] for entry in bench.take("exchange")][-1] == began + FRAME_NS + NS
@@ -518,7 +565,12 @@ def test_where_there_is_no_fault_nothing_is_sent(state: ServoState) -> None:
     ("verb", "state", "wanted", "orders"),
     [
         ("disable", S.OPERATION_ENABLED, "a de-energised state", (b"off",)),
-        ("quick_stop", S.OPERATION_ENABLED, "quick stop active, switch on disabled or fault", (b"stop",)),
+        (
+            "quick_stop",
+            S.OPERATION_ENABLED,
+            "quick stop active, switch on disabled or fault",
+            (b"stop",),
+        ),
         ("reset_fault", S.FAULT, "switch on disabled", (b"off", b"reset", b"off")),
     ],
 )
@@ -533,7 +585,8 @@ def test_a_drive_that_does_not_obey_is_told_for_a_second(
     with pytest.raises(StateError) as caught:
         getattr(servo, verb)()
     assert str(caught.value) == (
-        f"the drive reports '{state.value}' 1 s after the command, wanted {wanted}: take its power away by hand"
+        f"the drive reports '{state.value}' 1 s after the command, wanted {wanted}: take its "
+        f"power away by hand"
     )
     log = bench.take("command", "await")
     # A status every 10 ms; the orders go out again after each but the last.
@@ -574,7 +627,9 @@ def test_a_sample_in_si_units() -> None:
     )
 
 
-@pytest.mark.parametrize(("state", "word"), [(None, 0x00), (S.FAULT, 0x08), (S.OPERATION_ENABLED, 0x27)])
+@pytest.mark.parametrize(
+    ("state", "word"), [(None, 0x00), (S.FAULT, 0x08), (S.OPERATION_ENABLED, 0x27)]
+)
 def test_the_statusword_is_that_of_a_cia_402_drive(state: ServoState | None, word: int) -> None:
     bench = Bench()
     bench.state = state
@@ -598,7 +653,9 @@ def test_a_torque_becomes_a_current() -> None:
         (True, [250.0, 255.0, 2.0], [128.0, 130.5, 4.0]),
     ],
 )
-def test_the_drives_own_clock_is_followed_over_its_range(real: bool, raws: list[float], times: list[float]) -> None:
+def test_the_drives_own_clock_is_followed_over_its_range(
+    real: bool, raws: list[float], times: list[float]
+) -> None:
     bench = Bench(time=Bench.quantity("time", real=real))
     for servo in (make(bench), prepared(bench)) if not real else (make(bench),):
         found = []
@@ -628,7 +685,9 @@ def following(servo: DbcServo) -> float:
 
 
 @pytest.mark.parametrize("cycle", [0, 3])
-def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for(cycle: int) -> None:
+def test_the_following_error_is_against_the_target_that_the_drive_has_reached_for(
+    cycle: int,
+) -> None:
     bench = Bench()
     servo = make(bench)
     bench.state = S.OPERATION_ENABLED
@@ -662,7 +721,10 @@ def test_who_it_is_comes_from_the_bench_file_and_from_its_frames() -> None:
 
 def limit(gain: float) -> Any:
     quantity = SimpleNamespace(
-        message="Limits", gain=gain, bias=0.0, signal=SimpleNamespace(pack=round, insert=lambda data, bits: data)
+        message="Limits",
+        gain=gain,
+        bias=0.0,
+        signal=SimpleNamespace(pack=round, insert=lambda data, bits: data),
     )
     return SimpleNamespace(set=quantity, held=SimpleNamespace(message="Motion"))
 
@@ -698,5 +760,7 @@ def test_limits_of_the_makers_tool_must_leave_room() -> None:
     # The speed can be written; the current cannot.
     servo.write_limits(wider)
     bench.values["speed"] = 200.0
-    with pytest.raises(ConfigurationError, match=r"limits looser than those set in house servo: current 25 A"):
+    with pytest.raises(
+        ConfigurationError, match=r"limits looser than those set in house servo: current 25 A"
+    ):
         servo.write_limits(ServoLimits(-0.5, 0.5, 2.0, 90.0, 25.0, 0.02, 2, 35.0))

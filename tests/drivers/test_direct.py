@@ -32,7 +32,9 @@ def load(machine: SimulatedMachine, weight: float | None) -> None:
 
 @pytest.mark.parametrize("effects", [{}, HIDING], ids=["nominal", "hiding"])
 @pytest.mark.parametrize("weight", [0.0, 30.6, None], ids=["unloaded", "30.6 kg", "hot firing"])
-def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, float]], weight: float | None) -> None:
+def test_it_gives_the_samples_that_go_over_the_bus(
+    effects: dict[str, dict[str, float]], weight: float | None
+) -> None:
     constants = replace(Machine(), effects=effects, warming_K=900.0, warming_s=50.0)
     cycles = 1500
     command = 0.2 * (1.0 - np.cos(2.0 * np.pi * np.arange(cycles) * CYCLE_S))
@@ -59,7 +61,15 @@ def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, 
         servo, encoder = host.servo.sample(), host.encoder.sample()
         latched_ns.append(sampler.time_ns)
         instant = (servo.motor_angle_rad, encoder.angle_rad, servo.velocity_rad_s)
-        rows.append((*instant, servo.current_A, servo.voltage_V, servo.supply_voltage_V, servo.temperature_C))
+        rows.append(
+            (
+                *instant,
+                servo.current_A,
+                servo.voltage_V,
+                servo.supply_voltage_V,
+                servo.temperature_C,
+            )
+        )
     host.link.close()
     assert len(switched) == 1
     assert set(np.diff(latched_ns)) == {1_000_000}
@@ -77,9 +87,12 @@ def test_it_gives_the_samples_that_go_over_the_bus(effects: dict[str, dict[str, 
     assert np.ptp(fast.temperature) > 10.0
     np.testing.assert_array_equal(np.array([fast.motor_angle, fast.angle, fast.velocity]), bus[:3])
     assert twin.truth() == machine.truth()
-    # The means of the first cycle began with another latch, and the slow frame before it is not known here.
+    # The means of the first cycle began with another latch, and the slow frame before it is not
+    # known here.
     np.testing.assert_array_equal(np.array([fast.current, fast.voltage])[:, 1:], bus[3:5, 1:])
-    np.testing.assert_array_equal(np.array([fast.supply_voltage, fast.temperature])[:, 10:], bus[5:, 10:])
+    np.testing.assert_array_equal(
+        np.array([fast.supply_voltage, fast.temperature])[:, 10:], bus[5:, 10:]
+    )
 
 
 def test_a_cycle_between_loop_periods_is_refused() -> None:
@@ -89,7 +102,9 @@ def test_a_cycle_between_loop_periods_is_refused() -> None:
 
 
 def test_noise_is_the_same_however_it_is_taken() -> None:
-    """A recording longer than a block of noise, after a start within one, draws what single steps draw."""
+    """A recording longer than a block of noise, after a start within one, draws what single steps
+    draw.
+    """
     found = []
     for steps in ((7_000, 3_500, 300), (10_800,)):
         machine = SimulatedMachine(Machine(), np.random.default_rng(3))

@@ -107,7 +107,9 @@ def test_quick_stop_options(host: Host, option: int, first: State, last: State) 
 
 
 @pytest.mark.parametrize(("option", "deceleration"), [(1, "x6084"), (2, "x6085")])
-def test_a_ramp_takes_the_time_of_its_deceleration(host: Host, option: int, deceleration: str) -> None:
+def test_a_ramp_takes_the_time_of_its_deceleration(
+    host: Host, option: int, deceleration: str
+) -> None:
     speed = 0.3
     ramp = round(10 * speed * 4096 * 100 / math.tau)
     moving(host, speed, x605A=option, **{deceleration: ramp})
@@ -218,7 +220,9 @@ def test_following_error_beyond_its_window_is_a_fault_and_within_is_none(host: H
 
 def test_software_limits_clamp_the_target(host: Host) -> None:
     prepared(host)
-    host.servo.write_limits(replace(host.servo.read_limits(), angle_min_rad=-0.05, angle_max_rad=0.05))
+    host.servo.write_limits(
+        replace(host.servo.read_limits(), angle_min_rad=-0.05, angle_max_rad=0.05)
+    )
     host.servo.enable()
     host.cycles(50, lambda _: 0.02)
     assert not host.servo.sample().statusword & 0x0800
@@ -260,7 +264,9 @@ def test_settings_that_must_not_change_under_power(host: Host) -> None:
         host.drive.write(0x60C2, 1, 2)
 
 
-@pytest.mark.parametrize(("index", "value"), [(0x6060, 1), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)])
+@pytest.mark.parametrize(
+    ("index", "value"), [(0x6060, 1), (0x605A, 3), (0x605A, 7), (0x605E, 3), (0x6085, 0)]
+)
 def test_settings_the_drive_does_not_have(host: Host, index: int, value: int) -> None:
     with pytest.raises(ObjectAccessError, match="06090030"):
         host.drive.write(index, 0, value)
@@ -301,7 +307,9 @@ def test_an_exact_sensor_counts_microradians_of_the_joint() -> None:
 
 
 def test_a_bench_with_exact_sensors_runs_over_the_bus_too() -> None:
-    exact = Machine(sensing=Sensing(motor_counts_per_turn=0, joint_counts_per_turn=0, current_noise_A=0.0))
+    exact = Machine(
+        sensing=Sensing(motor_counts_per_turn=0, joint_counts_per_turn=0, current_noise_A=0.0)
+    )
     increments, turns = encoder_resolution(exact)
     host = make_host(machine=exact, scales=replace(SCALES, counts_per_turn=increments / turns))
     enabled(host)

@@ -90,8 +90,13 @@ def without(tmp_path: Path, source: Path, index: str) -> Path:
 def test_the_files_of_the_simulated_devices_are_whole() -> None:
     link = can_link()
     assert list(servo(DRIVE_EDS).description_refusals()) == []
-    assert list(Cia406Encoder(link.add_node(2, ENCODER_EDS), EncoderScales(1)).description_refusals()) == []
-    assert list(Cia404Transmitter(link.add_node(3, TRANSMITTER_EDS), 1.0).description_refusals()) == []
+    assert (
+        list(Cia406Encoder(link.add_node(2, ENCODER_EDS), EncoderScales(1)).description_refusals())
+        == []
+    )
+    assert (
+        list(Cia404Transmitter(link.add_node(3, TRANSMITTER_EDS), 1.0).description_refusals()) == []
+    )
 
 
 @pytest.mark.parametrize("index", ["6072", "6041", "60C2", "1013", "2100", "6075", "1018", "605A"])

@@ -140,7 +140,9 @@ def test_coupling_takes_energy_and_never_gives_any(deflection: float) -> None:
     assert np.max(np.abs(track.angle)) < 0.03
     into_joint = np.cumsum(PER_AMPERE * track.current[1:] * np.diff(track.motor)) - track.work[1:]
     assert into_joint[-1] > 0.0
-    assert np.min(np.diff(into_joint[::333])) > -0.02  # over whole cycles: what the joint's inertia takes, it gives
+    assert (
+        np.min(np.diff(into_joint[::333])) > -0.02
+    )  # over whole cycles: what the joint's inertia takes, it gives
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -148,7 +150,9 @@ def test_friction_differs_by_side(side: float) -> None:
     speed = 0.8
     base = steady_torque({}, side * speed)
     coulomb = steady_torque({"asymmetric_coulomb": {"torque_Nm": 1.5}}, side * speed) - base
-    viscous = steady_torque({"asymmetric_viscous": {"coefficient_Nms_rad": 2.0}}, side * speed) - base
+    viscous = (
+        steady_torque({"asymmetric_viscous": {"coefficient_Nms_rad": 2.0}}, side * speed) - base
+    )
     assert coulomb == pytest.approx(1.5, abs=0.02)
     assert viscous == pytest.approx(2.0 * speed, abs=0.02)
     drag = steady_torque({"quadratic_drag": {"coefficient_Nms2_rad2": 3.0}}, side * speed) - base
@@ -156,9 +160,13 @@ def test_friction_differs_by_side(side: float) -> None:
 
 
 def test_bristles_bend_in_proportion_before_they_slip() -> None:
-    """Below a tenth of breakaway a soft push moves the joint by torque over stiffness, and it comes back."""
+    """Below a tenth of breakaway a soft push moves the joint by torque over stiffness, and it comes
+    back.
+    """
     stiffness = 5e3
-    soft = replace(EXACT, loops=replace(EXACT.loops, velocity_gain_N_m_s_rad=None, position_gain=400.0))
+    soft = replace(
+        EXACT, loops=replace(EXACT.loops, velocity_gain_N_m_s_rad=None, position_gain=400.0)
+    )
     t = clock(4.0)
     push = np.where(t < 2.0, np.clip(t, 0.0, 1.0), np.clip(3.0 - t, 0.0, 1.0)) * 2.5e-3
     track = Track({"presliding": {"stiffness_Nm_rad": stiffness}}, push, machine=soft)
@@ -199,7 +207,9 @@ def test_ripple_grows_with_the_current() -> None:
 def test_mesh_error_shows_between_the_encoders() -> None:
     effect = {"gear_mesh_ripple": {"amplitude_rad": 1e-3, "per_turn": 30.0, "phase_rad": 0.5}}
     track = Track(effect, cruise(0.5, 2.0))
-    np.testing.assert_allclose(track.motor - track.angle, 1e-3 * np.sin(30.0 * track.angle + 0.5), atol=3e-6)
+    np.testing.assert_allclose(
+        track.motor - track.angle, 1e-3 * np.sin(30.0 * track.angle + 0.5), atol=3e-6
+    )
 
 
 def test_gear_loses_a_share_of_what_it_passes() -> None:
@@ -236,7 +246,9 @@ def test_imbalance_pulls_with_the_sine_of_the_angle() -> None:
     with_it, without = Track(effect, path), Track({}, path)
     change = PER_AMPERE * (with_it.current - without.current)
     sliding = (np.abs(without.speed) > 0.3) & (without.time > 0.8)
-    np.testing.assert_allclose(change[sliding], 5.0 * np.sin(without.angle[sliding] - 0.3), atol=0.25)
+    np.testing.assert_allclose(
+        change[sliding], 5.0 * np.sin(without.angle[sliding] - 0.3), atol=0.25
+    )
 
 
 def test_winding_warms_with_its_losses() -> None:

@@ -12,7 +12,9 @@ from .track import PER_AMPERE, Effects, Track, cruise, sine, steady_torque
 BACK_EMF = 2.588
 
 
-def means(effects: Effects, speed: float = 0.2, weight_kg: float = 20.0) -> tuple[float, float, float]:
+def means(
+    effects: Effects, speed: float = 0.2, weight_kg: float = 20.0
+) -> tuple[float, float, float]:
     """Return mean voltage, current and supply at a steady speed."""
     track = Track(effects, cruise(speed), weight_kg)
     return tuple(float(np.mean(v[-200:])) for v in (track.voltage, track.current, track.supply))  # type: ignore[return-value]
@@ -26,7 +28,9 @@ def test_dead_time_takes_its_voltage_off(side: float) -> None:
 
 def test_brushes_drop_a_voltage_that_saturates() -> None:
     for weight in (0.0, 20.0):
-        voltage, current, _ = means({"brush_drop": {"voltage_V": 1.0, "current_A": 3.0}}, 0.2, weight)
+        voltage, current, _ = means(
+            {"brush_drop": {"voltage_V": 1.0, "current_A": 3.0}}, 0.2, weight
+        )
         drop = math.tanh(current / 3.0)
         assert voltage == pytest.approx(drop + 1.56 * current + BACK_EMF * 0.2, rel=2e-3)
 
@@ -62,7 +66,9 @@ def test_torque_lags_the_current() -> None:
 
 def test_eccentric_encoder_reads_a_sine_more() -> None:
     track = Track({"encoder_eccentricity": {"amplitude_rad": 2e-3, "phase_rad": 0.6}}, sine())
-    np.testing.assert_allclose(track.seen - track.angle, 2e-3 * np.sin(track.angle + 0.6), atol=2e-6)
+    np.testing.assert_allclose(
+        track.seen - track.angle, 2e-3 * np.sin(track.angle + 0.6), atol=2e-6
+    )
 
 
 def test_coupling_slips_once_and_stays() -> None:
@@ -72,9 +78,13 @@ def test_coupling_slips_once_and_stays() -> None:
     assert np.max(np.abs(first.seen - first.angle)) < 2e-6
     assert np.max(np.abs(shift[second.time < 0.499])) < 2e-6
     np.testing.assert_allclose(shift[second.time > 0.501], 3e-3, atol=2e-6)
-    assert np.max(np.abs(third.seen - third.angle)) < 2e-6  # it was not running in its second recording
+    assert (
+        np.max(np.abs(third.seen - third.angle)) < 2e-6
+    )  # it was not running in its second recording
     second.machine.power(False)
     second.machine.power(True)
     second.machine.advance(1_000_000)
     seen, truth = second.machine.latch(), second.machine.truth()
-    assert seen.joint_counts * second.machine.joint_count_rad - truth.angle_rad == pytest.approx(3e-3, abs=2e-6)
+    assert seen.joint_counts * second.machine.joint_count_rad - truth.angle_rad == pytest.approx(
+        3e-3, abs=2e-6
+    )

@@ -19,7 +19,9 @@ def change(effects: Effects, speed: float, weight_kg: float = 0.0) -> float:
 
 
 def breakaway(effects: Effects, wait_s: float = 0.0, weight_kg: float = 0.0) -> float:
-    """Return the torque at which the soft drive breaks the joint loose, after a rest of ``wait_s``."""
+    """Return the torque at which the soft drive breaks the joint loose, after a rest of
+    ``wait_s``.
+    """
     t = clock(wait_s + 1.0)
     track = Track(effects, 0.1 * np.maximum(t - wait_s, 0.0), weight_kg, SOFT)
     return PER_AMPERE * float(track.now_A[np.flatnonzero(np.abs(track.speed) > 0.02)[0] - 1])
@@ -30,7 +32,9 @@ def test_shape_of_the_stribeck_curve() -> None:
         speed = 0.08
         falls = [math.exp(-((speed / 0.0557) ** a)) for a in (alpha, 2.0)]
         wanted = (12.025 - 6.825) * (falls[0] - falls[1])
-        assert change({"stribeck_shape": {"alpha": alpha}}, speed) == pytest.approx(wanted, abs=0.03)
+        assert change({"stribeck_shape": {"alpha": alpha}}, speed) == pytest.approx(
+            wanted, abs=0.03
+        )
 
 
 def test_static_friction_grows_at_rest() -> None:
@@ -51,17 +55,24 @@ def test_friction_that_remembers_keeps_its_steady_level() -> None:
 
 
 def test_patch_is_where_it_is() -> None:
-    effect = {"position_dependent_friction": {"torque_Nm": 2.0, "center_rad": 0.3, "width_rad": 0.08}}
+    effect = {
+        "position_dependent_friction": {"torque_Nm": 2.0, "center_rad": 0.3, "width_rad": 0.08}
+    }
     path = cruise(0.2, 3.0)
     worn, smooth = Track(effect, path), Track({}, path)
     bump = 2.0 * np.exp(-0.5 * ((smooth.angle - 0.3) / 0.08) ** 2)
-    np.testing.assert_allclose(PER_AMPERE * (worn.current - smooth.current)[500:], bump[500:], atol=0.05)
+    np.testing.assert_allclose(
+        PER_AMPERE * (worn.current - smooth.current)[500:], bump[500:], atol=0.05
+    )
 
 
 def test_drifts_run_on_through_pauses() -> None:
     coulomb = {"coulomb_drift": {"rate_Nm_s": 0.01}}
     viscous = {"viscous_thermal_drift": {"fraction": 0.5, "time_s": 50.0}}
-    for effect, wanted in ((coulomb, 0.01 * 100.9), (viscous, -0.5 * 5.3462 * 0.5 * (1.0 - math.exp(-100.9 / 50.0)))):
+    for effect, wanted in (
+        (coulomb, 0.01 * 100.9),
+        (viscous, -0.5 * 5.3462 * 0.5 * (1.0 - math.exp(-100.9 / 50.0))),
+    ):
         track = Track(effect, cruise(0.5), pause_s=100.0)
         torque = PER_AMPERE * float(np.mean(track.current[-200:]))
         assert torque - steady_torque({}, 0.5) == pytest.approx(wanted, abs=0.02)
@@ -72,7 +83,9 @@ def test_spring_pulls_to_its_rest() -> None:
     path = cruise(0.3, 2.0)
     sprung, free = Track(effect, path), Track({}, path)
     np.testing.assert_allclose(
-        PER_AMPERE * (sprung.current - free.current)[500:], 10.0 * (free.angle[500:] - 0.1), atol=0.03
+        PER_AMPERE * (sprung.current - free.current)[500:],
+        10.0 * (free.angle[500:] - 0.1),
+        atol=0.03,
     )
 
 
@@ -94,7 +107,9 @@ def test_load_friction_follows_a_power_of_the_force() -> None:
         force = weight * 10.0 * 9.80665
         felt = 3000.0 * (force / 3000.0) ** exponent
         wanted = 0.095 * (felt - force) * (0.052 + 0.032 * speed)
-        assert change({"load_exponent": {"exponent": exponent}}, speed, weight) == pytest.approx(wanted, abs=0.03)
+        assert change({"load_exponent": {"exponent": exponent}}, speed, weight) == pytest.approx(
+            wanted, abs=0.03
+        )
 
 
 def test_load_depends_on_the_angle() -> None:
@@ -102,7 +117,9 @@ def test_load_depends_on_the_angle() -> None:
     effect = {"load_position_dependence": {"slope_per_rad": 0.5}}
     track, free = Track(effect, path, 30.6), Track({}, path, 30.6)
     wanted = 30.6 * MOMENT * 0.5 * free.angle * (0.052 + 0.032 * 0.4)
-    np.testing.assert_allclose(PER_AMPERE * (track.current - free.current)[500:], wanted[500:], atol=0.1)
+    np.testing.assert_allclose(
+        PER_AMPERE * (track.current - free.current)[500:], wanted[500:], atol=0.1
+    )
 
 
 def test_load_swings_and_calms_down() -> None:
@@ -111,11 +128,15 @@ def test_load_swings_and_calms_down() -> None:
     track, free = Track(effect, path, 20.0), Track({}, path, 20.0)
     swing = 0.3 * np.cos(2.0 * np.pi * 1.5 * free.time) * np.exp(-free.time / 1.0)
     wanted = 20.0 * MOMENT * swing * (0.052 + 0.032 * 0.4)
-    np.testing.assert_allclose(PER_AMPERE * (track.current - free.current)[500:], wanted[500:], atol=0.15)
+    np.testing.assert_allclose(
+        PER_AMPERE * (track.current - free.current)[500:], wanted[500:], atol=0.15
+    )
 
 
 def test_weights_have_inertia_of_their_own() -> None:
-    """Where it accelerates evenly, the added torque is the added inertia, in proportion to the mass."""
+    """Where it accelerates evenly, the added torque is the added inertia, in proportion to the
+    mass.
+    """
     t = clock(0.8)
     path = 0.5 * 4.0 * t * t
     effect = {"load_inertia": {"inertia_kgm2": 0.5}}
@@ -139,22 +160,34 @@ def test_load_friction_of_a_gravity_load() -> None:
     path = cruise(0.1)
     rubbing, free = Track(both, path), Track(gravity, path)
     wanted = 0.1 * 10.0 * np.abs(np.sin(free.angle + 1.2))
-    np.testing.assert_allclose(PER_AMPERE * (rubbing.current - free.current)[500:], wanted[500:], atol=0.02)
+    np.testing.assert_allclose(
+        PER_AMPERE * (rubbing.current - free.current)[500:], wanted[500:], atol=0.02
+    )
 
 
 @pytest.mark.parametrize(
     ("effects", "speed", "wanted"),
     [
         ({"x_root_drag": {"coefficient_Nms05_rad05": 2.0}}, 0.5, 2.0 * (math.sqrt(0.5001) - 0.01)),
-        ({"x_speed_resonance": {"torque_Nm": 2.0, "speed_rad_s": 0.5, "width_rad_s": 0.1}}, 0.5, 2.0),
+        (
+            {"x_speed_resonance": {"torque_Nm": 2.0, "speed_rad_s": 0.5, "width_rad_s": 0.1}},
+            0.5,
+            2.0,
+        ),
         ({"x_quadrant_friction": {"torque_Nm": 1.5}}, 0.5, 1.5),
-        ({"x_quadrant_friction": {"torque_Nm": 1.5}}, -0.5, -1.5),  # friction grows on the way out, to either side
+        (
+            {"x_quadrant_friction": {"torque_Nm": 1.5}},
+            -0.5,
+            -1.5,
+        ),  # friction grows on the way out, to either side
         ({"x_travel_memory": {"torque_Nm": 1.5, "travel_rad": 0.02}}, 0.5, 1.5),
         ({"x_acceleration_drag": {"coefficient_Nms2_rad": 0.1}}, 0.5, 0.0),
         ({"x_loaded_drag": {"coefficient_s2_rad2": 0.1}}, 0.5, 0.0),
     ],
 )
-def test_effects_of_no_catalogue_at_a_steady_speed(effects: Effects, speed: float, wanted: float) -> None:
+def test_effects_of_no_catalogue_at_a_steady_speed(
+    effects: Effects, speed: float, wanted: float
+) -> None:
     assert change(effects, speed) == pytest.approx(wanted, abs=0.03)
 
 
@@ -178,7 +211,9 @@ def test_torques_in_time_are_the_same_at_every_angle() -> None:
     effect = {"x_timed_torque": {"torque_Nm": 1.0, "frequency_Hz": 2.0, "phase_rad": 0.4}}
     track, free = Track(effect, path), Track({}, path)
     wanted = -np.sin(2.0 * np.pi * 2.0 * free.time + 0.4)
-    np.testing.assert_allclose(PER_AMPERE * (track.current - free.current)[500:], wanted[500:], atol=0.12)
+    np.testing.assert_allclose(
+        PER_AMPERE * (track.current - free.current)[500:], wanted[500:], atol=0.12
+    )
 
 
 @pytest.mark.parametrize(
@@ -212,4 +247,6 @@ def test_drag_that_grows_with_acceleration() -> None:
     t = clock(0.8)
     effect = {"x_acceleration_drag": {"coefficient_Nms2_rad": 0.1}}
     track, free = (Track(e, 0.5 * 4.0 * t * t) for e in (effect, {}))
-    assert PER_AMPERE * np.mean((track.current - free.current)[-200:]) == pytest.approx(0.1 * 4.0, abs=0.03)
+    assert PER_AMPERE * np.mean((track.current - free.current)[-200:]) == pytest.approx(
+        0.1 * 4.0, abs=0.03
+    )

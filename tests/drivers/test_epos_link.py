@@ -128,7 +128,9 @@ def test_the_others_take_turns(host: SerialHost) -> None:
     host.epos.take_frames()
     host.cycles(6)
     sent = b"".join(f.data for f in host.epos.take_frames() if f.sent)
-    read = [int.from_bytes(data[1:3], "little") for op, data in FrameDecoder().feed(sent) if op == 0x60]
+    read = [
+        int.from_bytes(data[1:3], "little") for op, data in FrameDecoder().feed(sent) if op == 0x60
+    ]
     assert set(read[0::4]) == {0x6041}
     assert sorted(read[3::4]) == sorted([0x606C, 0x606C, 0x2100, 0x2100, 0x6079, 0x2101])
 
@@ -142,7 +144,9 @@ def test_the_controlword_goes_out_when_it_changes_only(host: SerialHost) -> None
     host.cycles(5)
     sent = b"".join(f.data for f in host.epos.take_frames() if f.sent)
     words = [
-        d[4] for op, d in FrameDecoder().feed(sent) if op == 0x68 and d[1:3] == CONTROLWORD[0].to_bytes(2, "little")
+        d[4]
+        for op, d in FrameDecoder().feed(sent)
+        if op == 0x68 and d[1:3] == CONTROLWORD[0].to_bytes(2, "little")
     ]
     assert words == [0x02, 0x02]
 
@@ -212,7 +216,9 @@ def test_a_silent_drive_is_reported_as_lost(host: SerialHost) -> None:
     enabled(host)
     host.cycles(5)
     host.line.cut = True
-    with pytest.raises(LinkError, match=r"node 1 gave no whole answer for 0\.20\d s \(limit 0\.2 s\)"):
+    with pytest.raises(
+        LinkError, match=r"node 1 gave no whole answer for 0\.20\d s \(limit 0\.2 s\)"
+    ):
         host.cycles(150)
 
 
@@ -227,7 +233,9 @@ def test_one_lost_answer_outside_the_cycle_is_asked_for_again(host: SerialHost) 
 
 def test_no_answer_at_all_is_a_link_error(host: SerialHost) -> None:
     host.line.cut = True
-    with pytest.raises(LinkError, match=r"object 6041h:00h: no good answer within 0\.6 s; check power"):
+    with pytest.raises(
+        LinkError, match=r"object 6041h:00h: no good answer within 0\.6 s; check power"
+    ):
         host.servo.state()
 
 
@@ -254,7 +262,9 @@ def test_the_drive_watches_its_following_error_without_sync(host: SerialHost) ->
 
 
 def test_the_mean_current_ends_with_the_angle(host: SerialHost) -> None:
-    """A current that rises evenly is known over any cycle: as read its mean would be off by 12 per mille here."""
+    """A current that rises evenly is known over any cycle: as read its mean would be off by 12 per
+    mille here.
+    """
     enabled(host)
     drive, clock = host.bench.drive, host.bench.clock
     rate, half_cycle, began = 50.0, 1e3 * host.cycle_s / 2, clock.now_ns()  # per mille per ms, ms
@@ -275,7 +285,9 @@ def test_the_mean_current_ends_with_the_angle(host: SerialHost) -> None:
     host.cycles(4)
     at_position, at_current = pairs[-1]
     assert at_current - at_position > 0.2
-    assert host.drive._values[0x6078, 0].value == pytest.approx(rate * (at_position - half_cycle), abs=1.5)
+    assert host.drive._values[0x6078, 0].value == pytest.approx(
+        rate * (at_position - half_cycle), abs=1.5
+    )
 
 
 def test_readings_of_one_instant_are_left_as_they_are(host: SerialHost) -> None:
@@ -322,9 +334,12 @@ def test_a_closed_line_is_a_link_error(host: SerialHost) -> None:
 
 
 @pytest.mark.parametrize(
-    ("verb", "state"), [("quick_stop", State.QUICK_STOP_ACTIVE), ("disable", State.SWITCH_ON_DISABLED)]
+    ("verb", "state"),
+    [("quick_stop", State.QUICK_STOP_ACTIVE), ("disable", State.SWITCH_ON_DISABLED)],
 )
-def test_a_stop_is_said_even_where_nobody_is_heard(host: SerialHost, verb: str, state: State) -> None:
+def test_a_stop_is_said_even_where_nobody_is_heard(
+    host: SerialHost, verb: str, state: State
+) -> None:
     enabled(host).cycles(5)
     host.line.filters.append(lambda _now, data, from_host: data if from_host else b"")
     host.cycles(1)
@@ -338,7 +353,9 @@ def test_a_stop_is_said_even_where_nobody_is_heard(host: SerialHost, verb: str, 
 def test_nothing_else_is_said_where_nobody_is_heard(host: SerialHost) -> None:
     prepared(host)
     heard: list[bytes] = []
-    host.line.filters.append(lambda _now, data, from_host: b"" if not from_host else heard.append(data) or data)
+    host.line.filters.append(
+        lambda _now, data, from_host: b"" if not from_host else heard.append(data) or data
+    )
     with pytest.raises(LinkError, match="no good answer"):
         host.drive.write(*CONTROLWORD, 0x0F)
     assert heard

@@ -10,7 +10,9 @@ READ = bytes.fromhex("90 02 60 02 01 B0 30 00 2E 62")
 ANSWER = bytes.fromhex("90 02 00 04 00 00 00 00 01 90 90 00 00 9A 5C")
 
 frames = st.builds(
-    Frame, st.integers(0, 255), st.binary(max_size=510).map(lambda data: data if len(data) % 2 == 0 else data[1:])
+    Frame,
+    st.integers(0, 255),
+    st.binary(max_size=510).map(lambda data: data if len(data) % 2 == 0 else data[1:]),
 )
 doubled = st.lists(st.sampled_from([0x90, 0x02, 0x00]), max_size=20).map(bytes)
 
@@ -46,10 +48,13 @@ def test_frames_survive_any_cutting(sent: list[Frame], data: st.DataObject) -> N
 
 
 @given(st.one_of(st.binary(max_size=40), doubled), frames)
-def test_a_frame_behind_garbage_is_found_at_the_latest_after_another(garbage: bytes, frame: Frame) -> None:
+def test_a_frame_behind_garbage_is_found_at_the_latest_after_another(
+    garbage: bytes, frame: Frame
+) -> None:
     decoder = FrameDecoder()
     decoder.feed(garbage)
-    # What looks like the start of a long frame may swallow the next one or two, no more than its length.
+    # What looks like the start of a long frame may swallow the next one or two, no more than its
+    # length.
     got = [found for _ in range(600) for found in decoder.feed(encode(*frame))]
     assert got[-1] == frame
     assert len(got) >= 1
@@ -67,7 +72,9 @@ def test_one_wrong_bit_never_gives_another_frame(frame: Frame, data: st.DataObje
 def test_a_broken_frame_is_dropped_and_the_next_is_read() -> None:
     decoder = FrameDecoder()
     assert decoder.feed(READ[:-3] + READ) == [Frame(0x60, bytes.fromhex("01 B0 30 00"))]
-    assert decoder.feed(READ[:-1] + b"\x00" + ANSWER) == [Frame(0, bytes.fromhex("00 00 00 00 01 90 00 00"))]
+    assert decoder.feed(READ[:-1] + b"\x00" + ANSWER) == [
+        Frame(0, bytes.fromhex("00 00 00 00 01 90 00 00"))
+    ]
     assert decoder.bad >= 2
 
 
@@ -81,8 +88,12 @@ def test_clearing_forgets_half_a_frame() -> None:
 
 def test_a_megabaud_line_carries_five_objects_in_two_milliseconds() -> None:
     worst = bytes([DLE]) * 4
-    write = len(encode(Opcode.WRITE_OBJECT, b"\x01\x7a\x60\x00" + worst)) + len(encode(Opcode.ANSWER, bytes(4)))
-    read = len(encode(Opcode.READ_OBJECT, b"\x01\x64\x60\x00")) + len(encode(Opcode.ANSWER, bytes(4) + worst))
+    write = len(encode(Opcode.WRITE_OBJECT, b"\x01\x7a\x60\x00" + worst)) + len(
+        encode(Opcode.ANSWER, bytes(4))
+    )
+    read = len(encode(Opcode.READ_OBJECT, b"\x01\x64\x60\x00")) + len(
+        encode(Opcode.ANSWER, bytes(4) + worst)
+    )
     assert write * 10 <= cycle_bits(1, 0)
     assert read * 10 <= cycle_bits(0, 1)
     assert cycle_bits(1, 4) <= 0.8 * 2000

@@ -1,4 +1,6 @@
-"""Every fault of wire, sensor and drive does what its name says, for as long as it should, and no more."""
+"""Every fault of wire, sensor and drive does what its name says, for as long as it should, and no
+more.
+"""
 
 from __future__ import annotations
 
@@ -30,7 +32,9 @@ class Wire:
         self.device = self.bus.attach()
         self.faults = WireFaults(self.bus, self.clock)
         self.heard: list[tuple[float, bytes]] = []
-        self.device.listen(0x123, lambda data: self.heard.append((self.clock.now_ns() * 1e-9, data)))
+        self.device.listen(
+            0x123, lambda data: self.heard.append((self.clock.now_ns() * 1e-9, data))
+        )
 
     def from_host(self, *contents: bytes) -> list[bytes]:
         for data in contents:
@@ -146,7 +150,9 @@ def test_a_restarted_drive_has_no_power_and_is_noticed(host: Host) -> None:
 
 
 def joint(host: Host) -> int:
-    """Counts of the joint encoder in the next cycle whose answer is whole (a heartbeat may take its place)."""
+    """Counts of the joint encoder in the next cycle whose answer is whole (a heartbeat may take its
+    place).
+    """
     host.cycles(1)
     while not host.encoder.sample().fresh:
         host.cycles(1)
@@ -184,9 +190,13 @@ def test_a_refused_mode_stops_the_way_to_power(host: Host) -> None:
     assert True not in host.powered
 
 
-@pytest.mark.parametrize("words", [[], [0x06], [0x06, 0x07], [0x06, 0x07, 0x0F], [0x06, 0x07, 0x0F, 0x02]])
+@pytest.mark.parametrize(
+    "words", [[], [0x06], [0x06, 0x07], [0x06, 0x07, 0x0F], [0x06, 0x07, 0x0F, 0x02]]
+)
 @pytest.mark.parametrize("again", [False, True])
-def test_a_fault_in_every_state_ends_in_fault_without_power(host: Host, words: list[int], again: bool) -> None:
+def test_a_fault_in_every_state_ends_in_fault_without_power(
+    host: Host, words: list[int], again: bool
+) -> None:
     prepared(host)
     host.drive.write(0x605A, 0, 6)
     for word in words:

@@ -1,4 +1,6 @@
-"""The gas generator: its books balance, its equilibria are those on paper, and it loads the valve it feeds."""
+"""The gas generator: its books balance, its equilibria are those on paper, and it loads the valve
+it feeds.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ def machine(equation: Literal[7, 8] = 7, free_volume_m3: float = V_0) -> Machine
 
 def swing(seconds: float, period: float) -> Array:
     """Return valve angles from the closed to the open valve and back, twice, rad."""
-    return np.asarray(np.deg2rad(15.0 - 15.0 * np.cos(4.0 * np.pi * np.arange(0.0, seconds, period) / seconds)))
+    return np.asarray(
+        np.deg2rad(15.0 - 15.0 * np.cos(4.0 * np.pi * np.arange(0.0, seconds, period) / seconds))
+    )
 
 
 @pytest.mark.parametrize("period", [5e-5, 1e-3, 0.05])
@@ -41,7 +45,9 @@ def test_eq_7_burns_what_flows_out_and_what_is_stored(period: float) -> None:
     lost = b.burnt_kg - b.outflow_kg - (stored - stored[0])
     assert b.burnt_kg[-1] > 10.0
     assert np.max(np.abs(lost)) <= 1e-9 * b.burnt_kg[-1]
-    np.testing.assert_allclose(b.burnt_kg, RHO_B * (b.free_volume_m3 - V_0), atol=1e-9 * b.burnt_kg[-1])
+    np.testing.assert_allclose(
+        b.burnt_kg, RHO_B * (b.free_volume_m3 - V_0), atol=1e-9 * b.burnt_kg[-1]
+    )
 
 
 def test_flows_are_those_of_eq_2_and_3() -> None:
@@ -58,7 +64,9 @@ def test_eq_8_makes_gas_from_nothing() -> None:
     b = burn(machine(8), swing(10.0, period), period)
     made = b.outflow_kg + b.stored_kg - b.stored_kg[0] - b.burnt_kg
     density = b.pressure_Pa / RT
-    assert made[-1] == pytest.approx(np.trapezoid(density * A_B * A * b.pressure_Pa**N, dx=period), rel=1e-6)
+    assert made[-1] == pytest.approx(
+        np.trapezoid(density * A_B * A * b.pressure_Pa**N, dx=period), rel=1e-6
+    )
     assert made[-1] > 1e-3 * b.burnt_kg[-1]
 
 
@@ -67,13 +75,17 @@ def test_equilibria_are_those_on_paper(degrees: float) -> None:
     angle = np.full(20_000, np.deg2rad(degrees))
     throat = float(throat_area(Machine(), angle[:1])[0])
     simple = (RHO_B * A_B * A * C_R / throat) ** (1.0 / (1.0 - N))
-    exact = float(brentq(lambda p: (RHO_B - p / RT) * A_B * A * p**N - p * throat / C_R, 1e4, 1e8, xtol=1e-3))
+    exact = float(
+        brentq(lambda p: (RHO_B - p / RT) * A_B * A * p**N - p * throat / C_R, 1e4, 1e8, xtol=1e-3)
+    )
     for equation, wanted in ((8, simple), (7, exact)):
         rig = machine(equation)
         assert steady_pressure(rig, angle[:1])[0] == pytest.approx(wanted, rel=1e-9)
         settled = burn(rig, angle, 1e-3, pressure_Pa=1.3 * wanted).pressure_Pa
         assert settled[-1] == pytest.approx(wanted, rel=1e-6)
-    assert simple / exact == pytest.approx((1.0 - exact / RT / RHO_B) ** (-1.0 / (1.0 - N)), rel=1e-9)
+    assert simple / exact == pytest.approx(
+        (1.0 - exact / RT / RHO_B) ** (-1.0 / (1.0 - N)), rel=1e-9
+    )
     if degrees == 0.0:
         assert simple == pytest.approx(4.43e6, abs=5e3)
         assert exact == pytest.approx(4.37e6, abs=5e3)
@@ -97,7 +109,9 @@ def test_a_sweep_follows_the_printed_equation(equation: Literal[7, 8]) -> None:
 
     start = float(steady_pressure(rig, angle[:1])[0])
     times = np.arange(len(angle)) * period
-    wanted = solve_ivp(rates, (0.0, times[-1]), [start, V_0], "Radau", times, rtol=1e-9, atol=1e-9, max_step=2e-3).y
+    wanted = solve_ivp(
+        rates, (0.0, times[-1]), [start, V_0], "Radau", times, rtol=1e-9, atol=1e-9, max_step=2e-3
+    ).y
     found = burn(rig, angle, period, steps=20)
     np.testing.assert_allclose(found.pressure_Pa, wanted[0], rtol=2e-6)
     np.testing.assert_allclose(found.free_volume_m3, wanted[1], rtol=1e-6)
@@ -120,15 +134,22 @@ def test_a_stiff_chamber_keeps_to_the_steady_pressure(free_volume_m3: float) -> 
         b = burn(rig, angle, 1e-3, pressure_Pa=start)
         assert np.all(b.pressure_Pa > 0.0)
         assert b.pressure_Pa[-1] == pytest.approx(wanted, rel=1e-6)
-        assert np.max(np.abs(b.burnt_kg - b.outflow_kg - b.stored_kg + b.stored_kg[0])) <= 1e-9 * b.burnt_kg[-1]
+        assert (
+            np.max(np.abs(b.burnt_kg - b.outflow_kg - b.stored_kg + b.stored_kg[0]))
+            <= 1e-9 * b.burnt_kg[-1]
+        )
 
 
 def test_one_percent_of_throat_is_two_percent_of_pressure() -> None:
     def pressure(hole: float) -> float:
         valve = replace(GasGenerator().valve, hole_diameter_m=hole)
-        return float(steady_pressure(replace(Machine(), gas=GasGenerator(valve=valve)), np.zeros(1))[0])
+        return float(
+            steady_pressure(replace(Machine(), gas=GasGenerator(valve=valve)), np.zeros(1))[0]
+        )
 
-    assert pressure(0.025 * math.sqrt(1.01)) / pressure(0.025) - 1.0 == pytest.approx(-0.021, abs=5e-4)
+    assert pressure(0.025 * math.sqrt(1.01)) / pressure(0.025) - 1.0 == pytest.approx(
+        -0.021, abs=5e-4
+    )
 
 
 def hot_rig(effects: dict[str, dict[str, float]] | None = None) -> SimulatedMachine:
@@ -144,7 +165,9 @@ def test_pressure_and_area_load_the_valve() -> None:
     for _ in range(6):
         rig.follow(rig.truth().angle_rad + np.deg2rad(50.0) * np.arange(1, 2001) / 20e3)
         truth = rig.truth()
-        wanted = (truth.pressure_Pa - P_C0) * impacted_area(rig.constants, np.array([truth.angle_rad]))[0]
+        wanted = (truth.pressure_Pa - P_C0) * impacted_area(
+            rig.constants, np.array([truth.angle_rad])
+        )[0]
         assert truth.contact_force_N == pytest.approx(wanted, abs=2.0)
     assert truth.angle_rad > np.deg2rad(29.65)
     assert truth.contact_force_N == pytest.approx(0.0, abs=1e-9)

@@ -1,4 +1,6 @@
-"""What the gas generator hides: the books still balance, and each effect settles where its formula says."""
+"""What the gas generator hides: the books still balance, and each effect settles where its formula
+says.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,9 @@ def test_a_leak_is_more_throat() -> None:
 
 def test_a_tapered_grain_burns_over_the_square_of_its_diameter() -> None:
     b = burn(hiding({"burning_area_change": {"taper_per_m": 0.5}}), STEADY, PERIOD)
-    web = np.concatenate(([0.0], np.cumsum(A * (0.5 * (b.pressure_Pa[1:] + b.pressure_Pa[:-1]) / 1e6) ** N * PERIOD)))
+    web = np.concatenate(
+        ([0.0], np.cumsum(A * (0.5 * (b.pressure_Pa[1:] + b.pressure_Pa[:-1]) / 1e6) ** N * PERIOD))
+    )
     assert web[-1] > 0.03
     assert rate(b)[100:-100] == pytest.approx(
         (A_B * (1.0 + 0.5 * web) ** 2 * A * (b.pressure_Pa / 1e6) ** N)[100:-100], rel=1e-4
@@ -109,7 +113,9 @@ def test_cold_walls_take_heat_until_they_are_warm() -> None:
     temperature = b.pressure_Pa * b.free_volume_m3 / b.stored_kg / RT
     enthalpy = HEAT_RATIO / (HEAT_RATIO - 1.0) * RT
     flow = RHO_B * rate(b)
-    assert temperature[20] == pytest.approx(1.0 - 2e5 * math.exp(-0.04) / (flow[20] * enthalpy), abs=0.01)
+    assert temperature[20] == pytest.approx(
+        1.0 - 2e5 * math.exp(-0.04) / (flow[20] * enthalpy), abs=0.01
+    )
     assert temperature[20] < 0.96
     assert temperature[-1] == pytest.approx(1.0, abs=1e-3)
 
@@ -117,4 +123,6 @@ def test_cold_walls_take_heat_until_they_are_warm() -> None:
 def test_gas_effects_leave_the_machine_its_nominal_kernel() -> None:
     machine = hiding(STRONG)
     assert effect_vector(machine).size == 0
-    assert list(problems({"leakage": {"area_m2": 1.0}})) == [(("leakage", "area_m2"), "must be within 0 to 0.0002")]
+    assert list(problems({"leakage": {"area_m2": 1.0}})) == [
+        (("leakage", "area_m2"), "must be within 0 to 0.0002")
+    ]

@@ -128,11 +128,15 @@ def test_a_silent_device_is_lost(host: Host) -> None:
     host.cycles(300)
     host.bench.bus.frame_filters.append(lambda _t, i, d, sent: None if i == 0x702 else (i, d))
     host.cycles(140)
-    with pytest.raises(LinkError, match=r"node 2 sent no heartbeat for 0\.2\d\d s \(limit 0\.2 s\)"):
+    with pytest.raises(
+        LinkError, match=r"node 2 sent no heartbeat for 0\.2\d\d s \(limit 0\.2 s\)"
+    ):
         host.cycles(100)
 
 
-@pytest.mark.parametrize(("command", "match"), [(128, "PRE-OPERATIONAL"), (2, "STOPPED"), (129, "restarted")])
+@pytest.mark.parametrize(
+    ("command", "match"), [(128, "PRE-OPERATIONAL"), (2, "STOPPED"), (129, "restarted")]
+)
 def test_a_device_that_leaves_operational_is_noticed(host: Host, command: int, match: str) -> None:
     prepared(host)
     host.cycles(5)
@@ -157,14 +161,18 @@ def test_the_heartbeat_comes_from_the_exchange_alone(host: Host) -> None:
 
 
 def test_a_cycle_takes_the_bus_for_as_long_as_is_planned(host: Host) -> None:
-    """The load that a bench file is checked against is that on the wire: SYNC and every PDO, of 1 Mbit/s."""
+    """The load that a bench file is checked against is that on the wire: SYNC and every PDO, of 1
+    Mbit/s.
+    """
     prepared(host)
     host.cycles(20)
     host.link.take_frames()
     host.cycles(1000)
     frames = [f for f in host.link.take_frames() if f.identifier & 0x780 != 0x700]
     planned = cycle_bits((*cia402_servo.FRAMES, *cia406.FRAMES))
-    assert sum(frame_bits(len(f.data)) for f in frames) == pytest.approx(1000 * planned, abs=frame_bits(8))
+    assert sum(frame_bits(len(f.data)) for f in frames) == pytest.approx(
+        1000 * planned, abs=frame_bits(8)
+    )
     assert planned < 700
 
 
@@ -182,7 +190,9 @@ def test_voltage_comes_with_every_sync(host: Host) -> None:
 
 def test_all_devices_share_one_cycle(host: Host) -> None:
     host.servo.prepare(0.001)
-    with pytest.raises(ConfigurationError, match=r"node 2 asks for a cycle of 0\.002 s, the link runs at 0\.001 s"):
+    with pytest.raises(
+        ConfigurationError, match=r"node 2 asks for a cycle of 0\.002 s, the link runs at 0\.001 s"
+    ):
         host.encoder.prepare(0.002)
 
 
@@ -227,7 +237,9 @@ def test_an_interface_that_does_not_exist_is_a_link_error() -> None:
 
 def test_any_python_can_interface_can_be_opened_by_name() -> None:
     """The same code on a real-time bus: nobody answers there, which must end as the clock says."""
-    link = CanopenLink.on_interface(TickingClock(), "virtual", "test_link", 1_000_000, sdo_timeout_s=0.02)
+    link = CanopenLink.on_interface(
+        TickingClock(), "virtual", "test_link", 1_000_000, sdo_timeout_s=0.02
+    )
     node: CanopenNode = link.add_node(1, DRIVE_EDS)
     listener = can.Bus(channel="test_link", interface="virtual")
     link.open()
@@ -236,7 +248,10 @@ def test_any_python_can_interface_can_be_opened_by_name() -> None:
             node.read(0x6041)
         request = listener.recv(0)
         assert request is not None
-        assert (request.arbitration_id, bytes(request.data)) == (0x601, struct.pack("<BHB4x", 0x40, 0x6041, 0))
+        assert (request.arbitration_id, bytes(request.data)) == (
+            0x601,
+            struct.pack("<BHB4x", 0x40, 0x6041, 0),
+        )
     finally:
         link.close()
         listener.shutdown()

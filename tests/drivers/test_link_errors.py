@@ -50,7 +50,9 @@ Make = Callable[[], BaseException]
 
 
 class Broken:
-    """A port that lets out whatever its library raises, against its promise; from a given call on, or from now on."""
+    """A port that lets out whatever its library raises, against its promise; from a given call on,
+    or from now on.
+    """
 
     def __init__(self, inner: Any, make: Make, good: int = 0) -> None:
         self.inner = inner
@@ -138,7 +140,11 @@ def dbc(make: Make, good: int = 0) -> Bench:
 
 def epos(make: Make, good: int = 0) -> Bench:
     twin = simulated_bench(Machine(), 1)
-    port = Broken(SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive)), make, good)
+    port = Broken(
+        SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive)),
+        make,
+        good,
+    )
     link = EposSerialLink(twin.clock, lambda: port, "EPOS4")
     node = link.add_node(DRIVE_NODE, DRIVE_EDS)
     uses = {
@@ -179,7 +185,9 @@ def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(
     bench.link.open()
     for what, use in bench.uses.items():
         failed = bench.port.made
-        with pytest.raises(LinkError, match=r"(is gone|cannot send|cannot receive): \S.*; check") as caught:
+        with pytest.raises(
+            LinkError, match=r"(is gone|cannot send|cannot receive): \S.*; check"
+        ) as caught:
             use()
         assert bench.port.made > failed, what
         assert isinstance(caught.value.__cause__, type(make()))
@@ -191,7 +199,9 @@ def test_every_method_turns_it_into_a_link_error_with_cause_and_remedy(
 
 @pytest.mark.parametrize("kind", LINKS)
 @pytest.mark.parametrize("stop", [KeyboardInterrupt, SystemExit])
-def test_who_ends_the_program_is_not_held_up(kind: Callable[..., Bench], stop: type[BaseException]) -> None:
+def test_who_ends_the_program_is_not_held_up(
+    kind: Callable[..., Bench], stop: type[BaseException]
+) -> None:
     bench = kind(stop)
     bench.link.open()
     for use in bench.uses.values():
@@ -221,7 +231,9 @@ def lived(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("kind", SERVO_LINKS)
-def test_a_port_that_breaks_at_any_call_leaves_nothing_but_device_errors(kind: Callable[..., Bench]) -> None:
+def test_a_port_that_breaks_at_any_call_leaves_nothing_but_device_errors(
+    kind: Callable[..., Bench],
+) -> None:
     whole = kind(AssertionError, good=1 << 30)
     lived(whole)
     calls = (1 << 30) - whole.port.left
@@ -268,7 +280,9 @@ def unopened(link: str, connect: Callable[[], Any]) -> Any:
 
 
 def test_a_backend_that_is_not_installed_is_a_link_error() -> None:
-    """Each interface of python-can fails in its own way where its library is missing; none of them ends the program."""
+    """Each interface of python-can fails in its own way where its library is missing; none of them
+    ends the program.
+    """
     for interface in ("pcan", "ixxat", "kvaser", "vector", "nican", "neovi", "no_such"):
         link = CanopenLink.on_interface(SimulatedClock(), interface, "0", 1_000_000)
         with pytest.raises(LinkError, match=f"{interface} 0 at 1000000 bit/s cannot be opened: "):
@@ -281,7 +295,9 @@ class Part(Link):
 
     has_watchdog = False
 
-    def __init__(self, opening: BaseException | None = None, closing: BaseException | None = None) -> None:
+    def __init__(
+        self, opening: BaseException | None = None, closing: BaseException | None = None
+    ) -> None:
         self.clock: Clock = SimulatedClock()
         self.closed = 0
         self._opening = opening
@@ -315,7 +331,9 @@ def test_both_parts_are_closed_whatever_either_raises(make: Callable[[], Excepti
     assert (servo_link.closed, line.closed) == (1, 1)
 
 
-@pytest.mark.parametrize("error", [LinkError("no such port"), KeyboardInterrupt(), ValueError("odd")])
+@pytest.mark.parametrize(
+    "error", [LinkError("no such port"), KeyboardInterrupt(), ValueError("odd")]
+)
 def test_where_the_encoder_cannot_be_opened_the_drive_is_closed(error: BaseException) -> None:
     servo_link = Part(closing=OSError(5))
     with pytest.raises(type(error)) as caught:
@@ -373,7 +391,10 @@ def test_the_real_ports_bring_it_to_a_link_error(make: Callable[[], Exception]) 
     with pty_line() as far:
         line = Amt21Line(SimulatedClock(), lambda: InheritedPort(os.dup(far.theirs)), "AMT21")
         line.open()
-        with patch.object(serial_port.termios, "tcflush", fail), pytest.raises(LinkError, match="AMT21 is gone"):
+        with (
+            patch.object(serial_port.termios, "tcflush", fail),
+            pytest.raises(LinkError, match="AMT21 is gone"),
+        ):
             line.ask()
         with (
             patch.object(serial_port, "select", SimpleNamespace(select=fail)),
@@ -384,7 +405,9 @@ def test_the_real_ports_bring_it_to_a_link_error(make: Callable[[], Exception]) 
 
 
 class Babble:
-    """A line that never falls silent: every look at it gives the next piece, and takes five milliseconds."""
+    """A line that never falls silent: every look at it gives the next piece, and takes five
+    milliseconds.
+    """
 
     def __init__(self, clock: SimulatedClock, pieces: Sequence[bytes]) -> None:
         self.reads = 0
@@ -407,7 +430,10 @@ class Babble:
 
 
 PIECES = st.lists(
-    st.one_of(st.binary(min_size=1, max_size=40), st.sampled_from([b"\x90\x02", b"\x90\x02\x00\x02" + bytes(6)])),
+    st.one_of(
+        st.binary(min_size=1, max_size=40),
+        st.sampled_from([b"\x90\x02", b"\x90\x02\x00\x02" + bytes(6)]),
+    ),
     min_size=1,
     max_size=5,
 )
@@ -437,9 +463,13 @@ def test_a_serial_line_that_babbles_is_a_link_error_in_time(pieces: list[bytes])
 
 
 def test_good_frames_without_end_are_no_answer_either() -> None:
-    """A drive in step is looked for by its identity; whole frames of another content must not keep that up for ever."""
+    """A drive in step is looked for by its identity; whole frames of another content must not keep
+    that up for ever.
+    """
     twin = simulated_bench(Machine(), 1)
-    ports: list[Any] = [SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive))]
+    ports: list[Any] = [
+        SimulatedLine(twin.clock, 1_000_000, SimulatedEposPort(twin.bus, twin.clock, twin.drive))
+    ]
     link = EposSerialLink(twin.clock, lambda: ports.pop(), "EPOS4")
     node = link.add_node(DRIVE_NODE, DRIVE_EDS)
     link.open()
@@ -469,7 +499,9 @@ def test_answers_to_other_requests_without_end_are_none_to_this_one() -> None:
     link = CanopenLink(clock, Server, "CAN")
     node = link.add_node(1, DRIVE_EDS)
     link.open()
-    with pytest.raises(LinkError, match=r"object 6041h:00h: 64 SDO responses to other requests, none to this one"):
+    with pytest.raises(
+        LinkError, match=r"object 6041h:00h: 64 SDO responses to other requests, none to this one"
+    ):
         node.read(0x6041)
     link.close()
 

@@ -83,7 +83,9 @@ def test_a_watch_of_zero_is_off(host: Host) -> None:
     assert listen(host, 1.0) == []
 
 
-@pytest.mark.parametrize(("behaviour", "state"), [(0, Nmt.PRE_OPERATIONAL), (1, Nmt.OPERATIONAL), (2, Nmt.STOPPED)])
+@pytest.mark.parametrize(
+    ("behaviour", "state"), [(0, Nmt.PRE_OPERATIONAL), (1, Nmt.OPERATIONAL), (2, Nmt.STOPPED)]
+)
 def test_error_behaviour_after_heartbeat_loss(host: Host, behaviour: int, state: Nmt) -> None:
     host.drive.write(0x1029, 1, behaviour)
     host.drive.write(0x1016, 1, 0x7F << 16 | 50)
@@ -174,7 +176,9 @@ def test_a_short_pdo_changes_nothing_and_is_reported(host: Host) -> None:
         (0x1801, 2, 241, 0x06090030),
     ],
 )
-def test_bad_mappings_are_refused(host: Host, index: int, subindex: int, value: int, code: int) -> None:
+def test_bad_mappings_are_refused(
+    host: Host, index: int, subindex: int, value: int, code: int
+) -> None:
     with pytest.raises(ObjectAccessError) as caught:
         host.drive.write(index, subindex, value)
     assert caught.value.code == code

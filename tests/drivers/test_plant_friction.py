@@ -1,4 +1,6 @@
-"""Set-valued friction: rest is exact, slip obeys the equation of motion, energy goes where the closed form says."""
+"""Set-valued friction: rest is exact, slip obeys the equation of motion, energy goes where the
+closed form says.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,11 @@ def test_magnitude_is_eq_9_plus_13(speed: float, force: float) -> None:
     assert found == pytest.approx(magnitude(speed, force), rel=1e-13)
 
 
-@given(speed=st.floats(1e-3, 3.0), force=st.floats(0.0, 5000.0), alpha=st.sampled_from([0.5, 1.0, 2.0, 3.0]))
+@given(
+    speed=st.floats(1e-3, 3.0),
+    force=st.floats(0.0, 5000.0),
+    alpha=st.sampled_from([0.5, 1.0, 2.0, 3.0]),
+)
 def test_slope_is_the_derivative_of_the_magnitude(speed: float, force: float, alpha: float) -> None:
     p = friction_vector(Joint(alpha=alpha), force)
     h = 1e-5 * speed
@@ -45,7 +51,9 @@ def test_slope_is_the_derivative_of_the_magnitude(speed: float, force: float, al
 
 
 @given(share=st.floats(-1.0, 1.0), force=st.floats(0.0, 5000.0))
-def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(share: float, force: float) -> None:
+def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(
+    share: float, force: float
+) -> None:
     static = magnitude(0.0, force)
     torque = math.copysign(min(abs(share), 1.0 - 1e-12) * static, share)
     speed, impulse, held = step_velocity(0.0, static, torque, STEP_S, friction_vector(JOINT, force))
@@ -54,10 +62,16 @@ def test_shaft_at_rest_stays_exactly_there_below_the_static_limit(share: float, 
     assert held == pytest.approx(static)
 
 
-@given(excess=st.floats(1e-3, 50.0), side=st.sampled_from([-1.0, 1.0]), force=st.floats(0.0, 5000.0))
-def test_shaft_breaks_away_just_above_it_toward_the_torque(excess: float, side: float, force: float) -> None:
+@given(
+    excess=st.floats(1e-3, 50.0), side=st.sampled_from([-1.0, 1.0]), force=st.floats(0.0, 5000.0)
+)
+def test_shaft_breaks_away_just_above_it_toward_the_torque(
+    excess: float, side: float, force: float
+) -> None:
     static = magnitude(0.0, force)
-    speed, _, _ = step_velocity(0.0, static, side * (static + excess), STEP_S, friction_vector(JOINT, force))
+    speed, _, _ = step_velocity(
+        0.0, static, side * (static + excess), STEP_S, friction_vector(JOINT, force)
+    )
     assert side * speed > 0.0
 
 
@@ -66,7 +80,9 @@ def test_shaft_breaks_away_just_above_it_toward_the_torque(excess: float, side: 
     torque=st.floats(-80.0, 80.0),
     force=st.floats(0.0, 5000.0),
 )
-def test_one_step_conserves_momentum_and_never_passes_through_zero(speed: float, torque: float, force: float) -> None:
+def test_one_step_conserves_momentum_and_never_passes_through_zero(
+    speed: float, torque: float, force: float
+) -> None:
     p = friction_vector(JOINT, force)
     after, impulse, _ = step_velocity(speed, friction(abs(speed), p)[0], torque, STEP_S, p)
     assert after * speed >= 0.0
@@ -80,7 +96,9 @@ def test_one_step_conserves_momentum_and_never_passes_through_zero(speed: float,
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_sliding_below_coulomb_stops_and_holds_without_chatter(force: float, side: float) -> None:
     p = friction_vector(JOINT, force)
-    torque = side * 0.999 * magnitude(0.0, force)  # below Ms, far above Mc: the worst case for a regularised law
+    torque = (
+        side * 0.999 * magnitude(0.0, force)
+    )  # below Ms, far above Mc: the worst case for a regularised law
     speed, held = side * 0.01, friction(0.01, p)[0]
     speeds = []
     for _ in range(20000):
@@ -93,7 +111,9 @@ def test_sliding_below_coulomb_stops_and_holds_without_chatter(force: float, sid
 
 
 @pytest.mark.parametrize("force", FORCES_N)
-def test_coasting_loses_exactly_its_kinetic_energy_over_the_distance_of_the_closed_form(force: float) -> None:
+def test_coasting_loses_exactly_its_kinetic_energy_over_the_distance_of_the_closed_form(
+    force: float,
+) -> None:
     machine = exact_machine()
     machine.press(force)
     machine.power(True)
@@ -107,7 +127,9 @@ def test_coasting_loses_exactly_its_kinetic_energy_over_the_distance_of_the_clos
     assert start.velocity_rad_s > 1.0
     assert stop.velocity_rad_s == 0.0
     assert stop.friction_work_J - start.friction_work_J == pytest.approx(kinetic, rel=1e-6)
-    distance, _ = integrate.quad(lambda v: inertia * v / magnitude(v, force), 0.0, start.velocity_rad_s)
+    distance, _ = integrate.quad(
+        lambda v: inertia * v / magnitude(v, force), 0.0, start.velocity_rad_s
+    )
     assert stop.angle_rad - start.angle_rad == pytest.approx(distance, rel=1e-6)
 
 
@@ -122,7 +144,9 @@ def test_coasting_shaft_stops_when_the_closed_form_says() -> None:
     while machine.truth().velocity_rad_s > 0.0:
         machine.advance(machine.loop_ns)
         loops += 1
-    assert loops * machine.loop_ns * 1e-9 == pytest.approx(duration, abs=2.0 * machine.loop_ns * 1e-9)
+    assert loops * machine.loop_ns * 1e-9 == pytest.approx(
+        duration, abs=2.0 * machine.loop_ns * 1e-9
+    )
 
 
 def test_electrical_torque_work_is_kinetic_energy_plus_friction_work() -> None:

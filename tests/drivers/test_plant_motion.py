@@ -32,10 +32,13 @@ def rests(velocity: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("machine", [STIFF, SOFT], ids=["stiff", "soft"])
 @pytest.mark.parametrize("weight", [0.0, 30.6])
-def test_halving_the_step_changes_less_than_an_encoder_step(machine: Machine, weight: float) -> None:
+def test_halving_the_step_changes_less_than_an_encoder_step(
+    machine: Machine, weight: float
+) -> None:
     """Second order: each halving leaves a quarter of the change."""
     coarse, medium, fine = (
-        simulate(replace(machine, steps_per_loop=n), sine, 10.0, 1000.0, weight)["angle"] for n in (2, 4, 8)
+        simulate(replace(machine, steps_per_loop=n), sine, 10.0, 1000.0, weight)["angle"]
+        for n in (2, 4, 8)
     )
     first, second = np.max(np.abs(coarse - medium)), np.max(np.abs(medium - fine))
     assert 0.0 < first < 0.1 * ENCODER_RAD

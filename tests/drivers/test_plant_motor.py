@@ -18,7 +18,9 @@ LOCKED = Joint(Mc_N_m=1e9, Ms_N_m=1e9)
 FRICTIONLESS = Joint(Mc_N_m=0.0, Ms_N_m=0.0, sigma_2_N_m_s_rad=0.0)
 
 
-def at_constant_voltage(machine: Machine, voltage: float, periods: int, speed: float = 0.0) -> np.ndarray:
+def at_constant_voltage(
+    machine: Machine, voltage: float, periods: int, speed: float = 0.0
+) -> np.ndarray:
     """State after each loop period, shape (periods, states)."""
     s = np.zeros(loops.STATE_SIZE)
     s[loops.OMEGA] = speed
@@ -57,7 +59,10 @@ def test_free_motor_runs_up_as_the_second_order_system_of_eq_1() -> None:
     machine = replace(MACHINE, joint=FRICTIONLESS, steps_per_loop=4)
     states = at_constant_voltage(machine, 12.0, 20000)
     matrix = np.array(
-        [[-RESISTANCE / INDUCTANCE, -EMF / INDUCTANCE], [TORQUE_PER_AMPERE / machine.joint.inertia_kg_m2, 0.0]]
+        [
+            [-RESISTANCE / INDUCTANCE, -EMF / INDUCTANCE],
+            [TORQUE_PER_AMPERE / machine.joint.inertia_kg_m2, 0.0],
+        ]
     )
     poles, vectors = np.linalg.eig(matrix)
     settled = np.array([0.0, 12.0 / EMF])
@@ -74,7 +79,9 @@ def test_steady_sliding_current_balances_eq_9_and_13(weight: float, speed: float
     out = simulate(MACHINE, lambda t: speed * t, 1.5, 1000.0, weight)
     assert out["velocity"][-1] == pytest.approx(speed, rel=1e-9)
     torque = TORQUE_PER_AMPERE * out["current"][-1]
-    assert torque == pytest.approx(np.sign(speed) * friction_magnitude(abs(speed), weight), rel=1e-8)
+    assert torque == pytest.approx(
+        np.sign(speed) * friction_magnitude(abs(speed), weight), rel=1e-8
+    )
 
 
 @pytest.mark.parametrize("speed", [0.02, -0.03])

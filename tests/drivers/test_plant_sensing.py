@@ -19,7 +19,8 @@ TORQUE_PER_AMPERE = 0.03 * 100.0
 def free_machine(noise_A: float) -> SimulatedMachine:
     """Without friction the momentum gained is the torque impulse, whatever the drive reports."""
     machine = Machine(
-        joint=Joint(Mc_N_m=0.0, Ms_N_m=0.0, sigma_2_N_m_s_rad=0.0), sensing=Sensing(current_noise_A=noise_A)
+        joint=Joint(Mc_N_m=0.0, Ms_N_m=0.0, sigma_2_N_m_s_rad=0.0),
+        sensing=Sensing(current_noise_A=noise_A),
     )
     made = SimulatedMachine(machine, np.random.default_rng(7))
     made.power(True)
@@ -85,7 +86,9 @@ def test_encoders_count_whole_steps_downwards() -> None:
 
 
 def test_following_error_is_in_motor_counts() -> None:
-    machine = SimulatedMachine(Machine(joint=Joint(Mc_N_m=1e9, Ms_N_m=1e9)), np.random.default_rng(1))
+    machine = SimulatedMachine(
+        Machine(joint=Joint(Mc_N_m=1e9, Ms_N_m=1e9)), np.random.default_rng(1)
+    )
     machine.power(True)
     machine.track(500.0, 5 * CYCLE_NS)
     machine.advance(2 * CYCLE_NS)
@@ -103,7 +106,9 @@ def test_velocity_is_that_of_the_motor() -> None:
 
 def test_advance_refuses_a_part_of_a_loop_period() -> None:
     machine = SimulatedMachine(Machine(), np.random.default_rng(1))
-    with pytest.raises(ValueError, match="75000 ns is not a whole number of loop periods of 50000 ns"):
+    with pytest.raises(
+        ValueError, match="75000 ns is not a whole number of loop periods of 50000 ns"
+    ):
         machine.advance(75_000)
 
 
@@ -114,7 +119,9 @@ def test_direct_simulation_refuses_rates_that_do_not_divide() -> None:
 
 def test_same_seed_same_run_and_another_seed_another() -> None:
     def run(seed: int) -> np.ndarray:
-        return simulate(Machine(), np.sin, 0.3, 1000.0, rng=np.random.default_rng(seed))["mean_current"]
+        return simulate(Machine(), np.sin, 0.3, 1000.0, rng=np.random.default_rng(seed))[
+            "mean_current"
+        ]
 
     assert np.array_equal(run(1), run(1))
     assert not np.array_equal(run(1), run(2))
@@ -133,7 +140,9 @@ def test_noise_goes_on_past_one_block() -> None:
 
 
 def test_fewer_counts_are_a_coarser_encoder() -> None:
-    machine = SimulatedMachine(replace(Machine(), sensing=Sensing(1024, 4096, 0.0)), np.random.default_rng(1))
+    machine = SimulatedMachine(
+        replace(Machine(), sensing=Sensing(1024, 4096, 0.0)), np.random.default_rng(1)
+    )
     machine.power(True)
     machine.follow(0.2 * np.arange(1, 20001) / 20000.0)
     angle, reading = machine.truth().angle_rad, machine.latch()

@@ -53,7 +53,12 @@ def test_everything_is_closed_whatever_closing_raises(make: Callable[[], Excepti
 def test_everything_is_closed_before_the_program_ends() -> None:
     closed: list[int] = []
     with pytest.raises(KeyboardInterrupt):
-        close_all(raising(KeyboardInterrupt()), lambda: closed.append(1), raising(OSError()), lambda: closed.append(2))
+        close_all(
+            raising(KeyboardInterrupt()),
+            lambda: closed.append(1),
+            raising(OSError()),
+            lambda: closed.append(2),
+        )
     assert closed == [1, 2]
 
 

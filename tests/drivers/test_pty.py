@@ -1,4 +1,6 @@
-"""Ports of simulated devices: taken away, garbled, shared, and in front of a host that does not read."""
+"""Ports of simulated devices: taken away, garbled, shared, and in front of a host that does not
+read.
+"""
 
 from __future__ import annotations
 

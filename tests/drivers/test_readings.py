@@ -1,4 +1,6 @@
-"""Devices asked for what they are and show, unprepared: nothing is written, and what is not there is NaN."""
+"""Devices asked for what they are and show, unprepared: nothing is written, and what is not there
+is NaN.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ from .serial_host import SerialHost, make_serial_host
 LIMITS = ServoLimits(-0.5, 0.5, 2.0, 75.0, 25.0, 0.03, 2, 35.0)
 READS = {Opcode.READ_OBJECT, Opcode.INITIATE_SEGMENTED_READ, Opcode.SEGMENT_READ}
 DOWNLOADS = {0, 1}
-"""Command specifiers of SDO requests that write: a segment and the start of one (CiA 301, 7.2.4.3)."""
+"""Command specifiers of SDO requests that write: a segment and the start of one (CiA 301,
+7.2.4.3).
+"""
 
 
 def ask_everything(servo: Servo, *others: object) -> list[DeviceError]:
@@ -118,12 +122,18 @@ def test_a_drive_with_frames_of_its_own_shows_what_comes_by_itself() -> None:
     host = make_dbc_host(drive=dataclasses.replace(DRIVE, offset_rad=0.5))
     readings = host.servo.readings()
     assert readings.motor_angle_rad == pytest.approx(50.0, abs=1e-6)
-    assert (readings.supply_voltage_V, readings.temperature_C, readings.current_A) == (60.0, 25.0, 0.0)
+    assert (readings.supply_voltage_V, readings.temperature_C, readings.current_A) == (
+        60.0,
+        25.0,
+        0.0,
+    )
     assert math.isnan(readings.velocity_rad_s)  # it only comes as an answer to a command
     host.link.close()
 
 
-@pytest.mark.parametrize(("address", "field"), [(0x2101, "temperature_C"), (0x6079, "supply_voltage_V")])
+@pytest.mark.parametrize(
+    ("address", "field"), [(0x2101, "temperature_C"), (0x6079, "supply_voltage_V")]
+)
 def test_a_value_that_the_drive_refuses_is_nan(can: Host, address: int, field: str) -> None:
     refuse(can.bench, address)
     readings = can.servo.readings()
@@ -158,7 +168,9 @@ def test_a_silent_drive_is_no_reading(can: Host) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"rated_current_A": 10.0}, {"rated_torque_N_m": 0.5}, {"counts_per_turn": 1024}, {}], ids=str
+    "wrong",
+    [{"rated_current_A": 10.0}, {"rated_torque_N_m": 0.5}, {"counts_per_turn": 1024}, {}],
+    ids=str,
 )
 def test_preparing_raises_the_first_refusal(wrong: dict[str, float]) -> None:
     host = make_host(scales=dataclasses.replace(SCALES, **wrong))
@@ -192,8 +204,12 @@ def test_a_drive_that_claims_no_motor_turn_is_refused(can: Host, turns: int, cou
     assert len(list(can.servo.refusals(0.001))) == count
 
 
-@pytest.mark.parametrize(("torque", "accepted"), [(0.4510, True), (0.4511, False), (0.4490, True), (0.4489, False)])
-def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(torque: float, accepted: bool) -> None:
+@pytest.mark.parametrize(
+    ("torque", "accepted"), [(0.4510, True), (0.4511, False), (0.4490, True), (0.4489, False)]
+)
+def test_a_rated_torque_is_the_same_within_one_unit_of_its_object(
+    torque: float, accepted: bool
+) -> None:
     host = make_host(scales=dataclasses.replace(SCALES, rated_torque_N_m=torque))
     assert (not list(host.servo.refusals(0.001))) is accepted
     host.link.close()

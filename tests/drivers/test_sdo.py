@@ -45,7 +45,11 @@ def upload(index: int, subindex: int = 0) -> bytes:
     return struct.pack("<BHB4x", 0x40, index, subindex)
 
 
-@given(st.sampled_from(sorted(SCALARS)).flatmap(lambda i: st.tuples(st.just(i), st.integers(*SCALARS[i][1:]))))
+@given(
+    st.sampled_from(sorted(SCALARS)).flatmap(
+        lambda i: st.tuples(st.just(i), st.integers(*SCALARS[i][1:]))
+    )
+)
 def test_expedited_round_trip(case: tuple[int, int]) -> None:
     index, value = case
     server = make_server()
@@ -62,8 +66,12 @@ def test_expedited_round_trip(case: tuple[int, int]) -> None:
 def test_segmented_download_round_trip(value: int) -> None:
     server = make_server()
     data = struct.pack("<i", value)
-    assert server.answer(struct.pack("<BHBI", 0x21, 0x607A, 0, 4)) == struct.pack("<BHB4x", 0x60, 0x607A, 0)
-    assert server.answer(bytes([(7 - 4) << 1 | 1]) + data.ljust(7, b"\0")) == b"\x20".ljust(8, b"\0")
+    assert server.answer(struct.pack("<BHBI", 0x21, 0x607A, 0, 4)) == struct.pack(
+        "<BHB4x", 0x60, 0x607A, 0
+    )
+    assert server.answer(bytes([(7 - 4) << 1 | 1]) + data.ljust(7, b"\0")) == b"\x20".ljust(
+        8, b"\0"
+    )
     assert server.answer(upload(0x607A))[4:] == data
 
 
@@ -106,7 +114,9 @@ def test_write_only_objects_cannot_be_read() -> None:
     assert abort_code(SdoServer(dictionary, lambda: None).answer(upload(0x6040))) == 0x06010001
 
 
-@pytest.mark.parametrize(("value", "shown"), [(-1, 0), (0, 0), (65535, 65535), (65536, 65535), (10**400, 65535)])
+@pytest.mark.parametrize(
+    ("value", "shown"), [(-1, 0), (0, 0), (65535, 65535), (65536, 65535), (10**400, 65535)]
+)
 def test_an_object_shows_the_nearest_value_that_it_holds(value: int, shown: int) -> None:
     dictionary = DeviceDictionary(DRIVE_EDS, 1)
     assert dictionary.entries[0x6040 << 8].code == "H"
@@ -147,7 +157,9 @@ def test_canopen_can_force_a_segmented_download(host: Host) -> None:
 
 
 def test_refusals_become_errors_that_name_the_object(host: Host) -> None:
-    with pytest.raises(ObjectAccessError, match=r"6007h:00h: node 1 refuses: Value range .*06090030h") as caught:
+    with pytest.raises(
+        ObjectAccessError, match=r"6007h:00h: node 1 refuses: Value range .*06090030h"
+    ) as caught:
         host.drive.write(0x6007, 0, 9)
     assert (caught.value.index, caught.value.code) == (0x6007, 0x06090030)
     with pytest.raises(ConfigurationError, match="not in the device's EDS"):

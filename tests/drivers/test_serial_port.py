@@ -1,4 +1,7 @@
-"""Real serial lines that go wrong: hung up, stalled, held by another program. Pseudo-terminals, in real time."""
+"""Real serial lines that go wrong: hung up, stalled, held by another program.
+
+Pseudo-terminals, in real time.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +67,9 @@ USES: tuple[Callable[[Line], object], ...] = (
 
 
 @pytest.mark.parametrize("use", USES, ids=["write", "look", "read", "discard"])
-def test_a_line_that_is_hung_up_is_an_error_at_once(line: Line, use: Callable[[Line], object]) -> None:
+def test_a_line_that_is_hung_up_is_an_error_at_once(
+    line: Line, use: Callable[[Line], object]
+) -> None:
     line.far.hang_up()
     for _ in range(3):
         began = time.monotonic()
@@ -120,7 +125,10 @@ def test_what_a_stalled_line_has_not_taken_is_not_sent_later(line: Line) -> None
     """An old request must not reach a drive when the line moves again."""
     termios = serial_port.termios
     line.far.stall()
-    with patch.object(termios, "tcflush") as flush, pytest.raises(TimeoutError, match="took 0 of 3 bytes"):
+    with (
+        patch.object(termios, "tcflush") as flush,
+        pytest.raises(TimeoutError, match="took 0 of 3 bytes"),
+    ):
         line.port.write(b"old")
     flush.assert_called_once_with(line.port.fileno(), termios.TCOFLUSH)
 
@@ -137,20 +145,28 @@ def test_closing_a_line_that_does_not_drain_drops_what_is_left(line: Line) -> No
 def test_closing_waits_for_what_is_on_its_way(line: Line) -> None:
     left = iter([20, 10, 0])
     draining = SimpleNamespace(ioctl=lambda *_: next(left).to_bytes(4, "little"))
-    with patch.object(serial_port, "fcntl", draining), patch.object(serial_port.termios, "tcflush") as flush:
+    with (
+        patch.object(serial_port, "fcntl", draining),
+        patch.object(serial_port.termios, "tcflush") as flush,
+    ):
         line.port.close()
     assert next(left, None) is None
     flush.assert_not_called()
 
 
 def test_a_read_that_finds_nothing_after_all_is_silence(line: Line) -> None:
-    """Ready, as select says, but there is nothing: somebody else was quicker, on a port that does not block."""
+    """Ready, as select says, but there is nothing: somebody else was quicker, on a port that does
+    not block.
+    """
     ready = SimpleNamespace(select=lambda *_: ([line.port.fileno()], [], []))
 
     def empty(*_: object) -> bytes:
         raise BlockingIOError
 
-    with patch.object(serial_port, "select", ready), patch.object(serial_port, "os", SimpleNamespace(read=empty)):
+    with (
+        patch.object(serial_port, "select", ready),
+        patch.object(serial_port, "os", SimpleNamespace(read=empty)),
+    ):
         assert line.port.read(1.0) == b""
 
 
@@ -176,12 +192,17 @@ def test_ports_that_are_none() -> None:
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
 def test_whatever_opening_raises_is_an_os_error(make: Callable[[], Exception]) -> None:
-    with patch.object(serial_port.serial, "Serial", side_effect=make()), pytest.raises(OSError, match=r"\w"):
+    with (
+        patch.object(serial_port.serial, "Serial", side_effect=make()),
+        pytest.raises(OSError, match=r"\w"),
+    ):
         opened("/dev/ttyUSB0")
 
 
 @pytest.mark.parametrize("make", ERRORS, ids=name)
-def test_whatever_the_system_raises_is_an_os_error(line: Line, make: Callable[[], Exception]) -> None:
+def test_whatever_the_system_raises_is_an_os_error(
+    line: Line, make: Callable[[], Exception]
+) -> None:
     def fail(*_: object) -> None:
         raise make()
 
@@ -193,7 +214,10 @@ def test_whatever_the_system_raises_is_an_os_error(line: Line, make: Callable[[]
                 use(line)
     with patch.object(serial_port.termios, "tcflush", fail), pytest.raises(OSError, match=r"\w"):
         line.port.discard()
-    with patch.object(serial_port, "select", SimpleNamespace(select=fail)), pytest.raises(OSError, match=r"\w"):
+    with (
+        patch.object(serial_port, "select", SimpleNamespace(select=fail)),
+        pytest.raises(OSError, match=r"\w"),
+    ):
         line.port.read(1.0)
 
 
@@ -203,7 +227,10 @@ def test_a_drive_on_a_stalled_line_is_a_link_error_within_the_limit(line: Line) 
     link.open()
     line.far.stall()
     began = time.monotonic()
-    with pytest.raises(LinkError, match=r"EPOS4 at ttyUSB0 is gone: the line took .* within 0\.1 s; check the adapter"):
+    with pytest.raises(
+        LinkError,
+        match=r"EPOS4 at ttyUSB0 is gone: the line took .* within 0\.1 s; check the adapter",
+    ):
         node.insist(0x6040, 0, 0)
     assert time.monotonic() - began < WRITE_LIMIT_S + SLACK_S
     link.close()

@@ -30,7 +30,9 @@ def assert_within(found: ServoLimits, wanted: ServoLimits) -> None:
     assert 0 <= found.angle_min_rad - wanted.angle_min_rad + 1e-9 < 1e-4
     assert found.following_error_rad == pytest.approx(wanted.following_error_rad, abs=1e-4)
     assert found.quick_stop_option == wanted.quick_stop_option
-    assert found.quick_stop_deceleration_rad_s2 == pytest.approx(wanted.quick_stop_deceleration_rad_s2, abs=1e-4)
+    assert found.quick_stop_deceleration_rad_s2 == pytest.approx(
+        wanted.quick_stop_deceleration_rad_s2, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("sign", [1, -1])
@@ -107,11 +109,15 @@ def test_following_error_is_that_of_the_drive(host: Host) -> None:
     for _ in range(50):
         host.cycles(1, lambda _: 0.01)
         drive = host.bench.drive.objects.integer(0x60F4) * SCALES.joint_rad_per_count
-        assert host.servo.sample().following_error_rad == pytest.approx(drive, abs=2 * SCALES.joint_rad_per_count)
+        assert host.servo.sample().following_error_rad == pytest.approx(
+            drive, abs=2 * SCALES.joint_rad_per_count
+        )
     # Nothing staged for some cycles: the last target stands.
     host.cycles(5)
     drive = host.bench.drive.objects.integer(0x60F4) * SCALES.joint_rad_per_count
-    assert host.servo.sample().following_error_rad == pytest.approx(drive, abs=2 * SCALES.joint_rad_per_count)
+    assert host.servo.sample().following_error_rad == pytest.approx(
+        drive, abs=2 * SCALES.joint_rad_per_count
+    )
 
 
 def test_enabling_does_not_jump_to_an_old_target(host: Host) -> None:
@@ -131,7 +137,11 @@ def test_the_watch_runs_before_power_comes(host: Host) -> None:
     host.servo.enable()
     frames = host.link.take_frames()
     beat = next(i for i, f in enumerate(frames) if f.sent and f.identifier == 0x77F)
-    power = next(i for i, f in enumerate(frames) if f.sent and f.identifier == 0x201 and f.data[:2] == b"\x0f\0")
+    power = next(
+        i
+        for i, f in enumerate(frames)
+        if f.sent and f.identifier == 0x201 and f.data[:2] == b"\x0f\0"
+    )
     assert beat < power
     assert host.drive.read(0x1016, 1) == 0x7F << 16 | 100
     host.servo.disable()
@@ -236,7 +246,9 @@ def test_a_drive_that_stays_in_another_mode_is_not_enabled(host: Host) -> None:
 
 
 def test_a_watch_that_does_not_read_back_stops_preparation(host: Host) -> None:
-    host.bench.drive.objects.written[0x1016] = lambda _sub, _v: host.bench.drive.objects.reset(0x1016, 0x1016)
+    host.bench.drive.objects.written[0x1016] = lambda _sub, _v: host.bench.drive.objects.reset(
+        0x1016, 0x1016
+    )
     with pytest.raises(ConfigurationError, match="would not notice a stopped control loop"):
         prepared(host)
 

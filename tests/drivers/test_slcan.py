@@ -1,4 +1,6 @@
-"""The LAWICEL protocol: its decoder against anything, and the port behind a line that garbles, stalls or hangs up."""
+"""The LAWICEL protocol: its decoder against anything, and the port behind a line that garbles,
+stalls or hangs up.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ FRAMES = st.tuples(st.integers(0, 0x7FF), st.binary(max_size=8))
 PIECES = st.one_of(
     st.binary(max_size=80),
     FRAMES.map(lambda frame: slcan.encode(*frame)),
-    st.sampled_from([b"\r", b"\a", b"z\r", b"Z\r", b"t\r", b"t181", b"r1230\r", b"F00\r", b"t12310x\r"]),
+    st.sampled_from(
+        [b"\r", b"\a", b"z\r", b"Z\r", b"t\r", b"t181", b"r1230\r", b"F00\r", b"t12310x\r"]
+    ),
 )
 
 
@@ -262,7 +266,9 @@ def test_any_bytes_on_a_pty_leave_the_port_able_to_read(pieces: list[bytes]) -> 
 
 
 def test_reading_waits_no_longer_than_is_asked(adapter: Pty) -> None:
-    """python-can's own waits for a millisecond; here nothing is waited for, whatever the machine is busy with."""
+    """python-can's own waits for a millisecond; here nothing is waited for, whatever the machine is
+    busy with.
+    """
     port = open_slcan(adapter.path, RealClock(), 1_000_000, sleep_after_open=0)
     waits = []
     for _ in range(20):
@@ -278,7 +284,9 @@ def test_an_adapter_that_takes_nothing_is_a_link_error(adapter: Pty) -> None:
     link.open()
     adapter.stall()
     began = time.monotonic()
-    with pytest.raises(LinkError, match=r"cannot send: the line took 0 of 22 bytes within 0\.1 s; check cabling"):
+    with pytest.raises(
+        LinkError, match=r"cannot send: the line took 0 of 22 bytes within 0\.1 s; check cabling"
+    ):
         link.send(0x601, bytes(8))
     assert time.monotonic() - began < 1.0
     link.close()
@@ -298,11 +306,16 @@ def test_an_adapter_that_is_pulled_out_is_a_link_error(adapter: Pty) -> None:
 
 
 def test_an_adapter_has_one_program(adapter: Pty) -> None:
-    """The second one is refused before it has said anything: its first word would close the channel of the first."""
+    """The second one is refused before it has said anything: its first word would close the channel
+    of the first.
+    """
     link, second = slcan_link(adapter.path), slcan_link(adapter.path)
     link.open()
     assert adapter.heard()
-    with pytest.raises(LinkError, match=f"slcan {adapter.path} at 1000000 bit/s cannot be opened: .* held by another"):
+    with pytest.raises(
+        LinkError,
+        match=f"slcan {adapter.path} at 1000000 bit/s cannot be opened: .* held by another",
+    ):
         second.open()
     assert adapter.heard() == b""
     link.close()
@@ -312,9 +325,13 @@ def test_an_adapter_has_one_program(adapter: Pty) -> None:
 
 def test_an_adapter_that_cannot_be_set_up_is_closed_again(adapter: Pty) -> None:
     with pytest.raises(LinkError, match="cannot be opened: an slcan adapter has no 33333 bit/s"):
-        CanopenLink.on_interface(RealClock(), "slcan", adapter.path, 33_333, {"sleep_after_open": 0}).open()
+        CanopenLink.on_interface(
+            RealClock(), "slcan", adapter.path, 33_333, {"sleep_after_open": 0}
+        ).open()
     for option in ({"btr": "031C"}, {"tty_baudrate": "fast"}):
-        with pytest.raises(LinkError, match=r"cannot be opened: (Type|Value)Error: .*; check the interface"):
+        with pytest.raises(
+            LinkError, match=r"cannot be opened: (Type|Value)Error: .*; check the interface"
+        ):
             CanopenLink.on_interface(RealClock(), "slcan", adapter.path, 1_000_000, option).open()
     link = slcan_link(f"{adapter.path}@9600")
     link.open()

@@ -45,7 +45,9 @@ def current(host: Host, cycles: int = 40) -> float:
 
 
 def test_a_resting_joint_takes_the_torque_as_current(host: Host) -> None:
-    """Position P and velocity PI see no error, so that the current is the offset's: 6 N m over 3 N m/A."""
+    """Position P and velocity PI see no error, so that the current is the offset's: 6 N m over 3 N
+    m/A.
+    """
     enabled(host)
     before = current(host)
     host.servo.set_torque_offset(6.0)
@@ -56,7 +58,12 @@ def test_a_resting_joint_takes_the_torque_as_current(host: Host) -> None:
 
 def test_it_is_whole_per_mille_of_the_rated_torque(host: Host) -> None:
     enabled(host)
-    for torque, units in ((6.0, 133), (-6.0, -133), (0.5 * UNIT_N_M + 1e-6, 1), (0.49 * UNIT_N_M, 0)):
+    for torque, units in (
+        (6.0, 133),
+        (-6.0, -133),
+        (0.5 * UNIT_N_M + 1e-6, 1),
+        (0.49 * UNIT_N_M, 0),
+    ):
         host.servo.set_torque_offset(torque)
         host.cycles(1)
         assert held(host) == units
@@ -107,7 +114,9 @@ def test_switched_off_without_another_cycle_the_drive_has_none_left(host: Host) 
 
 
 def test_the_drive_adds_nothing_to_a_ramp_of_its_own(host: Host) -> None:
-    """A fault stops the drive by itself, with 60B2h still as it was: the offset must not push the joint on."""
+    """A fault stops the drive by itself, with 60B2h still as it was: the offset must not push the
+    joint on.
+    """
     enabled(host)
     host.servo.set_torque_offset(8.0)
     host.cycles(20)
@@ -133,7 +142,9 @@ def test_enabled_again_it_starts_at_zero(host: Host) -> None:
 
 def test_a_drive_that_was_not_prepared_for_it_says_so(host: Host) -> None:
     plain = enabled(make_host())
-    with pytest.raises(ConfigurationError, match=r"takes no torque offset \(6 N m was to be added\): run without"):
+    with pytest.raises(
+        ConfigurationError, match=r"takes no torque offset \(6 N m was to be added\): run without"
+    ):
         plain.servo.set_torque_offset(6.0)
     plain.link.close()
     with pytest.raises(ConfigurationError, match="beyond 16 bits"):
@@ -158,7 +169,9 @@ def test_a_drive_that_lacks_the_object_is_refused_before_power(tmp_path: Path) -
         link.open()
         if hidden:
             del bench.drive.objects.entries[0x60B2 << 8]
-        with pytest.raises(ConfigurationError, match=r"has no torque offset 60B2h \(.*\): run without feed-forward"):
+        with pytest.raises(
+            ConfigurationError, match=r"has no torque offset 60B2h \(.*\): run without feed-forward"
+        ):
             servo.prepare(0.001)
         assert not servo.state().energised
         link.close()

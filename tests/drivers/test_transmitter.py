@@ -28,7 +28,9 @@ def fitted(
     return bench, link, transmitter
 
 
-def readings(bench: SimulatedBench, link: CanopenLink, transmitter: Cia404Transmitter, count: int) -> list[float]:
+def readings(
+    bench: SimulatedBench, link: CanopenLink, transmitter: Cia404Transmitter, count: int
+) -> list[float]:
     found = []
     for _ in range(count):
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000)
@@ -47,7 +49,9 @@ def test_it_sends_the_chamber_pressure_with_its_noise() -> None:
     found = np.array(readings(bench, link, transmitter, 800))
     assert found.mean() == pytest.approx(bench.machine.truth().pressure_Pa, abs=200.0)
     assert found.std() == pytest.approx(Transmitter().noise_Pa, rel=0.1)
-    np.testing.assert_allclose(found / PRESSURE_UNIT_PA, np.rint(found / PRESSURE_UNIT_PA), atol=1e-6)
+    np.testing.assert_allclose(
+        found / PRESSURE_UNIT_PA, np.rint(found / PRESSURE_UNIT_PA), atol=1e-6
+    )
 
 
 def test_before_ignition_it_sends_the_pressure_beyond_the_valve() -> None:
@@ -74,7 +78,9 @@ def test_a_frame_may_be_lost_but_not_two() -> None:
     transmitter.prepare(0.001)
     readings(bench, link, transmitter, 3)
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 500_000)
-    bench.bus.frame_filters.append(lambda _t, identifier, data, _h: None if identifier == 0x184 else (identifier, data))
+    bench.bus.frame_filters.append(
+        lambda _t, identifier, data, _h: None if identifier == 0x184 else (identifier, data)
+    )
     seen = []
     for _ in range(4):
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000)

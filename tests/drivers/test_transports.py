@@ -1,4 +1,6 @@
-"""The servo contract on every transport; on pseudo-terminals and sockets with real bytes in simulated time."""
+"""The servo contract on every transport; on pseudo-terminals and sockets with real bytes in
+simulated time.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,15 @@ from drivers.serial_port import PySerialPort
 
 from .contract import Rig, ServoContract
 from .host import SCALES
-from .serial_host import BAUD, CYCLE_S, MACHINE, in_memory, serial_over_pty, slcan_over_pty, socketcand_on_loopback
+from .serial_host import (
+    BAUD,
+    CYCLE_S,
+    MACHINE,
+    in_memory,
+    serial_over_pty,
+    slcan_over_pty,
+    socketcand_on_loopback,
+)
 
 
 class TestEposSerialInMemory(ServoContract):
@@ -57,7 +67,9 @@ def test_the_twin_lives_in_real_time_behind_pyserial() -> None:
     twin = RealTimeBench(bench.clock)
     path = twin.open_pty(SimulatedEposPort(bench.bus, bench.clock, bench.drive))
     clock = RealClock()
-    link = EposSerialLink(clock, lambda: PySerialPort(path, BAUD), "pty", answer_s=5.0, silence_s=5.0)
+    link = EposSerialLink(
+        clock, lambda: PySerialPort(path, BAUD), "pty", answer_s=5.0, silence_s=5.0
+    )
     servo = Cia402Servo(link.add_node(DRIVE_NODE, DRIVE_EDS), link, SCALES, state_timeout_s=5.0)
     began = clock.now_ns()
     with twin:
@@ -98,5 +110,8 @@ def test_socketcand_answers_what_it_cannot_do_with_an_error() -> None:
     server = SocketcandServer(simulated_bench(MACHINE, 1).bus)
     assert server.receive(b"") == b"< hi >"
     assert server.receive(b"< open can0 >< rawmode >") == b"< ok >< ok >"
-    assert server.receive(b"< send 800 0 >< send xyz 0 >< send 80 1 fff >< dance >").count(b"< error") == 4
+    assert (
+        server.receive(b"< send 800 0 >< send xyz 0 >< send 80 1 fff >< dance >").count(b"< error")
+        == 4
+    )
     assert server.receive(b"< send 080 0 >") == b""

@@ -9,7 +9,12 @@ from hypothesis import strategies as st
 from drivers.errors import ConfigurationError, ObjectAccessError
 from drivers.units import ServoScales, Unwrapper
 
-GOOD = {"counts_per_turn": 4096, "gear_ratio": 100.0, "rated_current_A": 15.0, "rated_torque_N_m": 0.45}
+GOOD = {
+    "counts_per_turn": 4096,
+    "gear_ratio": 100.0,
+    "rated_current_A": 15.0,
+    "rated_torque_N_m": 0.45,
+}
 
 
 class Objects:
@@ -65,13 +70,17 @@ def test_a_drive_without_608f_is_taken_at_its_word() -> None:
     check(ServoScales(**GOOD), drive)
 
 
-@pytest.mark.parametrize(("changed", "match"), [("x6075", "rated current"), ("x6076", "rated torque")])
+@pytest.mark.parametrize(
+    ("changed", "match"), [("x6075", "rated current"), ("x6076", "rated torque")]
+)
 def test_a_drive_that_differs_is_refused(changed: str, match: str) -> None:
     with pytest.raises(ConfigurationError, match=match):
         check(ServoScales(**GOOD), Objects(**{changed: 600}))
 
 
-@pytest.mark.parametrize(("current", "accepted"), [(15014, True), (15016, False), (14986, True), (14984, False)])
+@pytest.mark.parametrize(
+    ("current", "accepted"), [(15014, True), (15016, False), (14986, True), (14984, False)]
+)
 def test_the_tolerance_is_a_thousandth(current: int, accepted: bool) -> None:
     scales = ServoScales(**GOOD)
     if accepted:
@@ -86,7 +95,9 @@ def test_a_wrong_encoder_resolution_is_refused() -> None:
         check(ServoScales(**GOOD | {"counts_per_turn": 8192}), Objects())
 
 
-@pytest.mark.parametrize("wrong", [{"gear_ratio": 0.0}, {"counts_per_turn": -1}, {"rated_current_A": math.inf}])
+@pytest.mark.parametrize(
+    "wrong", [{"gear_ratio": 0.0}, {"counts_per_turn": -1}, {"rated_current_A": math.inf}]
+)
 def test_impossible_scales_are_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ConfigurationError, match=next(iter(wrong))):
         ServoScales(**GOOD | wrong)
@@ -98,7 +109,9 @@ def test_a_sign_is_one_or_minus_one() -> None:
 
 
 @given(st.integers(0, 999), st.lists(st.integers(-499, 499), max_size=50))
-def test_unwrapping_follows_any_walk_of_less_than_half_the_range(start: int, steps: list[int]) -> None:
+def test_unwrapping_follows_any_walk_of_less_than_half_the_range(
+    start: int, steps: list[int]
+) -> None:
     unwrapper = Unwrapper(1000)
     position = start
     assert unwrapper.update(start) == start

@@ -1,4 +1,6 @@
-"""The valve's areas (Fig. 3) against polygons, against random points, and against what the paper says of them."""
+"""The valve's areas (Fig. 3) against polygons, against random points, and against what the paper
+says of them.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,24 @@ Array = NDArray[np.float64]
 
 MACHINE = Machine()
 HOLE, OPENING, WIDTH, ARM = 0.025, 0.040, 0.054, 0.095
-ANGLES_DEG = (0.0, 2.0, 4.3, 4.5, 5.0, 8.0, 12.0, 16.0, 19.5, 19.8, 24.0, 27.0, 29.0, 29.6, 29.7, 30.0)
+ANGLES_DEG = (
+    0.0,
+    2.0,
+    4.3,
+    4.5,
+    5.0,
+    8.0,
+    12.0,
+    16.0,
+    19.5,
+    19.8,
+    24.0,
+    27.0,
+    29.0,
+    29.6,
+    29.7,
+    30.0,
+)
 
 
 def turned(points: Array, angle: float) -> Array:
@@ -36,7 +55,9 @@ def area(polygon: Array) -> float:
 
 
 def clipped(polygon: Array, by: Array) -> Array:
-    """Return what a convex polygon leaves of another (Sutherland and Hodgman); both anticlockwise."""
+    """Return what a convex polygon leaves of another (Sutherland and Hodgman); both
+    anticlockwise.
+    """
     for start, end in zip(by, np.roll(by, -1, axis=0), strict=True):
         if not len(polygon):
             break
@@ -56,7 +77,12 @@ def clipped(polygon: Array, by: Array) -> Array:
 def by_polygons(angle: float) -> float:
     """Return the impacted area of a plate cut from polygons and turned about its pivot, m^2."""
     opening = circle(OPENING)
-    corners = [(-0.03, -0.5 * WIDTH), (0.15, -0.5 * WIDTH), (0.15, 0.5 * WIDTH), (-0.03, 0.5 * WIDTH)]
+    corners = [
+        (-0.03, -0.5 * WIDTH),
+        (0.15, -0.5 * WIDTH),
+        (0.15, 0.5 * WIDTH),
+        (-0.03, 0.5 * WIDTH),
+    ]
     plate = clipped(opening, turned(np.array(corners), angle))
     return area(plate) - area(clipped(opening, turned(circle(HOLE), angle)))
 
@@ -64,13 +90,17 @@ def by_polygons(angle: float) -> float:
 @pytest.mark.parametrize("degrees", ANGLES_DEG)
 def test_areas_are_those_of_polygons(degrees: float) -> None:
     angle = np.deg2rad(degrees)
-    assert impacted_area(MACHINE, np.array([angle]))[0] == pytest.approx(by_polygons(float(angle)), abs=1e-9)
+    assert impacted_area(MACHINE, np.array([angle]))[0] == pytest.approx(
+        by_polygons(float(angle)), abs=1e-9
+    )
 
 
 def test_areas_are_those_of_random_points() -> None:
     rng = np.random.default_rng(11)
     count = 1_000_000
-    points = np.column_stack((rng.uniform(-0.5, 0.5, count), rng.uniform(-0.5, 0.5, count))) * OPENING
+    points = (
+        np.column_stack((rng.uniform(-0.5, 0.5, count), rng.uniform(-0.5, 0.5, count))) * OPENING
+    )
     points = points[np.hypot(*points.T) <= 0.5 * OPENING] + [ARM, 0.0]
     whole = 0.25 * np.pi * OPENING**2
     for degrees in ANGLES_DEG:
@@ -78,7 +108,9 @@ def test_areas_are_those_of_random_points() -> None:
         solid = np.abs(on_plate[:, 1]) <= 0.5 * WIDTH
         solid &= np.hypot(on_plate[:, 0] - ARM, on_plate[:, 1]) > 0.5 * HOLE
         share = impacted_area(MACHINE, np.array([np.deg2rad(degrees)]))[0] / whole
-        assert abs(solid.mean() - share) <= 4.0 * np.sqrt(share * (1.0 - share) / len(points)) + 1e-15, degrees
+        assert (
+            abs(solid.mean() - share) <= 4.0 * np.sqrt(share * (1.0 - share) / len(points)) + 1e-15
+        ), degrees
 
 
 def test_the_closed_valve_leaves_its_hole_and_the_open_one_everything() -> None:

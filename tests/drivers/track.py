@@ -38,7 +38,12 @@ class Track:
             self.machine.follow(path[k : k + 20])
             truth, seen = self.machine.truth(), self.machine.latch()
             rows.append(
-                (*truth[:4], seen.motor_counts * 1e-6, seen.joint_counts * self.machine.joint_count_rad, *seen[3:6])
+                (
+                    *truth[:4],
+                    seen.motor_counts * 1e-6,
+                    seen.joint_counts * self.machine.joint_count_rad,
+                    *seen[3:6],
+                )
             )
         (
             self.angle,
@@ -68,7 +73,9 @@ def cruise(speed: float, duration_s: float = 1.0) -> np.ndarray:
     return speed * np.where(t < 0.2, 0.5 * t * t / 0.2, t - 0.1)
 
 
-def steady_torque(effects: Effects, speed: float, weight_kg: float = 0.0, machine: Machine = EXACT) -> float:
+def steady_torque(
+    effects: Effects, speed: float, weight_kg: float = 0.0, machine: Machine = EXACT
+) -> float:
     """Return the mean motor torque at the joint over the last fifth of a cruise."""
     track = Track(effects, cruise(speed), weight_kg, machine)
     return PER_AMPERE * float(np.mean(track.current[-200:]))

@@ -49,7 +49,9 @@ def logged(out: dict[str, Array], weight: float, name: str = "") -> Recording:
 def beginning(recording: Recording, seconds: float) -> Recording:
     """The first seconds alone, for what a few reversals show as well as many."""
     kept = recording.time < seconds
-    return replace(recording, channels={name: values[kept] for name, values in recording.channels.items()})
+    return replace(
+        recording, channels={name: values[kept] for name, values in recording.channels.items()}
+    )
 
 
 def with_ripple(recording: Recording, amplitude_N_m: float, periods: float) -> Recording:

@@ -32,7 +32,9 @@ BENCH = Bench(
 ARM_M = 0.095
 
 
-def friction(velocity: Array, p: Mapping[str, float], moment: float = 0.0, alpha: float = 2.0) -> Array:
+def friction(
+    velocity: Array, p: Mapping[str, float], moment: float = 0.0, alpha: float = 2.0
+) -> Array:
     """Eq. 9 plus 13 with the sign that the paper leaves out, N m."""
     speed = np.abs(velocity)
     dry = p["Mc"] + (p["Ms"] - p["Mc"]) * np.exp(-((speed / p["omega_sf"]) ** alpha))
@@ -60,7 +62,9 @@ def sine(
     role: str = "fit",
     noise: Callable[[int], Array] | None = None,
 ) -> Recording:
-    """Angle amplitude sin(w t) + drift t, exact angle, velocity and joint torque; no sample falls on a reversal."""
+    """Angle amplitude sin(w t) + drift t, exact angle, velocity and joint torque; no sample falls
+    on a reversal.
+    """
     time = (np.arange(round(duration * rate)) + 0.37) / rate
     w = 2.0 * np.pi * frequency
     angle = amplitude * np.sin(w * time) + drift * time

@@ -17,10 +17,14 @@ def arrow(seed: int, rows: int, parameters: int, stretches: int) -> BlockArrow:
 
 
 @given(st.integers(0, 1000), st.integers(0, 40), st.integers(0, 4), st.integers(1, 6))
-def test_products_are_those_of_the_dense_matrix(seed: int, rows: int, parameters: int, stretches: int) -> None:
+def test_products_are_those_of_the_dense_matrix(
+    seed: int, rows: int, parameters: int, stretches: int
+) -> None:
     one = arrow(seed, rows, parameters, stretches)
     rng = np.random.default_rng(seed + 1)
-    other = BlockArrow(rng.normal(size=(rows, parameters)), rng.normal(size=rows), one.owners, stretches)
+    other = BlockArrow(
+        rng.normal(size=(rows, parameters)), rng.normal(size=rows), one.owners, stretches
+    )
     weight, vector = rng.uniform(size=rows), rng.normal(size=rows)
     direction = rng.normal(size=(parameters + stretches, 2))
     dense, there = one.dense(), other.dense()
@@ -29,7 +33,9 @@ def test_products_are_those_of_the_dense_matrix(seed: int, rows: int, parameters
     assert one.back(vector) == pytest.approx(dense.T @ vector)
     assert one.along(direction) == pytest.approx(dense @ direction)
     assert one.along(direction[:, 0]) == pytest.approx(dense @ direction[:, 0])
-    assert one.mixed(weight, other).dense() == pytest.approx(weight[:, None] * dense + (1.0 - weight)[:, None] * there)
+    assert one.mixed(weight, other).dense() == pytest.approx(
+        weight[:, None] * dense + (1.0 - weight)[:, None] * there
+    )
 
 
 @given(st.integers(0, 1000), st.integers(5, 40), st.integers(1, 4), st.integers(1, 4))

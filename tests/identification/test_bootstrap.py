@@ -1,4 +1,6 @@
-"""Bootstrap over stretches: around the estimate, about as wide as the interval, from the generator it is given."""
+"""Bootstrap over stretches: around the estimate, about as wide as the interval, from the generator
+it is given.
+"""
 
 import numpy as np
 import pytest

@@ -1,4 +1,6 @@
-"""The catalogue's words: every name once, parameters that the sentence can print, look-alikes that exist."""
+"""The catalogue's words: every name once, parameters that the sentence can print, look-alikes that
+exist.
+"""
 
 from __future__ import annotations
 
@@ -21,14 +23,20 @@ from identification.diagnosis.result import Estimate
 from identification.diagnosis.wording import finding, readable, sentence
 
 GROUPS = {
-    "motor": "cogging torque_ripple torque_saturation current_loop_lag inverter_dead_time brush_drop winding_heating "
+    "motor": "cogging torque_ripple torque_saturation current_loop_lag inverter_dead_time "
+    "brush_drop winding_heating "
     "supply_sag",
-    "transmission": "backlash compliance gear_mesh_ripple transmission_efficiency coupling_hysteresis",
-    "friction": "asymmetric_coulomb asymmetric_viscous quadratic_drag stribeck_shape friction_memory "
-    "dwell_static_friction presliding position_dependent_friction viscous_thermal_drift coulomb_drift",
-    "device": "gravity_imbalance return_spring end_stop load_exponent load_position_dependence wrong_weight load_swing "
+    "transmission": "backlash compliance gear_mesh_ripple transmission_efficiency "
+    "coupling_hysteresis",
+    "friction": "asymmetric_coulomb asymmetric_viscous quadratic_drag stribeck_shape "
+    "friction_memory "
+    "dwell_static_friction presliding position_dependent_friction viscous_thermal_drift "
+    "coulomb_drift",
+    "device": "gravity_imbalance return_spring end_stop load_exponent load_position_dependence "
+    "wrong_weight load_swing "
     "load_inertia lever_pivot_friction load_dependent_friction",
-    "sensing": "time_skew transport_delay current_offset current_drift encoder_eccentricity encoder_slip",
+    "sensing": "time_skew transport_delay current_offset current_drift encoder_eccentricity "
+    "encoder_slip",
     "gas generator": "throat_deposition burning_area_change erosive_burning heat_loss leakage",
 }
 """The catalogue as the specification prints it."""
@@ -39,13 +47,17 @@ def middle(entry: Entry) -> dict[str, Estimate]:
     found = {}
     for q in entry.parameters:
         value = q.low + 0.7 * (q.high - q.low)
-        found[q.name] = Estimate(value, value - 0.01 * (q.high - q.low), value + 0.01 * (q.high - q.low), q.unit)
+        found[q.name] = Estimate(
+            value, value - 0.01 * (q.high - q.low), value + 0.01 * (q.high - q.low), q.unit
+        )
     return found
 
 
 def test_every_name_of_the_specification_stands_in_the_catalogue_once_and_no_other() -> None:
     rows = (*MOTOR, *TRANSMISSION, *FRICTION, *DEVICE, *SENSING, *GAS)
-    assert [(e.group, e.name) for e in rows] == [(g, name) for g, names in GROUPS.items() for name in names.split()]
+    assert [(e.group, e.name) for e in rows] == [
+        (g, name) for g, names in GROUPS.items() for name in names.split()
+    ]
     assert len(ENTRIES) == len(rows)
 
 
@@ -58,11 +70,17 @@ def test_an_entry_is_whole(entry: Entry) -> None:
     for q in entry.parameters:
         assert q.low < q.high, q.name
     named = {name for _, name, _, _ in Formatter().parse(entry.sentence) if name}
-    assert {q.name for q in entry.parameters} <= named <= {q.name for q in entry.parameters} | {"recordings"}
+    assert (
+        {q.name for q in entry.parameters}
+        <= named
+        <= {q.name for q in entry.parameters} | {"recordings"}
+    )
 
 
 @pytest.mark.parametrize("entry", ENTRIES.values(), ids=lambda e: e.name)
-def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(entry: Entry) -> None:
+def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
+    entry: Entry,
+) -> None:
     estimates = middle(entry)
     words = finding(entry, estimates, ("loaded_2",))
     assert "{" not in words
@@ -75,13 +93,16 @@ def test_a_finding_prints_every_value_in_a_unit_that_its_own_can_be_turned_into(
 def test_the_sentence_of_the_page() -> None:
     gap = {"gap_rad": Estimate(math.radians(0.42), math.radians(0.39), math.radians(0.45), "rad")}
     assert finding(ENTRIES["backlash"], gap) == (
-        "the shaft turns 0.42 deg (0.39 to 0.45) before the valve follows each reversal of torque: backlash "
+        "the shaft turns 0.42 deg (0.39 to 0.45) before the valve follows each reversal of "
+        "torque: backlash "
         "(transmission), against assumption A5: no mechanical clearance, theta = i theta_r"
     )
 
 
 def test_a_sign_becomes_words_and_the_size_keeps_its_interval() -> None:
-    words = sentence(ENTRIES["asymmetric_coulomb"], {"torque_Nm": Estimate(-0.4, -0.52, -0.28, "N m")})
+    words = sentence(
+        ENTRIES["asymmetric_coulomb"], {"torque_Nm": Estimate(-0.4, -0.52, -0.28, "N m")}
+    )
     assert words.startswith("friction is 0.40 N m (0.28 to 0.52) lower in the positive direction")
     assert "higher in the negative" in words
 
@@ -102,7 +123,9 @@ def test_a_missing_estimate_is_an_error_not_a_gap_in_the_sentence() -> None:
 
 
 @given(value=st.floats(1e-6, 1e5), share=st.floats(1e-4, 0.9))
-def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found(value: float, share: float) -> None:
+def test_what_is_printed_lies_within_a_third_of_the_interval_from_what_was_found(
+    value: float, share: float
+) -> None:
     width = 2.0 * share * value
     words = readable(Estimate(value, value - width / 2, value + width / 2, "N m"))
     printed, low, high = (

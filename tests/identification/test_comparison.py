@@ -1,4 +1,6 @@
-"""All estimators on one problem: the same optimum where there is one, and the default method ahead."""
+"""All estimators on one problem: the same optimum where there is one, and the default method
+ahead.
+"""
 
 from __future__ import annotations
 

@@ -23,13 +23,25 @@ def ramp(speed: float, n: int = 2000) -> np.ndarray:
 @pytest.mark.parametrize("moment", [0.0, MOMENT])
 @pytest.mark.parametrize("speed", [0.3, -0.3, 0.02])
 def test_at_constant_speed_it_is_the_friction_of_eq_9_and_13(speed: float, moment: float) -> None:
-    """All of it unloaded; under 3000 N, where friction falls faster than damping can be added, less of the rise."""
+    """All of it unloaded; under 3000 N, where friction falls faster than damping can be added, less
+    of the rise.
+    """
     p, v = NOMINAL, abs(speed)
     rise = RISE_SHARE if moment else 1.0
-    system = p["Mc"] + rise * (p["Ms"] - p["Mc"]) * math.exp(-((v / p["omega_sf"]) ** 2)) + p["sigma_2"] * v
-    load = p["mu_c"] + rise * (p["mu_s"] - p["mu_c"]) * math.exp(-((v / p["omega_sL"]) ** 2)) + p["mu_2"] * v
+    system = (
+        p["Mc"]
+        + rise * (p["Ms"] - p["Mc"]) * math.exp(-((v / p["omega_sf"]) ** 2))
+        + p["sigma_2"] * v
+    )
+    load = (
+        p["mu_c"]
+        + rise * (p["mu_s"] - p["mu_c"]) * math.exp(-((v / p["omega_sL"]) ** 2))
+        + p["mu_2"] * v
+    )
     torque = feedforward(ramp(speed), PERIOD, p, 2.0, moment)
-    assert np.mean(torque[1000:1003]) == pytest.approx(math.copysign(system + moment * load, speed), rel=1e-12)
+    assert np.mean(torque[1000:1003]) == pytest.approx(
+        math.copysign(system + moment * load, speed), rel=1e-12
+    )
     assert np.ptp(torque[1000:1003]) < 1e-9 or (moment and v < 0.1)
 
 
@@ -65,7 +77,9 @@ def test_where_the_falling_branch_ends() -> None:
     rise, w = p["Ms"] - p["Mc"], p["omega_sf"]
     v = falls_until(p, 2.0, 0.0, 40.0)
     assert v > w / math.sqrt(2.0)
-    assert rise * 2.0 * v / w**2 * math.exp(-((v / w) ** 2)) - p["sigma_2"] == pytest.approx(40.0, rel=5e-3)
+    assert rise * 2.0 * v / w**2 * math.exp(-((v / w) ** 2)) - p["sigma_2"] == pytest.approx(
+        40.0, rel=5e-3
+    )
     steepest = math.sqrt(2.0 / math.e) * rise / w - p["sigma_2"]
     assert falls_until(p, 2.0, 0.0, 1.001 * steepest) == 0.0
     assert falls_until(p, 2.0, 0.0, 0.999 * steepest) == pytest.approx(w / math.sqrt(2.0), rel=0.05)
@@ -86,7 +100,10 @@ def test_pulses_add_no_torque_in_the_mean_and_never_turn_it_round() -> None:
 
 
 def test_the_height_of_a_pulse_is_a_speed_of_the_inertia() -> None:
-    """Twice the speed until which friction falls: J dv / T. At four times the period that is about a quarter."""
+    """Twice the speed until which friction falls: J dv / T.
+
+    At four times the period that is about a quarter.
+    """
     until = falls_until(NOMINAL, 2.0, MOMENT, gains(NOMINAL["J"], PERIOD).damping)
     beats = pulses(ramp(0.02), PERIOD, NOMINAL, 2.0, MOMENT)
     assert beats[1000:1003].max() == pytest.approx(NOMINAL["J"] * 2.0 * until / PERIOD, rel=0.01)

@@ -13,7 +13,9 @@ from identification.model.gas_generator import GasGenerator
 from identification.prepare import prepare
 from identification.recording import Array, Bench, Recording, RecordingError
 
-BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095, gas_generator=GasGenerator())
+BENCH = Bench(
+    torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095, gas_generator=GasGenerator()
+)
 TIME = np.arange(2000) * 1e-3
 ANGLE = np.deg2rad(10.0 * np.sin(np.pi * TIME))
 
@@ -61,14 +63,20 @@ def test_a_load_needs_its_arm() -> None:
 
 
 def test_the_filter_takes_the_mean_load_of_each_period() -> None:
-    """The torque of a sample is the mean over the period that ends there; so is the load that it moves against."""
+    """The torque of a sample is the mean over the period that ends there; so is the load that it
+    moves against.
+    """
     up = np.deg2rad(8.0 * (1.0 - np.cos(2.0 * np.pi * np.arange(500) * 1e-3)))
-    angle = np.concatenate((np.full(300, up[0]), up, np.full(300, up[-1]), up[::-1], np.full(300, up[0])))
+    angle = np.concatenate(
+        (np.full(300, up[0]), up, np.full(300, up[-1]), up[::-1], np.full(300, up[0]))
+    )
     angle = np.round(angle / 1e-5) * 1e-5
     time = np.arange(len(angle)) * 1e-3
     pressure = 4e6 - 1e6 * time
     channels = {"time": time, "angle": angle, "current": np.sin(time), "pressure": pressure}
-    found = motion(Recording("hot", channels, BENCH, stage="loaded", averaged=frozenset({"current"})))
+    found = motion(
+        Recording("hot", channels, BENCH, stage="loaded", averaged=frozenset({"current"}))
+    )
     assert found is not None
     at_samples = contact_moment(found.recording, time, angle)
     np.testing.assert_allclose(found.moment[1:], 0.5 * (at_samples[1:] + at_samples[:-1]))

@@ -1,4 +1,6 @@
-"""The corrected model in plain numpy against the regressors of the search, which are written apart."""
+"""The corrected model in plain numpy against the regressors of the search, which are written
+apart.
+"""
 
 from __future__ import annotations
 
@@ -22,11 +24,17 @@ from identification.diagnosis.view import View, views
 from identification.recording import Bench, Recording
 
 NOMINAL = {
-    "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052, "mu_s": 0.086,
+    "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,
+    "mu_s": 0.086,
     "omega_sL": 0.033, "mu_2": 0.032,
 }  # fmt: skip
 BENCH = Bench(
-    torque_constant=0.03, back_emf_constant=0.026, resistance=1.56, inductance=1e-3, gear_ratio=100.0, moment_arm=0.095
+    torque_constant=0.03,
+    back_emf_constant=0.026,
+    resistance=1.56,
+    inductance=1e-3,
+    gear_ratio=100.0,
+    moment_arm=0.095,
 )
 LINEAR = {
     "cogging": ({"torque_Nm": 0.5, "per_motor_turn": 7.0, "phase_rad": 0.0}, (7.0,), (0.5, 0.0)),
@@ -36,9 +44,17 @@ LINEAR = {
     "stribeck_shape": ({"alpha": 1.2}, (1.2, 1.0), (1.0,)),
     "friction_memory": ({"time_s": 0.01}, (0.01,), (1.0,)),
     "presliding": ({"stiffness_Nm_rad": 3e3}, (3e3,), (1.0,)),
-    "position_dependent_friction": ({"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05}, (0.1, 0.05), (1.0,)),
+    "position_dependent_friction": (
+        {"torque_Nm": 1.0, "center_rad": 0.1, "width_rad": 0.05},
+        (0.1, 0.05),
+        (1.0,),
+    ),
     "coulomb_drift": ({"rate_Nm_s": 0.01}, (), (0.01,)),
-    "gravity_imbalance": ({"torque_Nm": 2.0, "zero_rad": 0.3}, (), (2.0 * math.cos(0.3), 2.0 * math.sin(0.3))),
+    "gravity_imbalance": (
+        {"torque_Nm": 2.0, "zero_rad": 0.3},
+        (),
+        (2.0 * math.cos(0.3), 2.0 * math.sin(0.3)),
+    ),
     "return_spring": ({"stiffness_Nm_rad": 3.0, "rest_rad": 0.2}, (), (3.0, 0.6)),
     "end_stop": ({"angle_rad": -0.25, "stiffness_Nm_rad": 40.0}, (-1.0, -0.25), (40.0,)),
     "load_position_dependence": ({"slope_per_rad": 0.3}, (), (0.3,)),
@@ -48,14 +64,24 @@ LINEAR = {
     "current_drift": ({"rate_A_s": 0.01}, (0.0,), (0.01,)),
     "backlash": ({"gap_rad": 0.007}, (0.007, 0.0, 0.0, 0.0), (1.0,)),
     "compliance": ({"stiffness_Nm_rad": 900.0}, (), (1.0 / 900.0, 0.0, 0.0)),
-    "gear_mesh_ripple": ({"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0}, (23.0,), (1e-3, 0.0)),
-    "coupling_hysteresis": ({"torque_Nm": 4.0, "deflection_rad": 2e-3}, (4.0, 0.0, 2e-3, 0.0, 0.0), (1.0,)),
+    "gear_mesh_ripple": (
+        {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.0},
+        (23.0,),
+        (1e-3, 0.0),
+    ),
+    "coupling_hysteresis": (
+        {"torque_Nm": 4.0, "deflection_rad": 2e-3},
+        (4.0, 0.0, 2e-3, 0.0, 0.0),
+        (1.0,),
+    ),
     "encoder_eccentricity": ({"amplitude_rad": 1e-3, "phase_rad": 0.0}, (), (1e-3, 0.0)),
     "brush_drop": ({"voltage_V": 0.8, "current_A": 0.5}, (0.5, 0.0), (0.8,)),
     "inverter_dead_time": ({"voltage_V": 0.8}, (1e-6, 0.0), (0.8,)),
     "supply_sag": ({"resistance_ohm": 0.2}, (), (0.2,)),
 }
-"""Effect to its parameters, and to the shape and coefficients that the search would find for them."""
+"""Effect to its parameters, and to the shape and coefficients that the search would find for
+them.
+"""
 
 
 @pytest.fixture(scope="module")
@@ -83,14 +109,16 @@ def test_an_effect_adds_what_the_search_fits(name: str, view: View) -> None:
     s, model = signals_of(view), CorrectedModel(NOMINAL, 2.0, {name: parameters})
     m, plain = model.numbers(view.recording), CorrectedModel(NOMINAL, 2.0)
     predicted = {
-        "torque": (model.torque(s, m) - plain.torque(s, m)) - (model.drive(s, m) - plain.drive(s, m)),
+        "torque": (model.torque(s, m) - plain.torque(s, m))
+        - (model.drive(s, m) - plain.drive(s, m)),
         "transmission": model.twist(s, m),
         "voltage": model.voltage(s, m) - plain.voltage(s, m),
     }
     term = next(t for t in TERMS if t.name == name)
     nominal = Nominal(NOMINAL, tuple(NOMINAL), 2.0)
     for equation, columns in term.columns.items():
-        # The search takes the ratio's swing of the model's torque, so that none is measured; the rest of it is exact.
+        # The search takes the ratio's swing of the model's torque, so that none is measured; the
+        # rest of it is exact.
         if equation == "breakaway" or (name, equation) == ("gear_mesh_ripple", "torque"):
             continue
         expected = np.array(coefficients) @ columns(view, nominal, shape)
@@ -115,7 +143,9 @@ def test_what_rest_added_is_there_as_it_ends_and_gone_in_motion(view: View) -> N
 
 
 def test_a_gear_s_torque_swings_as_its_ratio_does(view: View) -> None:
-    """Power passes whole: drive times the motor's speed is the joint's torque times the joint's speed."""
+    """Power passes whole: drive times the motor's speed is the joint's torque times the joint's
+    speed.
+    """
     s = signals_of(view)
     m = CorrectedModel(NOMINAL, 2.0).numbers(view.recording)
     given = {"amplitude_rad": 1e-3, "per_turn": 23.0, "phase_rad": 0.4}
@@ -173,8 +203,12 @@ def test_a_heavier_weight_than_its_label_scales_the_load_of_its_recording_alone(
 def test_states_agree_with_the_compiled_ones(view: View) -> None:
     torque = view.torque
     level = 6.0 + 2.0 * np.abs(view.velocity)
-    assert lagged(torque, view.time, 0.02) == pytest.approx(memory.lagged(torque, view.step, 0.02), abs=1e-9)
-    assert dahl_friction(view.angle, level, 2e3) == pytest.approx(memory.dahl(view.angle, level, 2e3), abs=1e-12)
+    assert lagged(torque, view.time, 0.02) == pytest.approx(
+        memory.lagged(torque, view.step, 0.02), abs=1e-9
+    )
+    assert dahl_friction(view.angle, level, 2e3) == pytest.approx(
+        memory.dahl(view.angle, level, 2e3), abs=1e-12
+    )
     assert play(view.angle, 0.01) == pytest.approx(memory.play(view.angle, 0.01), abs=1e-12)
 
 

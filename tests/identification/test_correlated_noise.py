@@ -1,4 +1,6 @@
-"""Correlated noise of the current sensor is told from physics that is missing, and the refinement stays."""
+"""Correlated noise of the current sensor is told from physics that is missing, and the refinement
+stays.
+"""
 
 from __future__ import annotations
 
@@ -27,21 +29,33 @@ def clean() -> Recording:
     """Return an unloaded stage of the model itself, without noise of the torque."""
     time = PERIOD_S * np.arange(round(STAGE_S / PERIOD_S))
     command = np.deg2rad(20.0) * np.sin(0.8 * np.pi * time) * np.clip(time, 0.0, 1.0)
-    out = respond(command, PERIOD_S, NOMINAL, 0.0, 2.0, usual_loop(NOMINAL["J"], 75.0), np.zeros(len(time)))
+    out = respond(
+        command, PERIOD_S, NOMINAL, 0.0, 2.0, usual_loop(NOMINAL["J"], 75.0), np.zeros(len(time))
+    )
     angle = np.floor(out.angle / COUNT_RAD) * COUNT_RAD
     channels = {"time": time, "angle": angle, "torque": out.torque}
-    return Recording("run", channels, Bench(moment_arm=0.095), stage="unloaded", averaged=frozenset({"torque"}))
+    return Recording(
+        "run", channels, Bench(moment_arm=0.095), stage="unloaded", averaged=frozenset({"torque"})
+    )
 
 
 def with_torque(recording: Recording, more: np.ndarray) -> Recording:
-    return replace(recording, channels={**recording.channels, "torque": recording.channels["torque"] + more})
+    return replace(
+        recording, channels={**recording.channels, "torque": recording.channels["torque"] + more}
+    )
 
 
 def test_drawn_noise_has_both_parts() -> None:
     rows = NOISE.drawn(np.random.default_rng(0), (2, 200_000), PERIOD_S, 0.5)
     later = [float(np.mean(rows[:, lag:] * rows[:, : rows.shape[1] - lag])) for lag in (0, 1, 10)]
-    correlated = 0.25 * NOISE.correlated**2 * np.exp(-np.array([0.0, 1.0, 10.0]) * PERIOD_S / NOISE.correlation_s)
-    assert later == pytest.approx(correlated + np.array([0.25 * NOISE.torque**2, 0.0, 0.0]), rel=0.05)
+    correlated = (
+        0.25
+        * NOISE.correlated**2
+        * np.exp(-np.array([0.0, 1.0, 10.0]) * PERIOD_S / NOISE.correlation_s)
+    )
+    assert later == pytest.approx(
+        correlated + np.array([0.25 * NOISE.torque**2, 0.0, 0.0]), rel=0.05
+    )
 
 
 def test_correlated_noise_is_measured_and_the_refinement_stays(clean: Recording) -> None:

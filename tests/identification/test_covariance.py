@@ -1,4 +1,6 @@
-"""How sure an estimate is said to be: scores that scatter from stretch to stretch, in the recording and rehearsed."""
+"""How sure an estimate is said to be: scores that scatter from stretch to stretch, in the recording
+and rehearsed.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,12 @@ import pytest
 
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.uncertainty import covariance
-from identification.estimate.uncertainty.covariance import _REPLICATE_PRIOR, _scatter, _spread, covariances
+from identification.estimate.uncertainty.covariance import (
+    _REPLICATE_PRIOR,
+    _scatter,
+    _spread,
+    covariances,
+)
 from identification.filter.likelihood import Problem, static_limit
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
@@ -35,7 +42,10 @@ def pulled(jacobian: BlockArrow, pulls: Array) -> Array:
 
 def test_scores_of_white_noise_scatter_as_foretold() -> None:
     jacobian = strokes()
-    ratios = [_scatter(jacobian, np.random.default_rng(k).normal(size=STRETCHES * ROWS))[0] for k in range(200)]
+    ratios = [
+        _scatter(jacobian, np.random.default_rng(k).normal(size=STRETCHES * ROWS))[0]
+        for k in range(200)
+    ]
     assert np.mean(ratios, axis=0) == pytest.approx(1.0, abs=0.07)
     assert _scatter(jacobian, np.zeros(STRETCHES * ROWS))[1] == pytest.approx(STRETCHES)
 
@@ -84,15 +94,23 @@ def test_a_doubted_stretch_widens_the_interval_and_not_the_floor() -> None:
     segment_inflation = covariances(problem, played)
     assert segment_inflation.floor == pytest.approx(plain.floor, rel=1e-6)
     ratio = np.diag(segment_inflation.achieved) / np.diag(plain.achieved)
-    assert np.all(ratio[: SYSTEM.index("J")] > 1.3)  # half of them all but lost; J has an equation of its own
+    assert np.all(
+        ratio[: SYSTEM.index("J")] > 1.3
+    )  # half of them all but lost; J has an equation of its own
 
 
 def test_what_nothing_tells_does_not_follow_the_inertia(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A Stribeck speed that no sample resolved was taken 400 times up by a straight line in its logarithm."""
+    """A Stribeck speed that no sample resolved was taken 400 times up by a straight line in its
+    logarithm.
+    """
     m = motion(from_the_model(1, 5.0))
     assert m is not None
     problem = Problem(
-        [m], pack({**VALUES, "J": 1.05 * VALUES["J"]}, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), NOISE
+        [m],
+        pack({**VALUES, "J": 1.05 * VALUES["J"]}, 2.0),
+        tuple(INDEX[n] for n in SYSTEM),
+        Model(),
+        NOISE,
     )
     problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
     problem.hold_weights()

@@ -1,4 +1,6 @@
-"""The Cramer-Rao floor, on data simulated from the fitted model itself, and the instruments it rests on."""
+"""The Cramer-Rao floor, on data simulated from the fitted model itself, and the instruments it
+rests on.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +14,12 @@ from scipy import ndimage
 from identification.estimate.inertia.half_cycles import Replicate
 from identification.estimate.inertia.instruments import _smoothed, instruments
 from identification.estimate.likelihood.stages import Refined, refine_stages
-from identification.estimate.uncertainty.cramer_rao import bound, matching_means, replicate_bound, replicate_information
+from identification.estimate.uncertainty.cramer_rao import (
+    bound,
+    matching_means,
+    replicate_bound,
+    replicate_information,
+)
 from identification.filter.likelihood import Problem, static_limit
 from identification.filter.noise import Noise
 from identification.filter.segments import motion
@@ -33,10 +40,12 @@ SEEDS = 5
 
 @compiled
 def run(rng_noise: Array, angle: Array, measured: Array, values: Array) -> None:
-    """Fill in the angle and the mean torque of every period; ``values`` are Mc, Ms, omega_sf, sigma_2 and J.
+    """Fill in the angle and the mean torque of every period; ``values`` are Mc, Ms, omega_sf,
+    sigma_2 and J.
 
-    A loop of speed and angle sets the torque; the sensor's noise is what the measured mean has beyond the true.
-    Midpoint steps of a tenth of a period; friction (eq. 9) balances the drive at rest up to the static limit.
+    A loop of speed and angle sets the torque; the sensor's noise is what the measured mean has
+    beyond the true. Midpoint steps of a tenth of a period; friction (eq. 9) balances the drive at
+    rest up to the static limit.
     """
     coulomb, static, omega_s, viscous, inertia = values
     theta = omega = wind = 0.0
@@ -96,8 +105,11 @@ def test_an_estimate_reaches_the_floor_and_none_beats_it(estimates: list[Refined
     assert 0.6 < over < 1.4  # 25 errors over their floors, correlated within a seed
 
 
-def test_intervals_are_as_wide_as_the_floor_where_the_noise_is_as_assumed(estimates: list[Refined]) -> None:
-    # Each comes from the scatter over a few stretches, so that it may fall below; their mean square does not.
+def test_intervals_are_as_wide_as_the_floor_where_the_noise_is_as_assumed(
+    estimates: list[Refined],
+) -> None:
+    # Each comes from the scatter over a few stretches, so that it may fall below; their mean square
+    # does not.
     over = np.array([np.diag(r.covariance) / np.diag(r.floor) for r in estimates])
     assert 0.85 < np.sqrt(np.mean(over)) < 1.5
     assert np.all(over > 0.25)
@@ -108,7 +120,9 @@ def test_the_noise_is_found(estimates: list[Refined]) -> None:
 
 
 def of_parameters(table: Array) -> BlockArrow:
-    """Return slopes in parameters alone, of rows of one stretch whose breakaway time none of them knows."""
+    """Return slopes in parameters alone, of rows of one stretch whose breakaway time none of them
+    knows.
+    """
     return BlockArrow(table, np.zeros(len(table)), np.zeros(len(table), dtype=np.int64), 1)
 
 
@@ -140,10 +154,14 @@ def test_noise_of_the_own_sensitivities_is_no_excitation() -> None:
 
 
 def slopes_at_the_truth(seed: int) -> tuple[Problem, BlockArrow]:
-    """Return the problem of a recording of the fitted model at its true values, and its Jacobian there."""
+    """Return the problem of a recording of the fitted model at its true values, and its Jacobian
+    there.
+    """
     m = motion(from_the_model(seed, 5.0))
     assert m is not None
-    problem = Problem([m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M))
+    problem = Problem(
+        [m], pack(VALUES, 2.0), tuple(INDEX[n] for n in SYSTEM), Model(), Noise(NOISE_N_M)
+    )
     problem.breakaway_times = [m.static_crossing(static_limit(problem.start, m))]
     problem.hold_weights()
     x = problem.origin()
@@ -168,7 +186,9 @@ def test_noise_of_rehearsals_is_no_excitation() -> None:
     count = len(SYSTEM)
     right = np.diag(bound(jacobian))[:count]
     found = replicate_bound(
-        replicate_information(problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)])
+        replicate_information(
+            problem, jacobian, [shaken(problem, jacobian, k, 0.5) for k in range(6)]
+        )
     )
     assert found is not None
     assert np.diag(found) == pytest.approx(right, rel=0.15)
@@ -192,7 +212,9 @@ def test_too_few_noises_leave_no_bound() -> None:
     opposed = replace(jacobian, parameters=-jacobian.parameters)
     assert (
         replicate_bound(
-            replicate_information(problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)])
+            replicate_information(
+                problem, jacobian, [rehearsal(problem, jacobian, 0), rehearsal(problem, opposed, 1)]
+            )
         )
         is None
     )
@@ -201,7 +223,9 @@ def test_too_few_noises_leave_no_bound() -> None:
 def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:
     problem, jacobian = slopes_at_the_truth(1)
     one = shaken(problem, jacobian, 0, 3.0)
-    found = replicate_bound(replicate_information(problem, jacobian, [one, replace(one, sensitivities=jacobian)]))
+    found = replicate_bound(
+        replicate_information(problem, jacobian, [one, replace(one, sensitivities=jacobian)])
+    )
     assert found == pytest.approx(bound(jacobian)[: len(SYSTEM), : len(SYSTEM)])
 
 
@@ -209,7 +233,9 @@ def test_samples_of_one_noise_alone_are_those_of_strokes_alike() -> None:
 def test_smoothed_curves_are_those_of_a_filter(rows: int) -> None:
     curve = np.cumsum(np.random.default_rng(rows).normal(size=(rows, 2)), axis=0)
     filtered = [ndimage.gaussian_filter1d(curve, 2.0**k, axis=0, mode="nearest") for k in range(8)]
-    np.testing.assert_allclose(_smoothed(curve), np.stack([curve, *filtered]), atol=1e-12 * np.max(np.abs(curve)))
+    np.testing.assert_allclose(
+        _smoothed(curve), np.stack([curve, *filtered]), atol=1e-12 * np.max(np.abs(curve))
+    )
 
 
 def test_instruments_hold_nothing_of_their_own_stretch() -> None:

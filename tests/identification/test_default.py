@@ -30,8 +30,9 @@ TRUTH_SYSTEM = {name: TRUTH[name] for name in SYSTEM}
 
 
 FEW_S, FEWER_S = 10.0, 5.0
-"""Four reversals, and two: where physics is missing every start is followed to its end, and the time goes with the
-length."""
+"""Four reversals, and two: where physics is missing every start is followed to its end, and the
+time goes with the length.
+"""
 
 
 def equation_error(result: Identification, *recordings: Recording) -> dict[str, float]:
@@ -40,7 +41,9 @@ def equation_error(result: Identification, *recordings: Recording) -> dict[str, 
 
 
 def test_practical_bench_within_tenths_of_a_percent(practical_result: Identification) -> None:
-    assert [s.method for s in practical_result.stages] == ["variable projection"] * 2 + ["prediction error"]
+    assert [s.method for s in practical_result.stages] == ["variable projection"] * 2 + [
+        "prediction error"
+    ]
     assert practical_result.warnings == ()
     found = practical_result.values()
     for name, value in TRUTH.items():
@@ -48,7 +51,9 @@ def test_practical_bench_within_tenths_of_a_percent(practical_result: Identifica
         assert found[name] == pytest.approx(value, rel=limit), name
 
 
-def test_innovations_of_the_practical_bench_are_of_unit_size(practical_result: Identification) -> None:
+def test_innovations_of_the_practical_bench_are_of_unit_size(
+    practical_result: Identification,
+) -> None:
     assert practical_result.stages[-1].cost == pytest.approx(1.0, abs=0.1)
 
 
@@ -56,12 +61,16 @@ def test_where_the_starts_ended_is_kept(practical_result: Identification) -> Non
     unloaded, loaded = practical_result.starts
     assert (unloaded.stage, loaded.stage) == ("unloaded", "loaded")
     assert unloaded.ends[-1] <= unloaded.reached
-    assert len(loaded.ends) == 3 + 4 + 2  # of the grid, and far from and near to the best of their ends
+    assert (
+        len(loaded.ends) == 3 + 4 + 2
+    )  # of the grid, and far from and near to the best of their ends
     assert 1 <= loaded.best <= 9
     assert min(loaded.ends) < loaded.reached
 
 
-def test_friction_at_a_speed_is_pinned_better_than_its_parts(practical_result: Identification) -> None:
+def test_friction_at_a_speed_is_pinned_better_than_its_parts(
+    practical_result: Identification,
+) -> None:
     pairs = {t.names: t for t in practical_result.tradeoffs}
     assert "only their sum at 0.3" in pairs["Mc", "sigma_2"].statement
     assert practical_result.least_pinned.startswith("least pinned is omega_sL alone")
@@ -88,13 +97,21 @@ def test_result_holds_every_signal_and_adds_up(practical_result: Identification)
 
 @pytest.mark.parametrize(
     ("names", "loaded"),
-    [(("J",), False), (("Ms",), False), (("Mc", "omega_sf"), False), (SYSTEM, True), (("mu_s", "omega_sL"), True)],
+    [
+        (("J",), False),
+        (("Ms",), False),
+        (("Mc", "omega_sf"), False),
+        (SYSTEM, True),
+        (("mu_s", "omega_sL"), True),
+    ],
     ids=lambda value: "+".join(value) if isinstance(value, tuple) else "",
 )
 def test_fixed_values_are_held_through_the_refinement(
     practical_pair: tuple[Recording, Recording], names: tuple[str, ...], loaded: bool
 ) -> None:
-    result = identify(Dataset(practical_pair[: 1 + loaded], Model(fixed={n: TRUTH[n] for n in names})))
+    result = identify(
+        Dataset(practical_pair[: 1 + loaded], Model(fixed={n: TRUTH[n] for n in names}))
+    )
     assert result.stages[-1].method == "prediction error"
     for name, found in result.values().items():
         limit = 1e-12 if name in names else 0.008
@@ -104,7 +121,9 @@ def test_fixed_values_are_held_through_the_refinement(
 def test_a_rise_of_load_friction_that_the_bandwidth_hides_is_found_in_the_breakaways(
     practical_pair: tuple[Recording, Recording],
 ) -> None:
-    """As over a serial line at 500 cycles/s, where the equation error at 20 Hz ends with mu_s at mu_c."""
+    """As over a serial line at 500 cycles/s, where the equation error at 20 Hz ends with mu_s at
+    mu_c.
+    """
     prepared = [prepare(r, 40.0) for r in practical_pair]
     values, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)
     flat = {**values, "mu_s": values["mu_c"], "omega_sL": 1.0}
@@ -148,8 +167,8 @@ def test_strong_hidden_ripple_does_not_break_the_search(
     recording = with_ripple(beginning(practical_pair[0], FEWER_S), 2.0, 40.0)
     result = identify(Dataset((recording,)))
     assert "physics is missing" in result.warnings[0]
-    # None near solves the equations, so that it goes to inertias far off; that one there does by chance is the
-    # rounding's, and helps nobody.
+    # None near solves the equations, so that it goes to inertias far off; that one there does by
+    # chance is the rounding's, and helps nobody.
     (unloaded,) = result.starts
     assert min(unloaded.ends[:10]) > unloaded.reached
     assert np.any(np.isclose(inertias, stages._FAR[0] * inertias[0]))
@@ -169,17 +188,24 @@ def test_torque_noise_is_told_from_scatter(practical_pair: tuple[Recording, Reco
     assert refusal(right, 1.0, 1.0) == ""
     assert "ask for a torque noise" in refusal(wrong, 1.0, 1.0)
     assert "stay correlated (+0.20" in refusal(replace(right, whiteness=0.2), 1.0, 1.0)
-    assert "less likely than it began (deviance +20)" in refusal(replace(right, likelihood_drop=20.0), 1.0, 1.0)
+    assert "less likely than it began (deviance +20)" in refusal(
+        replace(right, likelihood_drop=20.0), 1.0, 1.0
+    )
     assert refusal(right, 1.0, 1.2) == ""
     assert "raise the equation error from 1 to 1.4" in refusal(right, 1.0, 1.4)
-    for lost in (replace(right, whiteness=math.nan), replace(right, values={**right.values, "J": math.nan})):
+    for lost in (
+        replace(right, whiteness=math.nan),
+        replace(right, values={**right.values, "J": math.nan}),
+    ):
         assert "no numbers" in refusal(lost, 1.0, 1.0)
 
 
 def test_a_slip_that_is_lost_is_no_missing_physics(
     practical_pair: tuple[Recording, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all samples they do."""
+    """Twenty samples of 62 deviations, as of bench 29199, made neighbours correlate by 0.6; of all
+    samples they do.
+    """
     moving = motion(beginning(practical_pair[0], FEW_S))
     assert moving is not None
     found = stages.fit_beside_inertia
@@ -208,7 +234,9 @@ def test_the_typical_error_does_not_follow_the_recording_that_fits_worst(
     alone = typical_error(prepared[1:], wrong, 2.0) / typical_error(prepared[1:], TRUTH, 2.0)
     assert grown == pytest.approx(math.sqrt(alone))
     assert alone > 1.3
-    shorter = replace(prepared[1], used=prepared[1].used & (np.arange(len(prepared[1].used)) % 2 == 0))
+    shorter = replace(
+        prepared[1], used=prepared[1].used & (np.arange(len(prepared[1].used)) % 2 == 0)
+    )
     halved = [typical_error([prepared[0], shorter], v, 2.0) for v in (wrong, TRUTH)]
     assert halved[0] / halved[1] == pytest.approx(grown, rel=0.01)
 
@@ -221,12 +249,16 @@ def test_exact_channels_are_not_refined() -> None:
     assert result.values() == pytest.approx({name: TRUTH[name] for name in SYSTEM}, rel=1e-6)
 
 
-def test_without_inertia_to_start_from_nothing_is_refined(practical_pair: tuple[Recording, Recording]) -> None:
+def test_without_inertia_to_start_from_nothing_is_refined(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     recording = practical_pair[0]
     acceleration = np.gradient(np.gradient(recording.channels["motor_angle"], 1e-3), 1e-3) / 100.0
     smooth = np.convolve(acceleration, np.ones(51) / 51.0, mode="same")
     current = recording.channels["current"] - 0.3 * smooth / 3.0  # takes away more than J domega/dt
-    result = identify(Dataset((replace(recording, channels={**recording.channels, "current": current}),)))
+    result = identify(
+        Dataset((replace(recording, channels={**recording.channels, "current": current}),))
+    )
     assert "no inertia to start from" in result.warnings[0]
     assert result.parameters["J"].at_bound
 
@@ -250,7 +282,9 @@ def test_progress_is_told() -> None:
 
 
 def test_loaded_alone_is_refused_with_what_is_missing() -> None:
-    with pytest.raises(RecordingError, match=r"record an unloaded stage, or fix Mc, Ms, omega_sf, sigma_2, J"):
+    with pytest.raises(
+        RecordingError, match=r"record an unloaded stage, or fix Mc, Ms, omega_sf, sigma_2, J"
+    ):
         identify(Dataset((sine(weight=30.6),)))
 
 
@@ -269,8 +303,13 @@ def test_nothing_to_fit_is_refused() -> None:
 def test_a_stage_at_rest_is_refused(method: Callable[..., Identification]) -> None:
     still = sine()
     still = replace(still, channels={**still.channels, "angle": np.full(len(still.time), 0.1)})
-    still = replace(still, channels={k: v for k, v in still.channels.items() if k not in ("velocity", "motor_angle")})
-    with pytest.raises(RecordingError, match=r"sine: 0 samples in motion .* at least 40 are needed"):
+    still = replace(
+        still,
+        channels={k: v for k, v in still.channels.items() if k not in ("velocity", "motor_angle")},
+    )
+    with pytest.raises(
+        RecordingError, match=r"sine: 0 samples in motion .* at least 40 are needed"
+    ):
         method(Dataset((still,)), rng=np.random.default_rng(0))
 
 
@@ -286,7 +325,9 @@ def test_the_paper_method_takes_no_bandwidth_from_recordings_set_aside() -> None
     fitted, aside = sine(name="fitted"), sine(name="aside", rate=250.0)
     alone = identify_paper(Dataset((fitted,)), rng=np.random.default_rng(0), generations=2)
     both = identify_paper(
-        Dataset((fitted, replace(aside, role="validate"))), rng=np.random.default_rng(0), generations=2
+        Dataset((fitted, replace(aside, role="validate"))),
+        rng=np.random.default_rng(0),
+        generations=2,
     )
     assert both.fit.bandwidth_Hz == alone.fit.bandwidth_Hz
     assert both.values() == alone.values()

@@ -16,11 +16,25 @@ from identification.design import shares as sharing
 from identification.design import simulated_trial as rehearsing
 from identification.design.draws import Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
-from identification.design.pinning import NAMES, NOTHING, Information, Pinned, pinned, stage_information
+from identification.design.pinning import (
+    NAMES,
+    NOTHING,
+    Information,
+    Pinned,
+    pinned,
+    stage_information,
+)
 from identification.design.propose import propose
 from identification.design.search import Candidate, Design, Search, halved, planned, promised
 from identification.design.shares import best_shares, shared
-from identification.design.simulated import Nominal, PlannedStage, Sensors, recorded, stage_response, with_drives
+from identification.design.simulated import (
+    Nominal,
+    PlannedStage,
+    Sensors,
+    recorded,
+    stage_response,
+    with_drives,
+)
 from identification.design.simulated_trial import expected, rehearse
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
@@ -45,7 +59,9 @@ def information(stage: PlannedStage, model: Nominal | None = None) -> Informatio
 
 def command(amplitude_deg: float, frequency: float, seconds: float = 20.0) -> Array:
     time = PERIOD * np.arange(round(seconds / PERIOD))
-    return np.asarray(math.radians(amplitude_deg) * np.sin(2.0 * np.pi * frequency * time) * np.minimum(time, 1.0))
+    return np.asarray(
+        math.radians(amplitude_deg) * np.sin(2.0 * np.pi * frequency * time) * np.minimum(time, 1.0)
+    )
 
 
 def figure10(weight: float, seconds: float = 20.0) -> PlannedStage:
@@ -54,8 +70,12 @@ def figure10(weight: float, seconds: float = 20.0) -> PlannedStage:
 
 @pytest.mark.parametrize("moment", [0.0, MOMENT])
 def test_forward_simulation_obeys_the_equation_of_motion(moment: float) -> None:
-    """The mean torque of a period is friction plus J domega/dt wherever the shaft slips; written without the kernel."""
-    out = respond(command(20.0, 0.2, 5.0), PERIOD, NOMINAL, moment, 2.0, usual_loop(NOMINAL["J"], 75.0))
+    """The mean torque of a period is friction plus J domega/dt wherever the shaft slips; written
+    without the kernel.
+    """
+    out = respond(
+        command(20.0, 0.2, 5.0), PERIOD, NOMINAL, moment, 2.0, usual_loop(NOMINAL["J"], 75.0)
+    )
     velocity = np.gradient(out.angle, PERIOD)
     acceleration = np.gradient(velocity, PERIOD)
     middle = 0.5 * (out.torque[1:-1] + out.torque[2:])  # the two means beside a sample
@@ -68,7 +88,14 @@ def test_forward_simulation_obeys_the_equation_of_motion(moment: float) -> None:
 def test_a_shaft_below_its_static_limit_stays() -> None:
     tiny = np.full(2000, 1e-5)
     tiny[0] = 0.0
-    out = respond(tiny, PERIOD, NOMINAL, MOMENT, 2.0, usual_loop(NOMINAL["J"], 0.99 * (12.025 + 0.086 * MOMENT)))
+    out = respond(
+        tiny,
+        PERIOD,
+        NOMINAL,
+        MOMENT,
+        2.0,
+        usual_loop(NOMINAL["J"], 0.99 * (12.025 + 0.086 * MOMENT)),
+    )
     assert np.all(out.angle == 0.0)
     assert out.peak_speed == 0.0
 
@@ -76,7 +103,9 @@ def test_a_shaft_below_its_static_limit_stays() -> None:
 def test_noise_and_encoder_widen_what_is_pinned() -> None:
     fine = pinned([information(figure10(0.0))], loaded=False)
     noisy = pinned([information(figure10(0.0), nominal(noise=3.0 * NOISE))], loaded=False)
-    coarse = pinned([information(figure10(0.0), nominal(step=2.0 * np.pi / 102400.0))], loaded=False)
+    coarse = pinned(
+        [information(figure10(0.0), nominal(step=2.0 * np.pi / 102400.0))], loaded=False
+    )
     assert noisy.half_widths["sigma_2"] > 2.0 * fine.half_widths["sigma_2"]
     assert coarse.half_widths["J"] > fine.half_widths["J"]
     assert 0.0 < fine.worst < 0.05
@@ -109,19 +138,27 @@ def test_the_rehearsal_repeats_and_knows_what_it_cannot_do() -> None:
 
 
 def test_a_rehearsal_logs_what_shows_the_drive_s_loop() -> None:
-    """Without it the default method leaves out the likelihood's bias, and designs that bear it well are turned down."""
+    """Without it the default method leaves out the likelihood's bias, and designs that bear it well
+    are turned down.
+    """
     loop = nominal().drive()
     log = recorded(0, figure10(30.6), nominal(), np.random.default_rng(0))
     seen = drive_loop([log], loop.torque_limit, loop.count)
     assert seen is not None
     assert seen.velocity_gain == pytest.approx(loop.velocity_gain, rel=0.05)
-    assert seen.position_gain * seen.integral == pytest.approx(loop.position_gain * loop.integral, rel=0.2)
+    assert seen.position_gain * seen.integral == pytest.approx(
+        loop.position_gain * loop.integral, rel=0.2
+    )
 
 
 def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interval(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    found = {n: Parameter(n, "", v, 0.99 * v, 1.01 * v, floor=0.01 * v) for n, v in NOMINAL.items() if n in NAMES[:5]}
+    found = {
+        n: Parameter(n, "", v, 0.99 * v, 1.01 * v, floor=0.01 * v)
+        for n, v in NOMINAL.items()
+        if n in NAMES[:5]
+    }
     found["J"] = Parameter("J", "", 1.25 * NOMINAL["J"], 1.24 * NOMINAL["J"], 1.26 * NOMINAL["J"])
     monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=found))
     widths = rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).half_widths
@@ -133,10 +170,14 @@ def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interv
 
 
 def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
-    """At 0.05 rad/s, where Stribeck curves fall, its steps come through the drive's speed filter."""
+    """At 0.05 rad/s, where Stribeck curves fall, its steps come through the drive's speed
+    filter.
+    """
     angle = 0.05 * PERIOD * np.arange(2000)
     torques = [
-        respond(angle, PERIOD, NOMINAL, 0.0, 2.0, usual_loop(NOMINAL["J"], 75.0, step)).torque[1000:]
+        respond(angle, PERIOD, NOMINAL, 0.0, 2.0, usual_loop(NOMINAL["J"], 75.0, step)).torque[
+            1000:
+        ]
         for step in (0.0, 2.0 * np.pi / 409600.0)
     ]
     exact, coarse = (float(np.std(np.diff(t))) for t in torques)
@@ -144,7 +185,9 @@ def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
 
 
 def test_a_target_in_whole_counts_comes_back_as_torque() -> None:
-    """At 10.5 counts a period it moves by ten and eleven in turn; the feedforward makes steps of torque of it."""
+    """At 10.5 counts a period it moves by ten and eleven in turn; the feedforward makes steps of
+    torque of it.
+    """
     count = 2.0 * np.pi / 409600.0
     loop = usual_loop(NOMINAL["J"], 75.0, count)
     torques = [
@@ -156,7 +199,9 @@ def test_a_target_in_whole_counts_comes_back_as_torque() -> None:
 
 
 def test_what_two_noises_do_not_share_is_no_information() -> None:
-    """Near its breakaways a stretch's own sensitivities hold noise; where there is little of it both say the same."""
+    """Near its breakaways a stretch's own sensitivities hold noise; where there is little of it
+    both say the same.
+    """
     for stage, name, least, most in (
         (PlannedStage(command(2.0, 0.5, 10.0), 10.0), "omega_sL", 0.2, 0.7),
         (figure10(0.0), "sigma_2", 0.99, 1.01),
@@ -166,7 +211,9 @@ def test_what_two_noises_do_not_share_is_no_information() -> None:
 
 
 def test_information_is_believed_between_none_and_a_stages_own() -> None:
-    """Breakaway under 30.6 kg is less than a sample; chance made products of two noises 20 times the stage's own."""
+    """Breakaway under 30.6 kg is less than a sample; chance made products of two noises 20 times
+    the stage's own.
+    """
     found = information(figure10(30.6), nominal(noise=0.3 * NOISE))
     scale = np.sqrt(np.diag(found.power))
     told, own = (m / np.outer(scale, scale) for m in (found.normal, found.power))
@@ -186,8 +233,12 @@ def rates(*diagonals: tuple[float, ...]) -> list[Information]:
 
 
 def test_shares_are_those_of_neyman() -> None:
-    """Where each excitation pins its own parameter, its share is as the root of weight over information."""
-    share = best_shares(rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0)), "J", loaded=False)
+    """Where each excitation pins its own parameter, its share is as the root of weight over
+    information.
+    """
+    share = best_shares(
+        rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0)), "J", loaded=False
+    )
     others, target = np.sqrt(4 * 0.04 / 1.0), np.sqrt(1.0 / 4.0)
     assert share == pytest.approx(np.array([others, target]) / (others + target), rel=1e-3)
 
@@ -195,7 +246,9 @@ def test_shares_are_those_of_neyman() -> None:
 def test_what_each_gets_in_any_case_counts_toward_its_share() -> None:
     told = rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0))
     free = best_shares(told, "J", loaded=False)
-    assert best_shares(told, "J", loaded=False, least=np.array([0.1, 0.2])) == pytest.approx(free, rel=1e-3)
+    assert best_shares(told, "J", loaded=False, least=np.array([0.1, 0.2])) == pytest.approx(
+        free, rel=1e-3
+    )
     bound = float(free[0]) + 0.2
     held = best_shares(told, "J", loaded=False, least=np.array([bound, 0.0]))
     assert held == pytest.approx([bound, 1.0 - bound], rel=1e-2)
@@ -220,7 +273,9 @@ def test_a_stage_whose_scores_scatter_more_counts_less() -> None:
     assert counts[1].normal == pytest.approx(0.25 * one.normal)
     assert share[0] > 0.99
     quiet = replace(other, scatter=0.25 * other.power)
-    assert quiet.heard(np.ones(9)).normal == pytest.approx(quiet.normal)  # chance makes it scatter less
+    assert quiet.heard(np.ones(9)).normal == pytest.approx(
+        quiet.normal
+    )  # chance makes it scatter less
 
 
 SINES = (
@@ -235,7 +290,9 @@ SINES = (
     (0.1, 3.0),
 )
 RAMPS = ((0.06, 1.0), (0.08, 0.5), (0.15, 0.3))
-DRAWN = [Excitation((sine,), 0.0, 0.0) for sine in SINES] + [Excitation((), 0.0, 0.0, Ramps(*r)) for r in RAMPS]
+DRAWN = [Excitation((sine,), 0.0, 0.0) for sine in SINES] + [
+    Excitation((), 0.0, 0.0, Ramps(*r)) for r in RAMPS
+]
 """Such as are drawn; the last two sines break the limits on angle and speed of the tests below."""
 
 
@@ -261,11 +318,16 @@ def frames(weights: tuple[float, ...]) -> list[Frame]:
             return np.asarray(e.ramps.speed * np.minimum(time, e.step - time))
         return np.asarray(sum(command(math.degrees(a), f, e.seconds) for a, f in e.tones))
 
-    return [Frame(w > 0.0, Excitation(((math.radians(20.0), 0.2),), w, 12.0), 12.0, 0.0, render) for w in weights]
+    return [
+        Frame(w > 0.0, Excitation(((math.radians(20.0), 0.2),), w, 12.0), 12.0, 0.0, render)
+        for w in weights
+    ]
 
 
 @pytest.mark.usefixtures("few")
-def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     stages = frames((0.0,))
     found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
@@ -279,7 +341,9 @@ def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(monkeypatch: p
         assert np.max(np.abs(angles)) < 0.5
         assert out.peak_speed < 1.5
         assert out.peak_torque < 60.0
-    monkeypatch.setattr(proposing, "rehearse", lambda *_: found.pinned)  # takes most of the time, and repeats
+    monkeypatch.setattr(
+        proposing, "rehearse", lambda *_: found.pinned
+    )  # takes most of the time, and repeats
     again = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert again.stages == found.stages
 
@@ -303,9 +367,13 @@ def test_a_parameter_of_the_load_is_no_aim_of_a_sequence_without_load() -> None:
 
 
 @pytest.mark.usefixtures("few")
-def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Where there is little acceleration an identification finds no inertia to start from."""
-    gentle = itertools.cycle([Excitation(((0.02, 0.7),), 0.0, 0.0), Excitation(((0.03, 0.6),), 0.0, 0.0)])
+    gentle = itertools.cycle(
+        [Excitation(((0.02, 0.7),), 0.0, 0.0), Excitation(((0.03, 0.6),), 0.0, 0.0)]
+    )
     monkeypatch.setattr(Draws, "random", lambda *_: Part(0, next(gentle).lasting(5.0)))
     monkeypatch.setattr(proposing, "CANDIDATES", (2, 0))
     pools: list[list[Part]] = []
@@ -316,7 +384,9 @@ def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(monkeypatc
         return designs(self)
 
     monkeypatch.setattr(Search, "designs", drawn_up)
-    monkeypatch.setattr(proposing, "rehearse", lambda *_: Pinned(dict.fromkeys(NAMES[:5], math.inf)))
+    monkeypatch.setattr(
+        proposing, "rehearse", lambda *_: Pinned(dict.fromkeys(NAMES[:5], math.inf))
+    )
     stages = frames((0.0,))
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="omega_sf")
@@ -348,7 +418,10 @@ def test_half_of_a_stage_too_short_for_half_a_period_is_left_out() -> None:
     stages = frames((0.0,))
     fast, slow = (Part(0, Excitation(((0.1, f),), 0.0, s)) for f, s in ((1.0, 8.0), (0.25, 2.0)))
     found = halved(Design((fast, slow), Pinned({})), stages, with_drives(nominal()), "Mc")
-    assert [p.excitation.tones for p in found.parts] == [stages[0].present.tones, fast.excitation.tones]
+    assert [p.excitation.tones for p in found.parts] == [
+        stages[0].present.tones,
+        fast.excitation.tones,
+    ]
     assert [p.excitation.seconds for p in found.parts] == pytest.approx([5.0, 5.0])
 
 
@@ -360,14 +433,18 @@ SPEEDS = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
 def pool() -> tuple[Search, list[Candidate]]:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
     told = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
-    found = Search(frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "omega_sf", 1.0)
+    found = Search(
+        frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "omega_sf", 1.0
+    )
     return found, [
         Candidate(Part(0, Excitation(((speed / PACE, 0.8),), 0.0, 5.0)), rate)
         for speed, rate in zip(SPEEDS, told, strict=True)
     ]
 
 
-def test_a_design_has_a_sine_that_leaves_the_fall_of_friction(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_design_has_a_sine_that_leaves_the_fall_of_friction(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Were it left out, the equation error would find no inertia to start from."""
     monkeypatch.setattr(search, "followed", lambda *_: True)
     found, candidates = pool()
@@ -376,16 +453,23 @@ def test_a_design_has_a_sine_that_leaves_the_fall_of_friction(monkeypatch: pytes
     found.pool = candidates
     designs = found.designs()
     assert designs
-    assert all(candidates[3].part.excitation.tones in [p.excitation.tones for p in d.parts] for d in designs)
+    assert all(
+        candidates[3].part.excitation.tones in [p.excitation.tones for p in d.parts]
+        for d in designs
+    )
 
 
-def test_what_the_filter_loses_in_its_whole_stage_is_in_no_design(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_the_filter_loses_in_its_whole_stage_is_in_no_design(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     found, candidates = pool()
     lost, asked = candidates[1], []
 
     def follows(stage: PlannedStage, *_: object) -> bool:
         asked.append(len(stage.command))
-        return bool(np.max(np.abs(np.diff(stage.command))) / PERIOD != pytest.approx(SPEEDS[1], rel=0.01))
+        return bool(
+            np.max(np.abs(np.diff(stage.command))) / PERIOD != pytest.approx(SPEEDS[1], rel=0.01)
+        )
 
     monkeypatch.setattr(search, "followed", follows)
     found.pool = list(candidates)
@@ -418,7 +502,9 @@ def test_ramps_end_where_they_began() -> None:
 
 
 def test_ramps_just_beyond_the_fall_of_friction_tell_more_of_it_than_sines() -> None:
-    """At the least speed that the drive holds every sample tells of the fall; a sine sticks and slips there."""
+    """At the least speed that the drive holds every sample tells of the fall; a sine sticks and
+    slips there.
+    """
     stage, speed = frames((40.0,))[0], 2.0 * NOMINAL["omega_sL"]
     sine = Excitation(((speed / (2.0 * math.pi), 1.0),), 40.0, 9.0)
     ramps = Excitation((), 40.0, 9.0, Ramps(speed, 1.5))
@@ -441,7 +527,10 @@ def test_moment_of_a_bench_without_lever() -> None:
 
 def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
-    (there, steepness), whole = expected(stages, [nominal()] * 3), rehearse(stages, nominal(), np.random.default_rng(2))
+    (there, steepness), whole = (
+        expected(stages, [nominal()] * 3),
+        rehearse(stages, nominal(), np.random.default_rng(2)),
+    )
     assert 1.0 <= steepness < 2.0
     for name, width in whole.half_widths.items():
         assert there.half_widths[name] == pytest.approx(width, rel=0.6)
@@ -451,13 +540,17 @@ def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
 
 def test_a_drive_that_was_seen_takes_the_place_of_the_assumed_one() -> None:
     seen = replace(usual_loop(NOMINAL["J"], 75.0), velocity_gain=40.0)
-    drives = [replace(nominal(), loop=loop, stiffness=1.2).drive().velocity_gain for loop in (None, seen)]
+    drives = [
+        replace(nominal(), loop=loop, stiffness=1.2).drive().velocity_gain for loop in (None, seen)
+    ]
     assert drives == pytest.approx([1.2 * usual_loop(NOMINAL["J"], 75.0).velocity_gain, 48.0])
 
 
 def test_merit_counts_another_only_beyond_what_the_target_is_now() -> None:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0,))
-    found = Search(frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "J", 0.02)
+    found = Search(
+        frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "J", 0.02
+    )
     within = Pinned({"J": 0.004, "Mc": 0.02})
     beyond = Pinned({"J": 0.004, "Mc": 0.04})
     assert found.merit(within) == pytest.approx(0.004)

@@ -42,7 +42,9 @@ def test_even_recordings_are_left_alone() -> None:
 
 @pytest.mark.parametrize("ppm", [0.0, 37.0, -80.0])
 def test_lost_samples_are_filled_and_the_others_kept(ppm: float) -> None:
-    """Stamps of a microsecond's resolution: their median period is off by the drift, the grid is not."""
+    """Stamps of a microsecond's resolution: their median period is off by the drift, the grid is
+    not.
+    """
     true = 1e-3 * (1.0 + 1e-6 * ppm) * np.arange(30_000)
     whole = recording(np.round(true, 6))
     found = evened(lost(whole, 0.02, 1))
@@ -67,7 +69,9 @@ def test_late_samples_are_brought_back_to_the_grid() -> None:
     assert np.max(np.abs(found[0].channels["torque"] - exact)) < 2e-5
 
 
-def test_long_holes_are_marked_and_their_stretch_is_left_out(practical_pair: tuple[Recording, Recording]) -> None:
+def test_long_holes_are_marked_and_their_stretch_is_left_out(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     whole = practical_pair[0]
     holed = lost(whole, 0.0, 0, slice(7000, 7060))
     found = evened(holed)
@@ -85,8 +89,12 @@ def test_what_is_uneven_throughout_is_refused() -> None:
     assert evened(lost(recording(1e-3 * np.arange(5000)), 0.3, 2)) is None
 
 
-def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(practical_pair: tuple[Recording, Recording]) -> None:
-    """One cycle in a hundred: the equation error, which was left before, has mu_s off by half and more."""
+def test_lost_cycles_no_longer_cost_the_rise_of_load_friction(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    """One cycle in a hundred: the equation error, which was left before, has mu_s off by half and
+    more.
+    """
     pair = [lost(r, 0.01, k) for k, r in enumerate(practical_pair)]
     prepared = [prepare(r, 40.0) for r in pair]
     before, _ = solve_stages(prepared[:1], prepared[1:], Model(), lambda _stage, _share: None)

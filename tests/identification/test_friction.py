@@ -5,8 +5,21 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.model.friction import expected_friction, friction, load_coefficient, system_friction
-from identification.model.parameters import INDEX, SIZE, STRIBECK_TERMS, UNITS_LINEAR, UNITS_ROTARY, pack, unpack
+from identification.model.friction import (
+    expected_friction,
+    friction,
+    load_coefficient,
+    system_friction,
+)
+from identification.model.parameters import (
+    INDEX,
+    SIZE,
+    STRIBECK_TERMS,
+    UNITS_LINEAR,
+    UNITS_ROTARY,
+    pack,
+    unpack,
+)
 from identification.numerics.compiled import compiled
 
 from .synthetic import TRUTH
@@ -27,11 +40,21 @@ def sure(speed: float, moment: float, gear: float, p: np.ndarray) -> tuple[float
 @pytest.mark.parametrize("alpha", [0.7, 2.0])
 @pytest.mark.parametrize("moment", [0.0, 40.0])
 @pytest.mark.parametrize("gear", [0.0, 3.0])
-def test_scalar_and_broadcasting_laws_are_the_same(alpha: float, moment: float, gear: float) -> None:
+def test_scalar_and_broadcasting_laws_are_the_same(
+    alpha: float, moment: float, gear: float
+) -> None:
     p = pack({**TRUTH, **GEAR}, alpha)
     speeds = np.geomspace(1e-6, 2.0, 40)
-    bracket = {**TRUTH, "mu_c": GEAR["mu_gc"], "mu_s": GEAR["mu_gs"], "omega_sL": TRUTH["omega_sf"], "mu_2": 0.0}
-    expected = system_friction(speeds, TRUTH, alpha) + moment * load_coefficient(speeds, TRUTH, alpha)
+    bracket = {
+        **TRUTH,
+        "mu_c": GEAR["mu_gc"],
+        "mu_s": GEAR["mu_gs"],
+        "omega_sL": TRUTH["omega_sf"],
+        "mu_2": 0.0,
+    }
+    expected = system_friction(speeds, TRUTH, alpha) + moment * load_coefficient(
+        speeds, TRUTH, alpha
+    )
     expected += gear * load_coefficient(speeds, bracket, alpha)
     assert [sure(w, moment, gear, p)[0] for w in speeds] == pytest.approx(expected, rel=1e-12)
 
@@ -68,13 +91,21 @@ def test_an_absent_rise_needs_no_stribeck_speed() -> None:
 def test_expectation_over_an_uncertain_speed_is_that_of_a_quadrature() -> None:
     p, speed, deviation = pack(TRUTH, 2.0), TRUTH["omega_sf"], 0.05 * TRUTH["omega_sf"]
     nodes, weights = np.polynomial.hermite_e.hermegauss(20)
-    mean = sum(w * sure(speed + deviation * x, 0.0, 0.0, p)[0] for x, w in zip(nodes, weights, strict=True))
+    mean = sum(
+        w * sure(speed + deviation * x, 0.0, 0.0, p)[0] for x, w in zip(nodes, weights, strict=True)
+    )
     bend = mean / np.sum(weights) - sure(speed, 0.0, 0.0, p)[0]
-    assert expected(speed, deviation**2, 0.0, p)[0] - sure(speed, 0.0, 0.0, p)[0] == pytest.approx(bend, rel=0.02)
+    assert expected(speed, deviation**2, 0.0, p)[0] - sure(speed, 0.0, 0.0, p)[0] == pytest.approx(
+        bend, rel=0.02
+    )
 
 
 def test_every_parameter_has_a_place_of_its_own_and_a_unit() -> None:
     assert len(set(INDEX.values())) == len(INDEX)
     assert max(INDEX.values()) < SIZE
-    assert {name for term in STRIBECK_TERMS for name in term} | set(INDEX) == set(UNITS_ROTARY) == set(UNITS_LINEAR)
+    assert (
+        {name for term in STRIBECK_TERMS for name in term} | set(INDEX)
+        == set(UNITS_ROTARY)
+        == set(UNITS_LINEAR)
+    )
     assert unpack(pack(TRUTH, 2.0), tuple(TRUTH)) == pytest.approx(TRUTH)

@@ -1,4 +1,6 @@
-"""The gas generator of the model: equilibria, closed forms of eq. 8, and an independent integrator."""
+"""The gas generator of the model: equilibria, closed forms of eq. 8, and an independent
+integrator.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,9 @@ def test_equilibria_are_those_of_the_specification() -> None:
 @pytest.mark.parametrize("seed", range(5))
 def test_at_equilibrium_the_balance_of_eq_7_closes(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    g = GasGenerator(a=rng.uniform(3e-3, 9e-3), n=rng.uniform(0.2, 0.8), C_r=rng.uniform(700.0, 1400.0))
+    g = GasGenerator(
+        a=rng.uniform(3e-3, 9e-3), n=rng.uniform(0.2, 0.8), C_r=rng.uniform(700.0, 1400.0)
+    )
     throat = rng.uniform(4e-4, 1.3e-3, 7)
     p = equilibrium_pressure(throat, g)
     r = g.a * (p / 1e6) ** g.n
@@ -51,7 +55,9 @@ def test_the_contact_force_of_the_closed_valve_is_that_of_case_2() -> None:
 
 
 def test_eq_8_at_a_fixed_throat_has_a_closed_form() -> None:
-    """With x = p^(1-n) and d tau = dt/V eq. 8 is linear: dx/dtau = (1-n) R_g T_g (rho_b A_b a' - x A_t/C_r)."""
+    """With x = p^(1-n) and d tau = dt/V eq. 8 is linear: dx/dtau = (1-n) R_g T_g (rho_b A_b a' - x
+    A_t/C_r).
+    """
     angle = np.full_like(TIME, 0.2)
     burn = pressure_history(TIME, angle, PAPER, start_pressure=4e6, exact=False)
     tau = cumulative_simpson(1.0 / (PAPER.V_0 + PAPER.A_b * burn.web), x=TIME, initial=0.0)
@@ -78,7 +84,14 @@ def test_a_sweep_is_that_of_an_integrator_with_error_control(exact: bool) -> Non
         ]
 
     found = solve_ivp(
-        slope, (0.0, 2.0), [burn.pressure[0], g.V_0], "LSODA", TIME[TIME <= 2.0], rtol=1e-10, atol=1e-9, max_step=0.005
+        slope,
+        (0.0, 2.0),
+        [burn.pressure[0], g.V_0],
+        "LSODA",
+        TIME[TIME <= 2.0],
+        rtol=1e-10,
+        atol=1e-9,
+        max_step=0.005,
     )
     assert burn.pressure[: found.y.shape[1]] == pytest.approx(found.y[0], rel=1e-6)
     assert g.V_0 + g.A_b * burn.web[: found.y.shape[1]] == pytest.approx(found.y[1], rel=1e-7)
@@ -100,7 +113,11 @@ def test_a_layer_makes_both_diameters_smaller() -> None:
 
 @pytest.mark.parametrize(
     ("wrong", "words"),
-    [({"n": 1.0}, "no stable equilibrium"), ({"a": -1.0}, "a = -1"), ({"gamma": 0.9}, "ratio above 1")],
+    [
+        ({"n": 1.0}, "no stable equilibrium"),
+        ({"a": -1.0}, "a = -1"),
+        ({"gamma": 0.9}, "ratio above 1"),
+    ],
 )
 def test_a_generator_that_cannot_be(wrong: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):

@@ -38,7 +38,9 @@ def test_finds_the_minimum_of_a_convex_function(seed: int) -> None:
 def test_finds_the_basin_of_a_multimodal_function() -> None:
     found = 0
     for seed in range(8):
-        ga = GeneticAlgorithm([-5.12] * 2, [5.12] * 2, generations=300, rng=np.random.default_rng(seed))
+        ga = GeneticAlgorithm(
+            [-5.12] * 2, [5.12] * 2, generations=300, rng=np.random.default_rng(seed)
+        )
         run(ga, rastrigin)
         found += bool(np.all(np.abs(ga.best) < 0.5))
     assert found >= 7
@@ -65,7 +67,8 @@ def test_the_best_never_gets_worse_and_survives_unchanged() -> None:
 
 def test_same_seed_same_search() -> None:
     first, second, other = (
-        GeneticAlgorithm([-5.0] * 3, [5.0] * 3, generations=30, rng=np.random.default_rng(s)) for s in (3, 3, 4)
+        GeneticAlgorithm([-5.0] * 3, [5.0] * 3, generations=30, rng=np.random.default_rng(s))
+        for s in (3, 3, 4)
     )
     assert run(first, sphere) == run(second, sphere)
     assert run(other, sphere)[-1] != first.best_cost
@@ -78,9 +81,13 @@ def test_same_seed_same_search() -> None:
     scale=st.floats(0.0, 20.0),
     seed=st.integers(0, 1000),
 )
-def test_every_individual_is_inside_the_box(low: list[float], width: float, scale: float, seed: int) -> None:
+def test_every_individual_is_inside_the_box(
+    low: list[float], width: float, scale: float, seed: int
+) -> None:
     high = np.array(low) + width
-    ga = GeneticAlgorithm(low, high, generations=5, mutation_scale=scale, rng=np.random.default_rng(seed))
+    ga = GeneticAlgorithm(
+        low, high, generations=5, mutation_scale=scale, rng=np.random.default_rng(seed)
+    )
     while not ga.stop:
         genes = ga.ask()
         assert genes.shape == (40, len(low))
@@ -106,7 +113,9 @@ def test_an_individual_that_cannot_be_judged_is_never_the_best() -> None:
         ([0.0], [1.0], {"generations": 0}),
     ],
 )
-def test_settings_that_make_no_search_are_refused(low: list[float], high: list[float], settings_: dict) -> None:
+def test_settings_that_make_no_search_are_refused(
+    low: list[float], high: list[float], settings_: dict
+) -> None:
     with pytest.raises(ValueError, match=r"bounds|population"):
         GeneticAlgorithm(low, high, rng=np.random.default_rng(0), **settings_)
 

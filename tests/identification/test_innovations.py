@@ -31,15 +31,20 @@ CORRELATED = np.array([TORQUE_NOISE, ANGLE_NOISE**2, HIDDEN, HIDDEN_S, 0.0])
 
 
 def kalman(angle: np.ndarray, torque: np.ndarray, start: float, hidden: float) -> np.ndarray:
-    """Normalised innovations of J domega/dt = u + d - Mc - sigma omega, exactly discretised, from rest at ``start``.
+    """Normalised innovations of J domega/dt = u + d - Mc - sigma omega, exactly discretised, from
+    rest at ``start``.
 
     d is a first-order process of ``hidden`` rms that is held over each period.
     """
     drift = np.array([[0.0, 1.0, 0.0], [0.0, -VISCOUS / INERTIA, 1.0 / INERTIA], [0.0, 0.0, 0.0]])
     diffusion = np.diag([0.0, TORQUE_NOISE**2 * STEP_S / INERTIA**2, 0.0])
-    moves = linalg.expm(np.block([[drift, np.array([[0.0], [1.0 / INERTIA], [0.0]])], [np.zeros((1, 4))]]) * STEP_S)
+    moves = linalg.expm(
+        np.block([[drift, np.array([[0.0], [1.0 / INERTIA], [0.0]])], [np.zeros((1, 4))]]) * STEP_S
+    )
     transition, gain = moves[:3, :3], moves[:3, 3]
-    loan = linalg.expm(np.block([[-drift, diffusion], [np.zeros((3, 3)), drift.T]]) * STEP_S)  # Van Loan 1978
+    loan = linalg.expm(
+        np.block([[-drift, diffusion], [np.zeros((3, 3)), drift.T]]) * STEP_S
+    )  # Van Loan 1978
     process = loan[3:, 3:].T @ loan[:3, 3:]
     kept = np.exp(-STEP_S / HIDDEN_S)
     keep, shock = np.diag([1.0, 1.0, kept]), np.diag([0.0, 0.0, (1.0 - kept**2) * hidden**2])
@@ -59,14 +64,21 @@ def kalman(angle: np.ndarray, torque: np.ndarray, start: float, hidden: float) -
 
 
 def run_kernel(
-    angle: np.ndarray, torque: np.ndarray, side: float, steps: float, noise: np.ndarray = WHITE, begin: float = 0.0
+    angle: np.ndarray,
+    torque: np.ndarray,
+    side: float,
+    steps: float,
+    noise: np.ndarray = WHITE,
+    begin: float = 0.0,
 ) -> np.ndarray:
     n = len(angle)
     p = pack({"Mc": COULOMB, "Ms": COULOMB, "sigma_2": VISCOUS, "J": INERTIA}, 2.0)
     out, spread, speeds = np.zeros(n), np.ones(n), np.zeros(n)
     kernel.innovations(
-        np.array([[1.0, float(n), side, np.inf]]), np.array([begin]), STEP_S * np.arange(n), side * angle,
-        side * torque, np.zeros(n), np.zeros(n), 0.0, noise, np.full(n, steps), np.zeros(n), p, out, spread,
+        np.array([[1.0, float(n), side, np.inf]]), np.array([begin]), STEP_S * np.arange(n),
+        side * angle,
+        side * torque, np.zeros(n), np.zeros(n), 0.0, noise, np.full(n, steps), np.zeros(n), p,
+        out, spread,
         speeds, np.zeros(n),
     )  # fmt: skip
     return side * out[1:] / spread[1:]
@@ -80,7 +92,9 @@ def test_linear_case_is_the_kalman_filter(side: float) -> None:
     torque = 6.0 + np.sin(12.0 * time)
     angle, speed = np.zeros(n), 0.0
     for k in range(1, n):
-        speed += STEP_S / INERTIA * (torque[k] + TORQUE_NOISE * rng.normal() - COULOMB - VISCOUS * speed)
+        speed += (
+            STEP_S / INERTIA * (torque[k] + TORQUE_NOISE * rng.normal() - COULOMB - VISCOUS * speed)
+        )
         angle[k] = angle[k - 1] + STEP_S * speed
     angle += ANGLE_NOISE * rng.normal(size=n)
     expected = kalman(angle[1:], torque[1:], angle[0], 0.0)
@@ -125,10 +139,14 @@ def test_where_a_shaft_rests_is_known_to_a_step_however_often_it_is_read(side: f
     for staying in (0.0, step**2 / 12.0):
         noise[kernel.STAYING] = staying
         first = []
-        for place, push in rng.uniform((0.0, 20.0), (1.0, 28.0), (400, 2)):  # 5 to 7 steps within the first period
+        for place, push in rng.uniform(
+            (0.0, 20.0), (1.0, 28.0), (400, 2)
+        ):  # 5 to 7 steps within the first period
             angle = step * (np.floor(place + push * unit / step) + 0.5)
             torque = np.where(time > 0.0, COULOMB + push, 0.0)
-            first.append(run_kernel(angle, torque, side, 8.0, noise, begin=STEP_S * (rest - 1))[rest - 1])
+            first.append(
+                run_kernel(angle, torque, side, 8.0, noise, begin=STEP_S * (rest - 1))[rest - 1]
+            )
         squares[staying] = float(np.mean(np.square(first)))
     assert squares[step**2 / 12.0] == pytest.approx(1.0, abs=0.1)
     assert squares[0.0] > 1.6  # as if a dozen readings of one count were a dozen measurements
@@ -148,7 +166,9 @@ def test_what_speed_noise_gives_before_the_limit_is_that_of_a_walk_held_at_zero(
     rng = np.random.default_rng(3)
     speed, step, last = np.zeros(20000), 0.005, 3.0
     for now in np.arange(-last, last, step):
-        speed = np.maximum(speed + (now + 0.5 * step) * step + np.sqrt(step) * rng.normal(size=len(speed)), 0.0)
+        speed = np.maximum(
+            speed + (now + 0.5 * step) * step + np.sqrt(step) * rng.normal(size=len(speed)), 0.0
+        )
     excess = (np.mean(speed) - 0.5 * last**2) ** 2 + np.var(speed) - last
     # Coarse steps miss part of what the walk meets at zero.
     assert kernel._slip_variance(1.0, 1.0, 1.0, 1.0) == pytest.approx(excess, rel=0.2)
@@ -181,11 +201,17 @@ def at_truth(m: Motion, free: tuple[int, ...] = ()) -> Problem:
 
 
 @pytest.mark.parametrize("case", [0, 1], ids=["unloaded", "loaded"])
-def test_innovations_are_white_and_of_unit_size_at_the_truth(motions: tuple[Motion, Motion], case: int) -> None:
+def test_innovations_are_white_and_of_unit_size_at_the_truth(
+    motions: tuple[Motion, Motion], case: int
+) -> None:
     problem = at_truth(motions[case])
-    errors, deviations = problem.run(problem.start, problem.breakaway_times, likeliest_noise(problem))
+    errors, deviations = problem.run(
+        problem.start, problem.breakaway_times, likeliest_noise(problem)
+    )
     found = errors / deviations
-    clipped = found[np.abs(found) < 6.0]  # the encoder's noise is uniform, friction at breakaway is steep
+    clipped = found[
+        np.abs(found) < 6.0
+    ]  # the encoder's noise is uniform, friction at breakaway is steep
     assert len(clipped) > 0.995 * len(found)
     assert np.mean(clipped**2) == pytest.approx(1.0, abs=0.1)
     assert abs(np.mean(found[1:] * found[:-1]) / np.mean(found**2)) < 0.1
@@ -196,14 +222,26 @@ def test_two_threads_filter_what_one_would(motions: tuple[Motion, Motion]) -> No
     both.breakaway_times = [m.static_crossing(static_limit(both.start, m)) for m in motions]
     found = both.run(both.start, both.breakaway_times, Noise(0.06, 1e-6))
     alone = [
-        at_truth(m).run(both.start, [b], Noise(0.06, 1e-6)) for m, b in zip(motions, both.breakaway_times, strict=True)
+        at_truth(m).run(both.start, [b], Noise(0.06, 1e-6))
+        for m, b in zip(motions, both.breakaway_times, strict=True)
     ]
     for k in (0, 1):
-        assert found[k] == pytest.approx(np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15)
-    filtered = [(j, row) for part in both._halves for j, rows in part for row in range(rows.start, rows.stop)]
-    assert sorted(filtered) == [(j, row) for j, m in enumerate(motions) for row in range(len(m.table))]
+        assert found[k] == pytest.approx(
+            np.concatenate([a[k] for a in alone]), rel=1e-12, abs=1e-15
+        )
+    filtered = [
+        (j, row)
+        for part in both._halves
+        for j, rows in part
+        for row in range(rows.start, rows.stop)
+    ]
+    assert sorted(filtered) == [
+        (j, row) for j, m in enumerate(motions) for row in range(len(m.table))
+    ]
     steps = [sum(float(np.sum(_of(motions[j], rows))) for j, rows in part) for part in both._halves]
-    longest = max(float(np.sum(_of(m, slice(k, k + 1)))) for m in motions for k in range(len(m.table)))
+    longest = max(
+        float(np.sum(_of(m, slice(k, k + 1)))) for m in motions for k in range(len(m.table))
+    )
     assert abs(steps[0] - steps[1]) <= 2.0 * longest
 
 
@@ -252,7 +290,9 @@ def test_jacobian_is_that_of_the_residuals(motions: tuple[Motion, Motion], case:
     inside = np.zeros(len(short.time), dtype=bool)
     for first, last in short.table[:, :2].astype(int):
         inside[first:last] = True
-    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J") + (("mu_c", "mu_s", "omega_sL", "mu_2") if case else ())
+    names = ("Mc", "Ms", "omega_sf", "sigma_2", "J") + (
+        ("mu_c", "mu_s", "omega_sL", "mu_2") if case else ()
+    )
     problem = at_truth(replace(short, inside=inside), tuple(INDEX[n] for n in names))
     x = problem.origin()
     found = problem.jacobian(x, problem.residuals(x)).dense()
@@ -278,7 +318,9 @@ def test_parameters_and_origin_are_inverse(motions: tuple[Motion, Motion]) -> No
 
 
 def test_a_wild_trial_stays_within_the_filters_range(motions: tuple[Motion, Motion]) -> None:
-    problem = at_truth(motions[0], tuple(INDEX[n] for n in ("Mc", "Ms", "omega_sf", "sigma_2", "J")))
+    problem = at_truth(
+        motions[0], tuple(INDEX[n] for n in ("Mc", "Ms", "omega_sf", "sigma_2", "J"))
+    )
     for shift in (-1e3, 1e3):
         x = problem.origin()
         x[[2, 4]] += shift

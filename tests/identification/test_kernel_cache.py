@@ -1,4 +1,6 @@
-"""What is kept of compiled kernels: renewed with everything that is compiled in, and never in the way of a result."""
+"""What is kept of compiled kernels: renewed with everything that is compiled in, and never in the
+way of a result.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +55,9 @@ Package = Callable[[float], ModuleType]
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
-    """Write three modules that call each other, with a constant in the last, and load the first anew."""
+    """Write three modules that call each other, with a constant in the last, and load the first
+    anew.
+    """
     names = {name: f"{name}_{tmp_path.name}" for name in ("constants", "called", "caller")}
     monkeypatch.syspath_prepend(str(tmp_path))
     identification.numerics.kernel_cache._SAID.clear()
@@ -64,7 +68,9 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
             (tmp_path / f"{names[name]}.py").write_text(text.format(**names), encoding="utf-8")
             monkeypatch.delitem(sys.modules, names[name], raising=False)
         importlib.invalidate_caches()
-        for file in (tmp_path / "__pycache__").glob("*.pyc") if (tmp_path / "__pycache__").is_dir() else ():
+        for file in (
+            (tmp_path / "__pycache__").glob("*.pyc") if (tmp_path / "__pycache__").is_dir() else ()
+        ):
             file.unlink()
         return importlib.import_module(names["caller"])
 
@@ -72,7 +78,10 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Package:
 
 
 def test_the_two_copies_are_one() -> None:
-    first, second = identification.numerics.kernel_cache.__file__, drivers.mock.plant.parts.kernel_cache.__file__
+    first, second = (
+        identification.numerics.kernel_cache.__file__,
+        drivers.mock.plant.parts.kernel_cache.__file__,
+    )
     assert first != second
     assert Path(first).read_text(encoding="utf-8") == Path(second).read_text(encoding="utf-8")
 
@@ -87,7 +96,9 @@ def test_machine_code_is_kept_and_used(package: Package) -> None:
     assert not again.shifted.stats.cache_misses
 
 
-def test_a_changed_constant_of_a_called_kernel_renews_the_caller(package: Package, tmp_path: Path) -> None:
+def test_a_changed_constant_of_a_called_kernel_renews_the_caller(
+    package: Package, tmp_path: Path
+) -> None:
     assert package(2.0).shifted(3.0) == 7.0
     before = kept(tmp_path / "__pycache__")
     assert package(4.0).shifted(3.0) == 13.0
@@ -97,7 +108,10 @@ def test_a_changed_constant_of_a_called_kernel_renews_the_caller(package: Packag
 
 
 def test_a_full_disk_costs_a_compilation(
-    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    package: Package,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -114,7 +128,9 @@ def test_a_full_disk_costs_a_compilation(
 
 @pytest.mark.parametrize("ending", ["nbi", "nbc"])
 @pytest.mark.parametrize("content", [b"", b"not a pickle", b"\x80\x04."])
-def test_a_damaged_file_costs_a_compilation(package: Package, tmp_path: Path, ending: str, content: bytes) -> None:
+def test_a_damaged_file_costs_a_compilation(
+    package: Package, tmp_path: Path, ending: str, content: bytes
+) -> None:
     assert package(2.0).shifted(3.0) == 7.0
     for file in (tmp_path / "__pycache__").glob(f"*.{ending}"):
         file.write_bytes(content)
@@ -156,7 +172,10 @@ def test_a_temporary_folder_that_others_could_write_is_not_used(
 
 
 def test_without_any_folder_it_computes_all_the_same(
-    package: Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+    package: Package,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     nowhere_but_temporary(tmp_path, monkeypatch)
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "missing"))

@@ -19,7 +19,9 @@ GEAR = {**TRUTH, "mu_gc": 0.12, "mu_gs": 0.3}
 
 
 def loaded_gear(mass: float, role: str = "fit", seed: int = 0, duration: float = 5.0) -> Recording:
-    """A swinging weight of some N m with friction that grows with its torque, written out from eq. 13."""
+    """A swinging weight of some N m with friction that grows with its torque, written out from eq.
+    13.
+    """
     pendulum = Pendulum(mass, 0.5, 0.1)
     made = sine(pendulum=pendulum, role=role, amplitude=0.9, duration=duration, rate=200.0)
     made = replace(made, name=f"{mass:g} kg {seed}")
@@ -28,7 +30,9 @@ def loaded_gear(mass: float, role: str = "fit", seed: int = 0, duration: float =
     falling = np.exp(-((velocity / TRUTH["omega_sf"]) ** 2))
     extra = np.sign(velocity) * load * (GEAR["mu_gc"] + (GEAR["mu_gs"] - GEAR["mu_gc"]) * falling)
     noise = 0.05 * np.random.default_rng(seed).standard_normal(len(velocity))
-    return replace(made, channels={**made.channels, "torque": made.channels["torque"] + extra + noise})
+    return replace(
+        made, channels={**made.channels, "torque": made.channels["torque"] + extra + noise}
+    )
 
 
 def dataset(friction: str = "stribeck_load_dependent") -> Dataset:
@@ -57,7 +61,10 @@ def test_each_rung_has_its_terms_and_no_others(friction: str, terms: tuple[str, 
 
 
 def test_the_ladder_ranks_the_rung_that_made_the_data_first_on_another_mass() -> None:
-    rungs = {r.friction: r for r in climb(dataset(), bandwidth_Hz=100.0, rng=np.random.default_rng(0), replicates=8)}
+    rungs = {
+        r.friction: r
+        for r in climb(dataset(), bandwidth_Hz=100.0, rng=np.random.default_rng(0), replicates=8)
+    }
     best = rungs["stribeck_load_dependent"]
     assert best.best == 1.0
     assert best.scored is not None
@@ -66,7 +73,9 @@ def test_the_ladder_ranks_the_rung_that_made_the_data_first_on_another_mass() ->
     assert sum(r.best for r in rungs.values()) == pytest.approx(1.0)
     assert best.angle is None
     assert all(
-        r.scored is not None and r.scored.value > 5.0 * best.scored.value for n, r in rungs.items() if r is not best
+        r.scored is not None and r.scored.value > 5.0 * best.scored.value
+        for n, r in rungs.items()
+        if r is not best
     )
 
 

@@ -26,7 +26,9 @@ def predictions_of(data: Array) -> tuple[object, object]:
 
     def derivatives(x: Array, _errors: Array, deviations: Array) -> tuple[Array, Array]:
         nothing = np.zeros(len(data))
-        return np.column_stack([1.0 / deviations, nothing]), np.column_stack([nothing, np.ones(len(data))])
+        return np.column_stack([1.0 / deviations, nothing]), np.column_stack(
+            [nothing, np.ones(len(data))]
+        )
 
     return predictions, derivatives
 
@@ -34,14 +36,18 @@ def predictions_of(data: Array) -> tuple[object, object]:
 @pytest.mark.parametrize("seed", range(5))
 def test_the_likeliest_mean_and_deviation_have_their_closed_form(seed: int) -> None:
     data = drawn(seed)
-    found = minimise_deviance(*predictions_of(data), np.array([0.0, 1.0]), threshold=NEVER, tolerance=1e-12)  # type: ignore[arg-type]
+    found = minimise_deviance(
+        *predictions_of(data), np.array([0.0, 1.0]), threshold=NEVER, tolerance=1e-12
+    )  # type: ignore[arg-type]
     assert found.x[0] == pytest.approx(np.mean(data), rel=1e-6)
     assert np.exp(found.x[1]) == pytest.approx(np.std(data), rel=1e-5)
     assert found.cost == pytest.approx(SAMPLES * (0.5 + np.log(np.std(data))), rel=1e-9)
 
 
 def test_a_mean_that_its_deviation_tells_better_than_itself_is_found_by_the_deviation() -> None:
-    """Of samples around zero whose deviation is x, squares hold all there is to know; held weights would hold none."""
+    """Of samples around zero whose deviation is x, squares hold all there is to know; held weights
+    would hold none.
+    """
     data = 2.0 * np.random.default_rng(1).normal(size=SAMPLES)
 
     def predictions(x: Array) -> tuple[Array, Array]:
@@ -50,7 +56,9 @@ def test_a_mean_that_its_deviation_tells_better_than_itself_is_found_by_the_devi
     def derivatives(x: Array, _errors: Array, deviations: Array) -> tuple[Array, Array]:
         return np.zeros((SAMPLES, 1)), 1.0 / deviations[:, None]
 
-    found = minimise_deviance(predictions, derivatives, np.array([1.0]), threshold=NEVER, tolerance=1e-12)
+    found = minimise_deviance(
+        predictions, derivatives, np.array([1.0]), threshold=NEVER, tolerance=1e-12
+    )
     assert found.x[0] == pytest.approx(np.sqrt(np.mean(data**2)), rel=1e-6)
 
 

@@ -34,7 +34,9 @@ def test_the_noise_of_a_stretch_that_says_far_more_is_taken_to_be_larger() -> No
 
 
 def test_recordings_are_judged_each_by_its_own_stretches() -> None:
-    """A heavier weight may say more than a lighter one, and what a recording does not hold limits nothing."""
+    """A heavier weight may say more than a lighter one, and what a recording does not hold limits
+    nothing.
+    """
     light, heavy = np.diag([1.0, 1.0, 1e-15]), np.diag([1.0, 100.0, 1.0])
     stretches = np.array([light] * 2 + [10.0 * light] + [heavy] * 3)
     doubt = inflation_factors(stretches, ALIKE[:6], np.repeat([0, 1], 3), 3.0)
@@ -42,18 +44,24 @@ def test_recordings_are_judged_each_by_its_own_stretches() -> None:
 
 
 def test_strokes_are_not_doubted_beside_more_slips_that_say_little() -> None:
-    """Seen on a bench whose load slipped twenty samples far between strokes: every stroke was taken for the odd one."""
+    """Seen on a bench whose load slipped twenty samples far between strokes: every stroke was taken
+    for the odd one.
+    """
     stretches = np.array([np.diag([100.0]), np.diag([1.0]), np.diag([1.0])] * 3)
     lengths = np.array([2000, 20, 20] * 3)
     recordings = np.zeros(9, dtype=np.int64)
     assert inflation_factors(stretches, lengths, recordings, 3.0) == pytest.approx(np.ones(9))
     stretches[0] *= 12.0
-    assert inflation_factors(stretches, lengths, recordings, 3.0) == pytest.approx([2.0] + [1.0] * 8)
+    assert inflation_factors(stretches, lengths, recordings, 3.0) == pytest.approx(
+        [2.0] + [1.0] * 8
+    )
 
 
 def test_what_stretches_tell_is_the_schur_complement_of_their_breakaway_times() -> None:
     rng = np.random.default_rng(0)
-    slopes = BlockArrow(rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3)
+    slopes = BlockArrow(
+        rng.standard_normal((12, 3)), rng.standard_normal(12), np.repeat([0, 1, 2], 4), 3
+    )
     told = slopes.information_by_block()
     weight = np.ones(12)
     assert np.sum(told, axis=0) == pytest.approx(slopes.eliminated(weight, weight).matrix)

@@ -14,7 +14,8 @@ from identification.recording import Array, Bench, Dataset, Recording
 from rig.runs.truth import JOINT_FIELDS
 
 PAPER = Joint(inertia_kg_m2=0.000204)
-# Stiff enough to hold this tiny inertia on the falling branch, where friction loses up to 340 N m s/rad.
+# Stiff enough to hold this tiny inertia on the falling branch, where friction loses up to 340 N m
+# s/rad.
 LOOPS = Loops(
     rate_Hz=2e6,
     position_gain=100.0,
@@ -30,7 +31,9 @@ def random_joint(seed: int) -> Joint:
     """Each of the nine within 40 % of the paper's, Ms above Mc and mu_s above mu_c."""
     rng = np.random.default_rng(seed)
     while True:
-        values = {field: getattr(PAPER, field) * rng.uniform(0.6, 1.4) for field in JOINT_FIELDS.values()}
+        values = {
+            field: getattr(PAPER, field) * rng.uniform(0.6, 1.4) for field in JOINT_FIELDS.values()
+        }
         if values["Ms_N_m"] > values["Mc_N_m"] and values["mu_s"] > values["mu_c"]:
             return replace(PAPER, **values)
 
@@ -40,7 +43,9 @@ def command(time: Array) -> Array:
 
 
 def recording(joint: Joint, force_N: float) -> Recording:
-    machine = Machine(Motor(gear_ratio=1.0), joint, LOOPS, Sensing(0, 0, 0.0), steps_per_loop=1, supply_V=1e6)
+    machine = Machine(
+        Motor(gear_ratio=1.0), joint, LOOPS, Sensing(0, 0, 0.0), steps_per_loop=1, supply_V=1e6
+    )
     out = simulate(machine, command, 2.6, 1000.0, contact_force_N=force_N)
     bench = Bench(torque_constant=0.03, moment_arm=0.095)
     return Recording(
@@ -54,7 +59,9 @@ def recording(joint: Joint, force_N: float) -> Recording:
 
 @pytest.mark.parametrize("joint", [PAPER, random_joint(1)], ids=["paper", "random"])
 def test_all_nine_within_a_hundredth_of_a_percent(joint: Joint) -> None:
-    result = identify(Dataset((recording(joint, 0.0), recording(joint, 3000.0))), bandwidth_Hz=500.0)
+    result = identify(
+        Dataset((recording(joint, 0.0), recording(joint, 3000.0))), bandwidth_Hz=500.0
+    )
     found = result.values()
     for name, field in JOINT_FIELDS.items():
         assert found[name] == pytest.approx(getattr(joint, field), rel=1e-4), name

@@ -1,4 +1,6 @@
-"""Short ramps under a heavy weight: beside the true values a filter sticks and slips, and small steps lead nowhere."""
+"""Short ramps under a heavy weight: beside the true values a filter sticks and slips, and small
+steps lead nowhere.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ TRUTH = {
     "mu_c": 0.0339, "mu_s": 0.0939, "omega_sL": 0.0415, "mu_2": 0.0282,
 }  # fmt: skip
 STUCK = 4
-"""A noise with which every search over small steps is stuck; on the whole bench it is most of them."""
+"""A noise with which every search over small steps is stuck; on the whole bench it is most of
+them.
+"""
 LOAD = ("mu_c", "mu_s", "omega_sL", "mu_2")
 
 
@@ -44,9 +48,18 @@ def searched(seed: int) -> tuple[float, float, float]:
     nominal = Nominal(TRUTH, BENCH, Sensors(PERIOD, 2.0 * math.pi / 409600.0, NOISE), 90.0)
     commands = (ramps(1.491, 4.521, 8), sine(24.254, 0.6223, 2.41), ramps(2.896, 5.911, 3))
     rng = np.random.default_rng(seed)
-    motions = [motion(recorded(k, PlannedStage(c, WEIGHT), nominal, rng)) for k, c in enumerate(commands)]
+    motions = [
+        motion(recorded(k, PlannedStage(c, WEIGHT), nominal, rng)) for k, c in enumerate(commands)
+    ]
     start = pack(
-        {**TRUTH, "mu_c": 0.989 * 0.0339, "mu_s": 0.155, "omega_sL": 0.88 * 0.0415, "mu_2": 1.01 * 0.0282}, 2.0
+        {
+            **TRUTH,
+            "mu_c": 0.989 * 0.0339,
+            "mu_s": 0.155,
+            "omega_sL": 0.88 * 0.0415,
+            "mu_2": 1.01 * 0.0282,
+        },
+        2.0,
     )
     free = [INDEX[name] for name in LOAD]
     problem = Problem([m for m in motions if m is not None], start, free, Model(), Noise(NOISE))

@@ -65,7 +65,8 @@ def test_pieces_give_what_the_whole_gives(
         if name == "J":  # found on the first pieces alone
             assert abs(q.value - p.value) < 0.5 * (q.high - q.low)
             continue
-        # Two estimates of one value: least squares beside the inertia on the whole, instruments on the pieces.
+        # Two estimates of one value: least squares beside the inertia on the whole, instruments on
+        # the pieces.
         assert abs(q.value - p.value) < 0.5 * (p.high - p.low), name
         assert 0.6 < (q.high - q.low) / (p.high - p.low) < 1.7, name
     assert list(parts.fits_by_recording) == ["unloaded", "loaded"]
@@ -93,7 +94,9 @@ def test_the_path_follows_the_length(
     assert taken == ["memory", "pieces", "memory"]
 
 
-def test_reduced_equations_are_those_of_the_whole_jacobian(practical_pair: tuple[Recording, Recording]) -> None:
+def test_reduced_equations_are_those_of_the_whole_jacobian(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     problem = unloaded_problem(practical_pair[0])
     found = reduce(problem)
     residual = problem.residuals(problem.origin())

@@ -30,7 +30,9 @@ def problem(monkeypatch: pytest.MonkeyPatch) -> Any:
     monkeypatch.setattr(searches, "_deviance", lambda p: RUGGED[p.start[OMEGA_SL]])
     monkeypatch.setattr(searches, "_resolved", lambda _p: True)
     monkeypatch.setattr(searches, "_missed", lambda *_: False)
-    return SimpleNamespace(free=(OMEGA_SL,), motions=(), start=np.empty(0), breakaway_times=[], search_ends=[])
+    return SimpleNamespace(
+        free=(OMEGA_SL,), motions=(), start=np.empty(0), breakaway_times=[], search_ends=[]
+    )
 
 
 @pytest.mark.parametrize("speed", [1.04, 2.1, 0.5])
@@ -58,7 +60,9 @@ def test_where_raised_noise_leads_out_of_the_basin_the_start_is_searched_at_its_
     def refine(p: Any, tempering: Sequence[float], _step: float) -> Array:
         p.start = p.start.copy()
         out = tempering != (1.0,) or p.start[OMEGA_SL] > 3.0
-        p.start[OMEGA_SL] = 5.0 if out else min(RUGGED, key=lambda end: abs(end - p.start[OMEGA_SL]))
+        p.start[OMEGA_SL] = (
+            5.0 if out else min(RUGGED, key=lambda end: abs(end - p.start[OMEGA_SL]))
+        )
         return np.empty(0)
 
     monkeypatch.setattr(searches, "refine", refine)
@@ -94,7 +98,10 @@ def test_where_no_end_explains_the_recordings_every_start_is_searched_over_wide_
     searches.refine_from(problem, starts)
     assert problem.start[OMEGA_SL] == 0.97
     small = [(speed, searches.PARAMETER_STEP) for speed in (2.0, 3.0, 4.0)]
-    assert followed == [*small, *((speed, searches._WIDE_STEP) for speed in (2.0, 3.0, 4.0, 6.0, 7.0))]
+    assert followed == [
+        *small,
+        *((speed, searches._WIDE_STEP) for speed in (2.0, 3.0, 4.0, 6.0, 7.0)),
+    ]
 
 
 def test_ends_in_other_basins_are_kept_the_likeliest_first(problem: Any) -> None:
@@ -119,7 +126,9 @@ def test_ends_in_other_basins_are_kept_the_likeliest_first(problem: Any) -> None
 def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     problem: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where it begins is the loaded stage's end itself, so that one which stays the likeliest changes nothing."""
+    """Where it begins is the loaded stage's end itself, so that one which stays the likeliest
+    changes nothing.
+    """
     held: list[tuple[int, ...]] = []
 
     def refine(p: Any, _tempering: Sequence[float]) -> Array:
@@ -131,7 +140,11 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     monkeypatch.setattr(searches, "_resolved", lambda p: p.start[OMEGA_SL] > 0.5)
     monkeypatch.setattr(searches, "_deviance", lambda p: -100.0 * p.start[MU_2])
     starts = []
-    for speed, likely in ((2.0, 1.0), (3.0, 1.5), (0.1, 9.0)):  # the last ends where nothing resolves its speed
+    for speed, likely in (
+        (2.0, 1.0),
+        (3.0, 1.5),
+        (0.1, 9.0),
+    ):  # the last ends where nothing resolves its speed
         vector = np.ones(SIZE)
         vector[OMEGA_SL], vector[MU_2] = speed, likely
         starts.append((vector, [np.array([speed])]))
@@ -143,7 +156,9 @@ def test_the_joint_fit_begins_in_the_basin_that_is_likeliest_with_all_free(
     assert problem.free == (MC, INERTIA, OMEGA_SL)
 
 
-@pytest.mark.parametrize(("speed", "behind", "taken"), [(5.0, 3.0, 1), (5.0, 5.0, 0), (1.5, 3.0, 0)])
+@pytest.mark.parametrize(
+    ("speed", "behind", "taken"), [(5.0, 3.0, 1), (5.0, 5.0, 0), (1.5, 3.0, 0)]
+)
 def test_of_ends_as_likely_one_of_a_far_slower_fall_is_taken(
     problem: Any, monkeypatch: pytest.MonkeyPatch, speed: float, behind: float, taken: int
 ) -> None:
@@ -158,14 +173,18 @@ def test_of_ends_as_likely_one_of_a_far_slower_fall_is_taken(
     assert problem.start is starts[taken][0]
 
 
-def test_an_end_that_ran_off_is_less_likely_than_any(problem: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_end_that_ran_off_is_less_likely_than_any(
+    problem: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.undo()
     problem.run = lambda *_: (np.array([np.nan]), np.ones(1))
     problem.start, problem.noise = np.ones(SIZE), None
     assert searches._deviance(problem) == np.inf
 
 
-def test_where_no_start_is_solved_the_best_end_is_begun_from_again(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_no_start_is_solved_the_best_end_is_begun_from_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     begun: list[tuple[float, float]] = []
 
     def solved(_p: Any, start: Array, _times: Any, share: float, _noise: Any, _free: Any) -> Any:
@@ -191,7 +210,9 @@ def test_where_no_start_is_solved_the_best_end_is_begun_from_again(monkeypatch: 
     assert len(begun) == 1
 
 
-def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_inertia_far_from_the_equation_error_s_is_looked_for_last(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     begun: list[float] = []
 
     def solved(_p: Any, start: Array, _times: Any, share: float, _noise: Any, _free: Any) -> Any:

@@ -25,7 +25,9 @@ RATE = 100.0
 BENCH = Bench(moment_arm=0.095)
 
 
-def synthetic(name: str, stage: str = "unloaded", *, role: str = "fit", frequency: float = 0.2) -> Recording:
+def synthetic(
+    name: str, stage: str = "unloaded", *, role: str = "fit", frequency: float = 0.2
+) -> Recording:
     """A recording of exact channels, written from eq. 15 without the package's own friction."""
     time = (np.arange(int(10 * RATE)) + 0.5) / RATE
     w = 2.0 * np.pi * frequency
@@ -35,11 +37,18 @@ def synthetic(name: str, stage: str = "unloaded", *, role: str = "fit", frequenc
     mass = 30.6 if stage == "loaded" else 0.0
     t = TRUTH
     torque = t["sigma_2"] * velocity + t["J"] * acceleration
-    torque += np.sign(velocity) * (t["Mc"] + (t["Ms"] - t["Mc"]) * np.exp(-((velocity / t["omega_sf"]) ** 2)))
+    torque += np.sign(velocity) * (
+        t["Mc"] + (t["Ms"] - t["Mc"]) * np.exp(-((velocity / t["omega_sf"]) ** 2))
+    )
     moment = BENCH.contact_force(mass) * 0.095
     dry = t["mu_c"] + (t["mu_s"] - t["mu_c"]) * np.exp(-((velocity / t["omega_sL"]) ** 2))
     torque += moment * (np.sign(velocity) * dry + t["mu_2"] * velocity)
-    channels = {"time": time, "angle": amplitude * np.sin(w * time), "velocity": velocity, "torque": torque}
+    channels = {
+        "time": time,
+        "angle": amplitude * np.sin(w * time),
+        "velocity": velocity,
+        "torque": torque,
+    }
     return Recording(name, channels, BENCH, stage=stage, weight_mass=mass, role=role)  # type: ignore[arg-type]
 
 
@@ -54,7 +63,11 @@ def fit(dataset: Dataset, seed: int, **more: object):
 def test_misfit_is_the_norm_written_out() -> None:
     rng = np.random.default_rng(0)
     n, p = 5000, 7
-    velocity, acceleration, torque = rng.normal(0.0, 0.3, n), rng.normal(size=n), rng.normal(0.0, 9.0, n)
+    velocity, acceleration, torque = (
+        rng.normal(0.0, 0.3, n),
+        rng.normal(size=n),
+        rng.normal(0.0, 9.0, n),
+    )
     load = rng.uniform(1.0, 2.0, n)
     c, s, v, inertia = rng.uniform(0.0, 10.0, (4, p))
     w_s = rng.uniform(1e-3, 0.5, p)
@@ -70,14 +83,20 @@ def test_misfit_is_the_norm_written_out() -> None:
 def test_error_level_and_wrong_basins_of_the_first_stage() -> None:
     """The paper prints errors up to 3.62 %; a search in all five at once may also end far off."""
     dataset = Dataset((synthetic("a"),))
-    errors = np.array([worst_error(fit(dataset, seed).values(), SYSTEM_PARAMETERS) for seed in range(8)])
+    errors = np.array(
+        [worst_error(fit(dataset, seed).values(), SYSTEM_PARAMETERS) for seed in range(8)]
+    )
     assert np.mean(errors > 0.2) <= 0.4
     assert 0.001 < np.median(errors) < 0.15
 
 
 def test_both_stages() -> None:
     dataset = Dataset(
-        (synthetic("a"), synthetic("b", "loaded"), synthetic("c", "loaded", role="validate", frequency=0.15))
+        (
+            synthetic("a"),
+            synthetic("b", "loaded"),
+            synthetic("c", "loaded", role="validate", frequency=0.15),
+        )
     )
     told: list[tuple[str, float]] = []
     result = fit(dataset, 1, progress=lambda stage, share: told.append((stage, share)))
@@ -103,7 +122,9 @@ def test_fitness_is_the_norm_of_the_torque_error() -> None:
     final = {name: history[-1] for name, history in result.stages[0].parameter_history.items()}
     moving = (trace.used > 0.5) & (trace.velocity != 0.0)
     w = trace.velocity[moving]
-    model = np.sign(w) * (final["Mc"] + (final["Ms"] - final["Mc"]) * np.exp(-((w / final["omega_sf"]) ** 2)))
+    model = np.sign(w) * (
+        final["Mc"] + (final["Ms"] - final["Mc"]) * np.exp(-((w / final["omega_sf"]) ** 2))
+    )
     error = trace.friction[moving] - model - final["sigma_2"] * w
     assert result.stages[0].cost == pytest.approx(np.linalg.norm(error), rel=1e-6)
 
@@ -122,7 +143,9 @@ def test_rest_is_left_out() -> None:
     rest = np.full(300, moving.channels["angle"][-1])
     time = moving.time[-1] + np.arange(1, 301) / RATE
     more = {"time": time, "angle": rest, "velocity": np.zeros(300), "torque": np.full(300, 3.0)}
-    channels = {name: np.concatenate([values, more[name]]) for name, values in moving.channels.items()}
+    channels = {
+        name: np.concatenate([values, more[name]]) for name, values in moving.channels.items()
+    }
     result = fit(Dataset((dataclasses.replace(moving, channels=channels),)), 0, generations=5)
     assert not result.traces[0].used[-290:].any()
     assert result.stages[0].method.endswith("samples")
@@ -156,7 +179,10 @@ def test_a_declared_term_is_not_silently_dropped() -> None:
 
 def test_without_a_torque_constant_the_fit_is_in_amperes() -> None:
     torque = synthetic("a")
-    channels = {("current" if name == "torque" else name): values for name, values in torque.channels.items()}
+    channels = {
+        ("current" if name == "torque" else name): values
+        for name, values in torque.channels.items()
+    }
     result = fit(Dataset((dataclasses.replace(torque, channels=channels),)), 0, generations=300)
     assert result.fit.unit == "A"
     assert result.stages[0].cost_unit == "A"

@@ -1,4 +1,5 @@
-"""The one test where the simulated machine and the fitted model meet: they agree on the nominal case.
+"""The one test where the simulated machine and the fitted model meet: they agree on the nominal
+case.
 
 And, with more room, on what the gas generator may hide.
 """
@@ -17,7 +18,12 @@ from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_kernel as kernel
 from identification.model.friction import friction as compiled_friction
 from identification.model.friction import load_coefficient, system_friction
-from identification.model.gas_generator import GasGenerator, constants, pressure_history, throat_derivatives
+from identification.model.gas_generator import (
+    GasGenerator,
+    constants,
+    pressure_history,
+    throat_derivatives,
+)
 from identification.model.parameters import pack
 from identification.model.valve import throat_area as believed_throat
 
@@ -43,7 +49,9 @@ def test_the_compiled_friction_is_the_same(force: float) -> None:
     p = pack(TRUTH, 2.0)
     for speed in np.geomspace(1e-5, 2.0, 40):
         value, slope = compiled_friction(speed, force * 0.095, 0.0, p)
-        assert (value, slope) == pytest.approx(friction(speed, friction_vector(Joint(), force)), rel=1e-12)
+        assert (value, slope) == pytest.approx(
+            friction(speed, friction_vector(Joint(), force)), rel=1e-12
+        )
 
 
 TIME = np.arange(0.0, 8.0, 0.005)
@@ -68,11 +76,17 @@ def test_a_burn_under_a_swinging_valve(equation: int) -> None:
         ("throat_deposition", {"rate_m_s": (kernel.LAYER_RATE, 3e-5)}, 2e-4),
         ("burning_area_change", {"taper_per_m": (kernel.TAPER, -0.4)}, 2e-4),
         ("erosive_burning", {"coefficient_s_m": (kernel.EROSION, 0.03)}, 4e-4),
-        ("heat_loss", {"heat_flow_W": (kernel.HEAT_FLOW, 1e5), "time_s": (kernel.HEAT_TIME, 5.0)}, 2e-3),
+        (
+            "heat_loss",
+            {"heat_flow_W": (kernel.HEAT_FLOW, 1e5), "time_s": (kernel.HEAT_TIME, 5.0)},
+            2e-3,
+        ),
         ("leakage", {"area_m2": (kernel.LEAK, 2e-5)}, 2e-4),
     ],
 )
-def test_what_the_gas_generator_hides(name: str, sizes: dict[str, tuple[int, float]], within: float) -> None:
+def test_what_the_gas_generator_hides(
+    name: str, sizes: dict[str, tuple[int, float]], within: float
+) -> None:
     g = GasGenerator()
     plant = Machine(effects={name: {key: size for key, (_, size) in sizes.items()}})
     true = burn(replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT)), SWING, 0.005, steps=20)
@@ -83,5 +97,7 @@ def test_what_the_gas_generator_hides(name: str, sizes: dict[str, tuple[int, flo
     start = constants(g, {}, float(true.pressure_Pa[0]), g.V_0)
     kernel.march(TIME, throat_derivatives(SWING, g.valve), start, missing, out)
     assert out[0] == pytest.approx(true.pressure_Pa, rel=within)
-    plain = burn(replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT), effects={}), SWING, 0.005, steps=20)
+    plain = burn(
+        replace(plant, gas=replace(plant.gas, energy_J_kg=g.RT), effects={}), SWING, 0.005, steps=20
+    )
     assert np.max(np.abs(plain.pressure_Pa / true.pressure_Pa - 1.0)) > 10.0 * within

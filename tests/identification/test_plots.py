@@ -13,22 +13,50 @@ from identification.plots import profile as profile_plots
 from identification.plots.spread import spread
 from identification.plots.style import MAX_POINTS, continuing, png
 from identification.recording import Bench, Recording
-from identification.result import Convergence, Fit, Identification, Parameter, Profile, Starts, Trace
+from identification.result import (
+    Convergence,
+    Fit,
+    Identification,
+    Parameter,
+    Profile,
+    Starts,
+    Trace,
+)
 
 UNIT = re.compile(r"\((deg|rad/s|N m|N|m/s|mm|s|%|1|kg|A)\)$")
 
 
-PROFILE = Profile("Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 2.0]), 6.85, None, 1.0)
+PROFILE = Profile(
+    "Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 2.0]), 6.85, None, 1.0
+)
 
 
-def trace(name: str = "run", samples: int = 20_001, motion: str = "rotary") -> tuple[Trace, Recording]:
+def trace(
+    name: str = "run", samples: int = 20_001, motion: str = "rotary"
+) -> tuple[Trace, Recording]:
     time = np.linspace(0.0, 10.0, samples)
     velocity = 0.4 * np.cos(time)
     torque = np.sign(velocity) * 8.0 + np.random.default_rng(0).normal(0.0, 0.1, samples)
     model = np.sign(velocity) * 8.0
     used = np.abs(velocity) > 0.01
-    made = Trace(name, "fit", "unloaded", time, 0.4 * np.sin(time), velocity, torque, model, torque, used.astype(float))
-    channels = {"time": time, "command": 0.4 * np.sin(time), "angle": 0.4 * np.sin(time), "torque": torque}
+    made = Trace(
+        name,
+        "fit",
+        "unloaded",
+        time,
+        0.4 * np.sin(time),
+        velocity,
+        torque,
+        model,
+        torque,
+        used.astype(float),
+    )
+    channels = {
+        "time": time,
+        "command": 0.4 * np.sin(time),
+        "angle": 0.4 * np.sin(time),
+        "torque": torque,
+    }
     return made, Recording(name, channels, Bench(motion=motion, moment_arm=0.095))  # type: ignore[arg-type]
 
 
@@ -48,7 +76,9 @@ def result(method: str = "default", motion: str = "rotary") -> Identification:
         cost_history=np.array([3.0, 2.0, 1.0]),
         parameter_history={"Mc": np.array([1.0, 5.0, 7.0]), "J": np.array([0.0, 0.0, 0.0])},
     )
-    return Identification(method, motion, 2.0, parameters, Fit("N m", 40.0, 0.1, 0.01), (stage,), traces=(trace()[0],))
+    return Identification(
+        method, motion, 2.0, parameters, Fit("N m", 40.0, 0.1, 0.01), (stage,), traces=(trace()[0],)
+    )
 
 
 def figures() -> dict[str, Figure]:
@@ -63,7 +93,9 @@ def figures() -> dict[str, Figure]:
         "convergence to the truth": fit_plots.convergence(found.stages[0], {"Mc": 7.1}),
         "intervals": fit_plots.intervals([found, result("paper")], {"Mc": 6.9}),
         "profiles": profile_plots.profiles([PROFILE], list(found.parameters.values())),
-        "waterfall": profile_plots.waterfall([Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]),
+        "waterfall": profile_plots.waterfall(
+            [Starts("loaded", "-2 log likelihood", (5.0, 3.0, 3.1), 4.0)]
+        ),
         "spread": spread({"paper": {"Mc": [1.0, 0.0, np.inf]}}, {"Mc": 1.1, "Ms": 0.0}, names),
     }
 
@@ -73,14 +105,19 @@ def test_every_numeric_axis_has_a_unit(name: str) -> None:
     for axis in figures()[name].axes:
         for part, label in ((axis.xaxis, axis.get_xlabel()), (axis.yaxis, axis.get_ylabel())):
             texts = [t.get_text() for t in part.get_ticklabels()]
-            named = any(any(letter.isalpha() for letter in t.replace("mathdefault", "")) for t in texts)
+            named = any(
+                any(letter.isalpha() for letter in t.replace("mathdefault", "")) for t in texts
+            )
             hidden = not any(t.get_visible() for t in part.get_ticklabels())
             assert named or hidden or UNIT.search(label), f"{name}: {label!r}"
 
 
 @pytest.mark.parametrize("name", list(figures()))
 def test_no_line_has_more_points_than_the_eye_can_use(name: str) -> None:
-    assert max(len(line.get_xdata()) for axis in figures()[name].axes for line in axis.lines) <= MAX_POINTS
+    assert (
+        max(len(line.get_xdata()) for axis in figures()[name].axes for line in axis.lines)
+        <= MAX_POINTS
+    )
 
 
 def test_png_is_reproducible() -> None:

@@ -42,7 +42,9 @@ def with_channels(recording: Recording, **channels: np.ndarray | None) -> Record
 @pytest.mark.parametrize("bandwidth", [10.0, 40.0, 150.0, 500.0])
 @pytest.mark.parametrize("source", ["angle", "velocity"])
 def test_linear_model_comes_back_at_any_bandwidth(bandwidth: float, source: str) -> None:
-    recording = sine(ROLLING, drift=0.6, frequency=0.7, duration=8.0)  # speed never crosses zero: all signals smooth
+    recording = sine(
+        ROLLING, drift=0.6, frequency=0.7, duration=8.0
+    )  # speed never crosses zero: all signals smooth
     other = {"angle": "velocity", "velocity": "angle"}[source]
     found = linear_fit(prepare(with_channels(recording, **{other: None}), bandwidth))
     tolerance = 1e-4 if source == "angle" else 1e-5
@@ -74,7 +76,9 @@ def test_averaged_channel_stands_half_a_period_earlier() -> None:
     recording = sine(frequency=2.0)
     time, h = recording.time, 1.0 / RATE
     w = 2.0 * np.pi * 10.0
-    mean = (np.cos(w * (time - h)) - np.cos(w * time)) / (w * h)  # of sin(w t) over the period that ends at each time
+    mean = (np.cos(w * (time - h)) - np.cos(w * time)) / (
+        w * h
+    )  # of sin(w t) over the period that ends at each time
     averaged = replace(with_channels(recording, torque=mean), averaged=frozenset({"torque"}))
     grid = uniform_grid(recording)
     inner = slice(5, -5)
@@ -87,9 +91,13 @@ def test_averaged_channel_stands_half_a_period_earlier() -> None:
 
 def test_current_from_voltage_leaves_out_the_back_emf() -> None:
     recording = sine()
-    volts = 1.56 * recording.channels["torque"] / 3.0 + 0.02588 * 100.0 * recording.channels["velocity"]
+    volts = (
+        1.56 * recording.channels["torque"] / 3.0 + 0.02588 * 100.0 * recording.channels["velocity"]
+    )
     measured = with_channels(recording, torque=None, voltage=volts)
-    assert prepare(measured, 40.0).torque == pytest.approx(prepare(recording, 40.0).torque, abs=1e-3)
+    assert prepare(measured, 40.0).torque == pytest.approx(
+        prepare(recording, 40.0).torque, abs=1e-3
+    )
 
 
 @pytest.mark.parametrize("mark", ["nan", "enabled"])
@@ -146,7 +154,9 @@ def test_uneven_sampling_is_brought_to_an_even_grid() -> None:
     uneven = replace(even, channels={k: v[keep] for k, v in even.channels.items()})
     prepared = prepare(uneven, 20.0)
     assert np.ptp(np.diff(prepared.time)) < 1e-9
-    assert linear_fit(prepared) == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=0.01)
+    assert linear_fit(prepared) == pytest.approx(
+        [ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=0.01
+    )
 
 
 def test_motor_encoder_counts_through_the_gear_and_keeps_the_joint_zero() -> None:
@@ -154,7 +164,9 @@ def test_motor_encoder_counts_through_the_gear_and_keeps_the_joint_zero() -> Non
     angle = recording.channels["angle"]
     fine, coarse = 1e-5, 1e-4
     both = with_channels(
-        recording, motor_angle=np.floor((angle + 1.0) / fine) * fine * 100.0, angle=np.floor(angle / coarse) * coarse
+        recording,
+        motor_angle=np.floor((angle + 1.0) / fine) * fine * 100.0,
+        angle=np.floor(angle / coarse) * coarse,
     )
     found = joint_angle(both)
     assert found is not None
@@ -163,14 +175,18 @@ def test_motor_encoder_counts_through_the_gear_and_keeps_the_joint_zero() -> Non
     assert alone is not None
     assert alone == pytest.approx(angle + 1.0, abs=2.0 * fine)
     swapped = with_channels(
-        recording, motor_angle=np.floor(angle / coarse) * coarse * 100.0, angle=np.floor(angle / fine) * fine
+        recording,
+        motor_angle=np.floor(angle / coarse) * coarse * 100.0,
+        angle=np.floor(angle / fine) * fine,
     )
     assert joint_angle(swapped) is swapped.channels["angle"]
 
 
 def test_resting_marks_whole_stretches_without_any_change() -> None:
     moving = np.random.default_rng(0).uniform(1.0, 2.0, 40).cumsum()
-    angle = np.concatenate([moving[:10], np.full(7, moving[10]), moving[11:20], np.full(4, moving[20]), moving[21:]])
+    angle = np.concatenate(
+        [moving[:10], np.full(7, moving[10]), moving[11:20], np.full(4, moving[20]), moving[21:]]
+    )
     marks = resting(angle, samples=6)
     assert np.flatnonzero(marks).tolist() == list(range(10, 17))
 
@@ -182,7 +198,9 @@ def test_resting_of_too_few_samples_is_nothing() -> None:
 def test_samples_touched_by_rest_are_not_used() -> None:
     recording = sine(frequency=0.5, duration=6.0)
     time = recording.time
-    held = np.where((time > 2.0) & (time < 2.5), np.interp(2.0, time, recording.channels["angle"]), 0.0)
+    held = np.where(
+        (time > 2.0) & (time < 2.5), np.interp(2.0, time, recording.channels["angle"]), 0.0
+    )
     angle = np.where((time > 2.0) & (time < 2.5), held, recording.channels["angle"])
     prepared = prepare(with_channels(recording, angle=angle, velocity=None), 40.0)
     reach = prepared.filter.half / RATE
@@ -206,7 +224,9 @@ def test_exact_channels_leave_out_what_the_rate_cannot_resolve() -> None:
 
 def test_velocity_alone_is_enough() -> None:
     prepared = prepare(with_channels(sine(ROLLING), angle=None), 40.0)
-    assert linear_fit(prepared) == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=5e-3)
+    assert linear_fit(prepared) == pytest.approx(
+        [ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=5e-3
+    )
 
 
 def test_coarser_encoder_asks_for_less_bandwidth() -> None:
@@ -235,7 +255,9 @@ def test_missing_channels_are_named(change: dict[str, None], message: str) -> No
 
 def test_voltage_without_motor_constants_is_refused() -> None:
     recording = with_channels(sine(bench=Bench()), torque=None, voltage=np.zeros(5000))
-    with pytest.raises(RecordingError, match=r"needs bench\.resistance and bench\.back_emf_constant"):
+    with pytest.raises(
+        RecordingError, match=r"needs bench\.resistance and bench\.back_emf_constant"
+    ):
         prepare(recording, 40.0)
 
 
@@ -250,16 +272,23 @@ def test_recording_shorter_than_the_filter_is_refused() -> None:
 
 
 def test_torque_and_motion_agree_with_what_was_put_in() -> None:
-    """At rest of the filter's own error: the torque error of the true model is far below the torque."""
+    """At rest of the filter's own error: the torque error of the true model is far below the
+    torque.
+    """
     prepared = prepare(sine(), 40.0)
-    model = prepared.filter(friction(prepared.raw_velocity, TRUTH)) + TRUTH["J"] * prepared.acceleration
+    model = (
+        prepared.filter(friction(prepared.raw_velocity, TRUTH)) + TRUTH["J"] * prepared.acceleration
+    )
     error = (prepared.torque - model)[prepared.used]
     assert np.sqrt(np.mean(error**2)) < 0.02
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, -1.0, float("nan"), float("inf"), 500.1])
 def test_a_bandwidth_the_rate_cannot_carry(bandwidth: float) -> None:
-    with pytest.raises(RecordingError, match="is out of reach; ask for more than 0 and at most half the rate, 500 Hz"):
+    with pytest.raises(
+        RecordingError,
+        match="is out of reach; ask for more than 0 and at most half the rate, 500 Hz",
+    ):
         prepare(sine(), bandwidth)
 
 
@@ -280,14 +309,20 @@ def test_only_the_exception_among_sample_intervals_is_irregular() -> None:
 
 
 def test_samples_about_a_jerk_between_late_samples_are_left_out() -> None:
-    """As in a run in real time: a cycle is late, the target jumps, and nobody saw how the joint followed."""
+    """As in a run in real time: a cycle is late, the target jumps, and nobody saw how the joint
+    followed.
+    """
     recording = sine(ROLLING, drift=0.6, frequency=0.7, duration=8.0)
     seen = np.ones(len(recording.time), dtype=bool)
     torque = recording.channels["torque"].copy()
     for at in range(400, 7600, 800):
         seen[at : at + 4] = False
         torque[at - 1 : at + 6] += 10.0
-    channels = {name: values[seen] for name, values in {**recording.channels, "torque": torque}.items()}
+    channels = {
+        name: values[seen] for name, values in {**recording.channels, "torque": torque}.items()
+    }
     kept = prepare(replace(recording, channels=channels), 20.0)
-    assert linear_fit(kept) == pytest.approx([ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=2e-3)
+    assert linear_fit(kept) == pytest.approx(
+        [ROLLING["Mc"], ROLLING["sigma_2"], ROLLING["J"]], rel=2e-3
+    )
     assert 0.2 < float(np.mean(kept.used)) < 0.95

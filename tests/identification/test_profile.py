@@ -1,4 +1,6 @@
-"""Likelihood profiles: each point optimised, ranges that agree with the intervals, crossings where they were put."""
+"""Likelihood profiles: each point optimised, ranges that agree with the intervals, crossings where
+they were put.
+"""
 
 from __future__ import annotations
 
@@ -42,7 +44,9 @@ def test_every_fitted_parameter_has_one(profiled: Identification) -> None:
         assert curve.unit == profiled.parameters[curve.name].unit
 
 
-def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(profiled: Identification) -> None:
+def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(
+    profiled: Identification,
+) -> None:
     for curve in profiled.profiles:
         p = profiled.parameters[curve.name]
         assert p.low is not None
@@ -52,7 +56,9 @@ def test_where_the_likelihood_is_a_parabola_the_range_is_the_interval(profiled: 
         assert curve.high == pytest.approx(p.high, abs=0.05 * half), curve.name
 
 
-def test_a_profile_is_the_least_cost_with_that_value_held(practical_pair: tuple[Recording, Recording]) -> None:
+def test_a_profile_is_the_least_cost_with_that_value_held(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     """Against another search over the others, from their values at the estimate."""
     refined = refine(practical_pair[0], Model(fixed={"J": TRUTH["J"]}))
     (curve,) = (c for c in profiles(refined, UNITS) if c.name == "sigma_2")

@@ -12,7 +12,10 @@ from identification.recording import Bench, Dataset, Recording, RecordingError
 
 BENCH = Bench(torque_constant=0.03, gear_ratio=100.0)
 DRAG, SIDE = 4.0, 0.5
-EFFECTS = {"quadratic_drag": {"coefficient_Nms2_rad2": DRAG}, "current_offset": {"current_A": SIDE / 3.0}}
+EFFECTS = {
+    "quadratic_drag": {"coefficient_Nms2_rad2": DRAG},
+    "current_offset": {"current_A": SIDE / 3.0},
+}
 
 
 def recording(name: str, pace: float) -> Recording:
@@ -45,7 +48,9 @@ def test_only_the_torque_is_changed(dataset: Dataset) -> None:
     assert np.array_equal(slow.channels["angle"], dataset.recordings[0].channels["angle"])
     speed = np.gradient(slow.channels["angle"], slow.time)
     taken = 3.0 * dataset.recordings[0].channels["current"] - slow.channels["torque"]
-    assert taken[200:-200] == pytest.approx((DRAG * speed * np.abs(speed) + SIDE)[200:-200], abs=0.01)
+    assert taken[200:-200] == pytest.approx(
+        (DRAG * speed * np.abs(speed) + SIDE)[200:-200], abs=0.01
+    )
 
 
 def test_a_voltage_alone_is_refused(dataset: Dataset) -> None:
@@ -53,4 +58,6 @@ def test_a_voltage_alone_is_refused(dataset: Dataset) -> None:
     channels = {name: v for name, v in dataset.recordings[0].channels.items() if name != "current"}
     channels["voltage"] = dataset.recordings[0].channels["current"]
     with pytest.raises(RecordingError, match="neither was measured"):
-        without_effects([Recording("v", channels, bench)], CorrectedModel({"Mc": 6.0}, 2.0, EFFECTS), 20.0)
+        without_effects(
+            [Recording("v", channels, bench)], CorrectedModel({"Mc": 6.0}, 2.0, EFFECTS), 20.0
+        )

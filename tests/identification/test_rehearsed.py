@@ -1,4 +1,6 @@
-"""By how much the likelihood is off, foretold by replicates and held against the simulated machine."""
+"""By how much the likelihood is off, foretold by replicates and held against the simulated
+machine.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,12 @@ from identification.estimate.inertia.inertia_equation import Equation, least_var
 from identification.estimate.inertia.instruments import instruments, replicate_instruments
 from identification.estimate.likelihood import refinement, replicates
 from identification.estimate.likelihood.refinement import Found, _unbiased
-from identification.estimate.likelihood.replicates import Bias, _Scored, likelihood_bias, logged_share
+from identification.estimate.likelihood.replicates import (
+    Bias,
+    _Scored,
+    likelihood_bias,
+    logged_share,
+)
 from identification.estimate.uncertainty.covariance import Covariances, covariances
 from identification.estimate.uncertainty.cramer_rao import bound
 from identification.filter.likelihood import Problem, static_limit
@@ -54,7 +61,9 @@ def sticky(seed: int) -> list[Recording]:
     return [seen(logged(simulated(2 * seed + int(w > 0.0), w, machine), w)) for w in (0.0, 30.6)]
 
 
-def at(values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES) -> Problem:
+def at(
+    values: dict[str, float], recordings: list[Recording], names: tuple[str, ...] = NAMES
+) -> Problem:
     """Return the joint problem at these values, its breakaways and noise levels the likeliest."""
     motions = [m for r in recordings if (m := motion(r)) is not None]
     problem = Problem(motions, pack(values, 2.0), [], Model(), Noise(torque_noise(motions)))
@@ -77,7 +86,9 @@ def _sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
 
 
 def sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
-    """Return a sticky bench's problem at the true values, one's own, and what the likelihood puts off there."""
+    """Return a sticky bench's problem at the true values, one's own, and what the likelihood puts
+    off there.
+    """
     problem, bias = _sticky_with_bias(seed)
     return deepcopy(problem), bias
 
@@ -85,7 +96,9 @@ def sticky_with_bias(seed: int) -> tuple[Problem, Bias]:
 def silent(problem: Problem) -> Replicate:
     """Return a rehearsal that says nothing."""
     rows = len(problem.owners)
-    nothing = BlockArrow(np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways)
+    nothing = BlockArrow(
+        np.zeros((rows, len(problem.free))), np.zeros(rows), problem.owners, problem.breakaways
+    )
     return Replicate(problem, nothing, np.zeros(rows), 0)
 
 
@@ -98,7 +111,11 @@ def likeliest(problem: Problem) -> dict[str, float]:
     """Return the likeliest of all but the inertia, from the values at which a problem stands."""
     problem.free = tuple(k for k in problem.free if k != INERTIA)
     found = minimise_deviance(
-        problem.predictions, problem.derivatives, problem.origin(), threshold=HUBER_THRESHOLD, tolerance=0.05
+        problem.predictions,
+        problem.derivatives,
+        problem.origin(),
+        threshold=HUBER_THRESHOLD,
+        tolerance=0.05,
     )
     return unpack(problem.parameters(found.x), [n for n in NAMES if n != "J"])
 
@@ -125,11 +142,15 @@ def test_a_rehearsal_is_the_same_each_time_and_changes_nothing() -> None:
     assert all(v > 0.0 for n, v in bias.variances.items() if n != "J")
     assert all(abs(bias.shifts[n]) < 0.01 * TRUTH[n] for n in names)
     assert np.array_equal(problem.start, before[0])
-    assert all(np.array_equal(a, b) for a, b in zip(problem.breakaway_times, before[1], strict=True))
+    assert all(
+        np.array_equal(a, b) for a, b in zip(problem.breakaway_times, before[1], strict=True)
+    )
     assert likelihood_bias(problem, names) == bias
 
 
-def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     dataset = Dataset((beginning(logged(simulated(0, 0.0), 0.0), 10.0),))
     likely = identify(dataset, profile=True, draws=20)
     shifts = {"Mc": 0.01, "Ms": -0.02, "omega_sf": 1e-4, "sigma_2": 0.0, "J": 0.0}
@@ -156,7 +177,9 @@ def test_an_estimate_is_moved_by_it_and_profile_and_draws_with_it(monkeypatch: p
     (curve,) = (p for p in moved.profiles if p.name == "Ms")
     assert curve.high is not None
     assert curve.low is not None
-    assert curve.high - curve.low == pytest.approx(2.0 * (wider.high - moved.values()["Ms"]), rel=0.05)
+    assert curve.high - curve.low == pytest.approx(
+        2.0 * (wider.high - moved.values()["Ms"]), rel=0.05
+    )
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3, 0.8])
@@ -166,11 +189,16 @@ def test_the_share_of_the_noise_that_is_logged_is_seen(share: float) -> None:
     problem.noise = Noise(0.4)
     seen_loop = replicates._loop(problem.motions)
     assert seen_loop is not None
-    loop = replace(seen_loop, count=1e-6)  # of a finer encoder, whose steps the drive does not answer loudly
+    loop = replace(
+        seen_loop, count=1e-6
+    )  # of a finer encoder, whose steps the drive does not answer loudly
     noise = replicates._drawn(problem, problem.motions[0], np.random.default_rng(1), 1.0, share)
     played = replicates._replicate(problem, problem.motions[0], loop, noise)
     assert played is not None
-    channels = {**played.recording.channels, "command": problem.motions[0].recording.channels["command"]}
+    channels = {
+        **played.recording.channels,
+        "command": problem.motions[0].recording.channels["command"],
+    }
     again = copy(problem)
     again.motions = (replace(played, recording=replace(played.recording, channels=channels)),)
     assert logged_share(again, loop) == pytest.approx(share, abs=0.1)
@@ -209,7 +237,9 @@ def test_the_inertias_equation_is_solved_where_the_likelihoods_bias_is_taken_off
     assert solved.values["J"] != expected["J"]
     assert np.all(np.diag(solved.spread.covariance)[:4] > [bias.variances[n] for n in names[:4]])
     assert np.array_equal(problem.start, before[0])
-    assert all(np.array_equal(a, b) for a, b in zip(problem.breakaway_times, before[1], strict=True))
+    assert all(
+        np.array_equal(a, b) for a, b in zip(problem.breakaway_times, before[1], strict=True)
+    )
 
 
 def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
@@ -224,7 +254,9 @@ def test_what_cannot_be_rehearsed_is_left_as_it_is() -> None:
 
 def test_a_bias_that_would_turn_friction_over_is_not_taken_off() -> None:
     names = ("Mc", "Ms", "omega_sf")
-    found = Found({"Mc": 6.0, "Ms": 12.0, "omega_sf": 0.05}, Spread(names, 1e-4 * np.eye(3), np.inf))
+    found = Found(
+        {"Mc": 6.0, "Ms": 12.0, "omega_sf": 0.05}, Spread(names, 1e-4 * np.eye(3), np.inf)
+    )
     small = Bias({"Mc": 0.1, "Ms": -0.1, "omega_sf": 0.001}, dict.fromkeys(names, 1e-6))
     corrected = _unbiased(found, small)
     assert corrected.values == pytest.approx({"Mc": 5.9, "Ms": 12.1, "omega_sf": 0.049})
@@ -238,7 +270,9 @@ def test_where_a_rehearsal_fails_another_noise_is_taken(monkeypatch: pytest.Monk
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
     failing = {0}
 
-    def step(_joint: Problem, _loop: object, _share: float, seed: int, sign: float) -> _Scored | None:
+    def step(
+        _joint: Problem, _loop: object, _share: float, seed: int, sign: float
+    ) -> _Scored | None:
         if seed in failing and sign < 0.0:
             return None
         out = np.zeros(len(problem.free))
@@ -273,7 +307,9 @@ def test_more_noises_are_taken_where_three_leave_the_bias_uncertain(
     assert taken == [k for k in range(noises) for _ in range(2)]
 
 
-def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_bias_is_that_of_values_as_far_from_the_estimate(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     """Where it is a tenth of the value, the estimate less an eleventh is off by as much."""
     names = ("Mc", "Ms", "omega_sf", "sigma_2", "J")
     problem = at(TRUTH, [seen(beginning(logged(simulated(0, 0.0), 0.0), 3.0))], names)
@@ -304,7 +340,9 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
     level = 2.5 / problem.inflation[problem.owners]
     plain = replace(every, parameters=np.repeat(level[:, None], len(names), axis=1), own=level)
     marked = [replace(jacobian, parameters=np.full_like(every.parameters, k)) for k in (1.0, 4.0)]
-    found = replicate_instruments(problem, plain, [Replicate(problem, m, np.zeros(len(m.own)), 0) for m in marked])
+    found = replicate_instruments(
+        problem, plain, [Replicate(problem, m, np.zeros(len(m.own)), 0) for m in marked]
+    )
     ties = len(plain.own) - problem.breakaways
     assert np.array_equal(found.parameters[ties:], plain.parameters[ties:])
     assert np.array_equal(found.own[ties:], plain.own[ties:])
@@ -314,7 +352,9 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
     other = at(TRUTH, [seen(logged(simulated(0, 0.0), 0.0))], names)
     other.motions[0].table[:2, DIRECTION] *= -1.0
     plain = replace(plain, parameters=np.full_like(plain.parameters, 7.0))
-    found = replicate_instruments(problem, plain, [Replicate(other, marked[0], np.zeros(len(plain.own)), 0)])
+    found = replicate_instruments(
+        problem, plain, [Replicate(other, marked[0], np.zeros(len(plain.own)), 0)]
+    )
     for j in range(problem.breakaways):
         rows = np.flatnonzero(problem.owners[:ties] == j)[:100]
         assert np.allclose(found.parameters[rows], 7.0 if j < 2 else 1.0)
@@ -324,7 +364,9 @@ def test_a_stretch_has_the_instruments_of_its_own_rehearsals() -> None:
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
     arrays(np.float64, 6, elements=st.floats(-10.0, 10.0)),
 )
-def test_the_mean_of_two_equations_has_no_more_variance_than_either(one: Array, other: Array) -> None:
+def test_the_mean_of_two_equations_has_no_more_variance_than_either(
+    one: Array, other: Array
+) -> None:
     found = least_variance(Equation(one, 2.0 * one), Equation(other, 2.0 * other))
     assert found.influence @ found.influence <= min(one @ one, other @ other) * (1.0 + 1e-9) + 1e-12
     assert np.allclose(found.parts, 2.0 * found.influence)
@@ -332,10 +374,14 @@ def test_the_mean_of_two_equations_has_no_more_variance_than_either(one: Array, 
 
 def test_two_equations_that_err_apart_count_by_their_variances() -> None:
     one, other = np.array([2.0, 0.0]), np.array([0.0, 1.0])
-    assert least_variance(Equation(one, one), Equation(other, other)).influence == pytest.approx([0.4, 0.8])
+    assert least_variance(Equation(one, one), Equation(other, other)).influence == pytest.approx(
+        [0.4, 0.8]
+    )
 
 
-def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> None:
+def test_the_inertia_goes_to_where_the_rehearsals_solve_its_equation_and_the_others_follow() -> (
+    None
+):
     problem, bias = sticky_with_bias(0)
     assert len({r.noise for r in bias.replicates}) >= 3
     j = problem.free.index(INERTIA)
@@ -355,12 +401,16 @@ def test_instruments_of_a_rehearsal_are_what_it_shows_from_sample_to_sample() ->
     rough = replace(own, parameters=own.parameters * np.resize([1.0, -1.0], len(own.own))[:, None])
     rehearsal = Replicate(problem, rough, np.zeros(len(own.own)), 0)
     found = replicate_instruments(problem, instruments(problem, own), [rehearsal])
-    inside = np.flatnonzero(np.diff(problem.owners[: len(own.own) - problem.breakaways]) == 0)  # all but the last
+    inside = np.flatnonzero(
+        np.diff(problem.owners[: len(own.own) - problem.breakaways]) == 0
+    )  # all but the last
     assert found.parameters[inside] == pytest.approx(rough.parameters[inside], rel=1e-9)
 
 
 def test_the_floor_is_that_of_a_bench_without_noise() -> None:
-    """Its sensitivities hold none, and at the noise levels of the noisy one give the bound itself."""
+    """Its sensitivities hold none, and at the noise levels of the noisy one give the bound
+    itself.
+    """
     over = []
     for seed in range(2):
         problem, bias = sticky_with_bias(seed)

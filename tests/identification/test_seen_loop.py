@@ -19,7 +19,9 @@ BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
 
 
 def recorded(loop: Loop, late: int = 1, noise: float = 0.06, seed: int = 0) -> Recording:
-    """Return 20 s at 20 deg and 0.2 Hz; the logged command runs ahead of what the drive was given by some samples."""
+    """Return 20 s at 20 deg and 0.2 Hz; the logged command runs ahead of what the drive was given
+    by some samples.
+    """
     rng = np.random.default_rng(seed)
     count = 20000
     time = PERIOD * np.arange(count)
@@ -35,10 +37,18 @@ def recorded(loop: Loop, late: int = 1, noise: float = 0.06, seed: int = 0) -> R
     return Recording(name="run", channels=channels, bench=BENCH, averaged=frozenset({"current"}))
 
 
-@pytest.mark.parametrize(("velocity", "position", "integral"), [(120.0, 60.0, 60.0), (60.0, 25.0, 50.0)])
-def test_the_gains_are_those_of_the_drive(velocity: float, position: float, integral: float) -> None:
-    """The position's gain and the integral's enter alike, so their sum and product are what is found."""
-    found = drive_loop([recorded(Loop(position, velocity, integral, 400.0, 75.0, STEP))], 75.0, STEP)
+@pytest.mark.parametrize(
+    ("velocity", "position", "integral"), [(120.0, 60.0, 60.0), (60.0, 25.0, 50.0)]
+)
+def test_the_gains_are_those_of_the_drive(
+    velocity: float, position: float, integral: float
+) -> None:
+    """The position's gain and the integral's enter alike, so their sum and product are what is
+    found.
+    """
+    found = drive_loop(
+        [recorded(Loop(position, velocity, integral, 400.0, 75.0, STEP))], 75.0, STEP
+    )
     assert found is not None
     assert found.velocity_gain == pytest.approx(velocity, rel=0.08)
     assert found.position_gain + found.integral == pytest.approx(position + integral, rel=0.1)
@@ -73,6 +83,8 @@ def test_what_is_no_such_loop_is_not_taken_for_one() -> None:
     shuffled = np.random.default_rng(1).permutation(recording.channels["current"])
     other = replace(recording, channels={**recording.channels, "current": shuffled})
     assert drive_loop([other], 75.0, STEP) is None
-    blind = replace(recording, channels={k: v for k, v in recording.channels.items() if k != "command"})
+    blind = replace(
+        recording, channels={k: v for k, v in recording.channels.items() if k != "command"}
+    )
     assert drive_loop([blind], 75.0, STEP) is None
     assert drive_loop([], 75.0, STEP) is None

@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from identification.signals import Decimator, central_difference, decimator, derivative, quantum, resample, smooth
+from identification.signals import (
+    Decimator,
+    central_difference,
+    decimator,
+    derivative,
+    quantum,
+    resample,
+    smooth,
+)
 
 RATE = 1000.0
 TIME = np.arange(4000) / RATE
@@ -52,7 +60,9 @@ def test_noise_has_no_quantum(seed: int) -> None:
 
 @pytest.mark.parametrize("shift", [0.0, 0.2, 0.5])
 def test_exact_motion_has_no_quantum(shift: float) -> None:
-    """With a sample on the turning point, or half-way beside it, the first steps are 1, 3, 5 or 1, 2, 3 units."""
+    """With a sample on the turning point, or half-way beside it, the first steps are 1, 3, 5 or 1,
+    2, 3 units.
+    """
     assert quantum(0.35 * np.sin(2.0 * np.pi * 0.2 * (TIME + shift / RATE))) == 0.0
 
 
@@ -118,7 +128,9 @@ def test_decimator_keeps_every_sample_at_its_own_time(bandwidth: float) -> None:
     lead = slice(low_pass.half, len(TIME) - low_pass.half, low_pass.factor)
     wave = np.sin(2.0 * np.pi * 0.05 * bandwidth * TIME + 0.3)
     assert low_pass(wave) == pytest.approx(wave[lead], abs=2e-3)
-    assert low_pass(TIME) == pytest.approx(TIME[lead], abs=1e-12)  # symmetric: a line passes unchanged
+    assert low_pass(TIME) == pytest.approx(
+        TIME[lead], abs=1e-12
+    )  # symmetric: a line passes unchanged
 
 
 @pytest.mark.parametrize("bandwidth", [25.0, 450.0])
@@ -127,14 +139,18 @@ def test_chosen_outputs_are_those_of_the_whole_series(bandwidth: float) -> None:
     late = np.where(TIME < 2.0, 0.0, np.sin(3.0 * TIME))
     series = np.stack([np.cos(7.0 * TIME), np.zeros(len(TIME)), late])
     places = np.array([0, 3, 4, 60])
-    assert low_pass.chosen(series, places) == pytest.approx(low_pass(series)[:, places].T, abs=1e-15)
+    assert low_pass.chosen(series, places) == pytest.approx(
+        low_pass(series)[:, places].T, abs=1e-15
+    )
 
 
 @pytest.mark.parametrize("bandwidth", [5.0, 20.0, 40.0, 100.0])
 def test_decimator_is_down_by_half_at_its_bandwidth(bandwidth: float) -> None:
     low_pass = decimator(RATE, bandwidth)
     offsets = np.arange(-low_pass.half, low_pass.half + 1) / RATE
-    assert float(low_pass.taps @ np.cos(2.0 * np.pi * bandwidth * offsets)) == pytest.approx(0.5, abs=0.01)
+    assert float(low_pass.taps @ np.cos(2.0 * np.pi * bandwidth * offsets)) == pytest.approx(
+        0.5, abs=0.01
+    )
     assert RATE / low_pass.factor >= 2.0 * bandwidth
 
 
@@ -153,7 +169,9 @@ def test_decimator_works_along_the_last_axis() -> None:
 
 
 @given(st.lists(st.integers(0, 499), max_size=5), st.sampled_from([20.0, 40.0, 150.0]))
-def test_untouched_is_exactly_what_no_bad_sample_can_change(bad: list[int], bandwidth: float) -> None:
+def test_untouched_is_exactly_what_no_bad_sample_can_change(
+    bad: list[int], bandwidth: float
+) -> None:
     low_pass = decimator(RATE, bandwidth)
     marks = np.zeros(500, dtype=bool)
     marks[bad] = True

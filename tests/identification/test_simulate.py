@@ -1,4 +1,6 @@
-"""The forward simulation against closed forms, a library's integrator, and itself at a finer step."""
+"""The forward simulation against closed forms, a library's integrator, and itself at a finer
+step.
+"""
 
 from __future__ import annotations
 
@@ -10,7 +12,15 @@ from scipy import integrate
 
 from identification.prepare import prepare
 from identification.recording import Bench, Controller, Pendulum, Recording, RecordingError
-from identification.simulate.closed_loop import OPEN_LOOP, Inputs, body_of, inputs_of, loop_of, replay, simulate
+from identification.simulate.closed_loop import (
+    OPEN_LOOP,
+    Inputs,
+    body_of,
+    inputs_of,
+    loop_of,
+    replay,
+    simulate,
+)
 from identification.simulate.score import compare, pooled, with_friction
 
 from .synthetic import TRUTH
@@ -21,13 +31,21 @@ def recording(
 ) -> Recording:
     time = channels.pop("time", np.linspace(0.0, 1.0, 1001))
     channels.setdefault("angle", np.zeros(len(time)))
-    return Recording("made", {"time": time, **channels}, Bench(), pendulum=pendulum, controller=controller)
+    return Recording(
+        "made", {"time": time, **channels}, Bench(), pendulum=pendulum, controller=controller
+    )
 
 
-def inputs(time: np.ndarray, command: np.ndarray | None = None, added: np.ndarray | None = None) -> Inputs:
+def inputs(
+    time: np.ndarray, command: np.ndarray | None = None, added: np.ndarray | None = None
+) -> Inputs:
     zero = np.zeros(len(time))
     return Inputs(
-        time, zero if command is None else command, np.ones(len(time)), zero if added is None else added, zero
+        time,
+        zero if command is None else command,
+        np.ones(len(time)),
+        zero if added is None else added,
+        zero,
     )
 
 
@@ -69,7 +87,9 @@ def test_without_friction_it_agrees_with_a_library_on_a_driven_pendulum() -> Non
         torque -= 0.4 * 9.80665 * 0.1 * math.sin(angle - 0.1) + 0.015 * speed
         return [speed, torque / (0.002 + 0.4 * 0.01)]
 
-    truth = integrate.solve_ivp(rate, (0.0, 3.0), [0.2, -0.5], t_eval=time, rtol=1e-9, atol=1e-11, max_step=0.01)
+    truth = integrate.solve_ivp(
+        rate, (0.0, 3.0), [0.2, -0.5], t_eval=time, rtol=1e-9, atol=1e-11, max_step=0.01
+    )
     out = simulate(body, loop, inputs(time, command), 0.2, -0.5)
     assert np.max(np.abs(out.angle - truth.y[0])) < 2e-3 * 0.5
     finer = simulate(body, loop, inputs(time, command), 0.2, -0.5, 2.5e-5)
@@ -77,7 +97,9 @@ def test_without_friction_it_agrees_with_a_library_on_a_driven_pendulum() -> Non
 
 
 def test_friction_under_a_load_is_felt_and_energy_only_falls() -> None:
-    """A free pendulum with load-dependent friction: it comes to rest sooner than without, and never gains energy."""
+    """A free pendulum with load-dependent friction: it comes to rest sooner than without, and never
+    gains energy.
+    """
     time = np.linspace(0.0, 4.0, 4001)
     r = recording(Pendulum(0.4, 0.1), time=time)
     energies = []
@@ -102,7 +124,12 @@ def test_stick_slip_of_a_soft_loop_hardly_depends_on_the_step() -> None:
 def test_the_controller_saturates_and_the_motor_brakes_itself() -> None:
     time = np.linspace(0.0, 5.0, 501)
     bench = Bench(torque_constant=0.5, back_emf_constant=0.5, resistance=4.0)
-    channels = {"time": time, "angle": np.zeros(501), "command": np.full(501, 1e6), "supply_voltage": np.full(501, 6.0)}
+    channels = {
+        "time": time,
+        "angle": np.zeros(501),
+        "command": np.full(501, 1e6),
+        "supply_voltage": np.full(501, 6.0),
+    }
     r = Recording("made", channels, bench, controller=Controller("duty", 1.0, limit=0.9))
     out = replay(r, {"J": 0.01}, 2.0)
     assert out.torque[0] == pytest.approx(0.5 / 4.0 * 6.0 * 0.9)
@@ -124,14 +151,21 @@ def test_what_is_missing_is_named() -> None:
 def test_scores_of_a_simulation_against_itself_and_against_one_without_friction() -> None:
     time = np.linspace(0.0, 5.0, 5001)
     r = recording(
-        controller=Controller("torque", 4000.0, 100.0), time=time, command=0.35 * np.sin(0.4 * math.pi * time)
+        controller=Controller("torque", 4000.0, 100.0),
+        time=time,
+        command=0.35 * np.sin(0.4 * math.pi * time),
     )
     truth = replay(r, TRUTH, 2.0)
     made = Recording(
-        "made", {**r.channels, "angle": truth.angle, "torque": truth.torque}, r.bench, controller=r.controller
+        "made",
+        {**r.channels, "angle": truth.angle, "torque": truth.torque},
+        r.bench,
+        controller=r.controller,
     )
     p = prepare(made, 20.0)
-    same, none = (compare(p, replay(made, with_friction(TRUTH, share), 2.0)) for share in (1.0, 0.0))
+    same, none = (
+        compare(p, replay(made, with_friction(TRUTH, share), 2.0)) for share in (1.0, 0.0)
+    )
     assert same.angle_rms == 0.0
     assert same.torque_rms < 1e-12
     assert none.torque_rms == pytest.approx(TRUTH["Mc"], rel=0.5)

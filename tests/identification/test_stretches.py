@@ -14,7 +14,9 @@ from .practical import logged, simulated
 
 
 def drop(recording: Recording, *names: str) -> Recording:
-    return replace(recording, channels={k: v for k, v in recording.channels.items() if k not in names})
+    return replace(
+        recording, channels={k: v for k, v in recording.channels.items() if k not in names}
+    )
 
 
 def swap(recording: Recording, **channels: np.ndarray) -> Recording:
@@ -34,17 +36,23 @@ def test_stretches_lie_between_the_true_rests(practical_pair: tuple[Recording, R
         assert first <= seen < last
 
 
-def test_the_rise_is_that_of_the_torque_before_the_breakaway(practical_pair: tuple[Recording, Recording]) -> None:
+def test_the_rise_is_that_of_the_torque_before_the_breakaway(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     found = motion(practical_pair[0])
     assert found is not None
     half = RISING // 2
     for (_, _, side, rise), seen in zip(found.table, found.seen.astype(int), strict=True):
         halves = found.torque[seen - 2 * half : seen - half], found.torque[seen - half : seen]
-        chord = side * float(np.mean(halves[1]) - np.mean(halves[0])) / (half * found.recording.period)
+        chord = (
+            side * float(np.mean(halves[1]) - np.mean(halves[0])) / (half * found.recording.period)
+        )
         assert rise == pytest.approx(chord, rel=0.35)
 
 
-def test_stretches_do_not_overlap_and_mark_what_is_inside(practical_pair: tuple[Recording, Recording]) -> None:
+def test_stretches_do_not_overlap_and_mark_what_is_inside(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     found = motion(practical_pair[0])
     assert found is not None
     edges = found.table[:, :2].astype(int)
@@ -66,7 +74,9 @@ def test_static_crossing_is_when_the_shaft_broke_away(
         assert when == pytest.approx(truth["time"][moving], abs=2e-3)
 
 
-def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(practical_pair: tuple[Recording, Recording]) -> None:
+def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     recording = practical_pair[1]
     smooth = motion(recording)
     assert smooth is not None
@@ -90,19 +100,25 @@ def test_the_speed_is_unsure_only_where_a_stretch_all_but_stops(practical_pair: 
     assert found.unsure[k + 3] == pytest.approx((0.1 * fastest) ** 2, rel=0.1)
 
 
-def test_peak_torque_is_at_least_the_static_limit(practical_pair: tuple[Recording, Recording]) -> None:
+def test_peak_torque_is_at_least_the_static_limit(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     found = motion(practical_pair[0])
     assert found is not None
     assert 12.0 < found.peak_torque() < 1.2 * 12.025
 
 
-def test_pendulum_adds_its_inertia_and_takes_its_torque(practical_pair: tuple[Recording, Recording]) -> None:
+def test_pendulum_adds_its_inertia_and_takes_its_torque(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     recording = practical_pair[0]
     bare, hung = motion(recording), motion(replace(recording, pendulum=Pendulum(2.0, 0.3, 0.1)))
     assert bare is not None
     assert hung is not None
     assert hung.extra_inertia == pytest.approx(2.0 * 0.3**2)
-    assert bare.torque - hung.torque == pytest.approx(2.0 * 9.80665 * 0.3 * np.sin(bare.angle - 0.1))
+    assert bare.torque - hung.torque == pytest.approx(
+        2.0 * 9.80665 * 0.3 * np.sin(bare.angle - 0.1)
+    )
 
 
 def test_no_stretches_without_an_encoder_a_torque_or_even_sampling(
@@ -133,21 +149,29 @@ def test_load_without_lever_is_refused() -> None:
         motion(replace(recording, bench=replace(recording.bench, moment_arm=None)))
 
 
-def test_a_stretch_begins_before_anything_is_seen(practical_pair: tuple[Recording, Recording]) -> None:
+def test_a_stretch_begins_before_anything_is_seen(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     found = motion(practical_pair[0])
     assert found is not None
     assert np.all(found.seen - found.table[:, 0] >= LEAD - 1)
 
 
-def test_strokes_alike_are_those_of_one_motion_either_way(practical_pair: tuple[Recording, Recording]) -> None:
-    """The sine eases in and out: its first and its last stroke are like each other, and no other like these."""
+def test_strokes_alike_are_those_of_one_motion_either_way(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
+    """The sine eases in and out: its first and its last stroke are like each other, and no other
+    like these.
+    """
     found = motion(practical_pair[0])
     assert found is not None
     ends = np.isin(np.arange(len(found.table)), [0, len(found.table) - 1])
     assert np.array_equal(found.matching, ends[:, None] == ends)
 
 
-def test_a_stroke_unlike_all_others_has_all_of_them(practical_pair: tuple[Recording, Recording]) -> None:
+def test_a_stroke_unlike_all_others_has_all_of_them(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     found = motion(practical_pair[0])
     assert found is not None
     alike = replace(found, table=found.table[:-1]).matching
@@ -155,7 +179,9 @@ def test_a_stroke_unlike_all_others_has_all_of_them(practical_pair: tuple[Record
     assert not np.any(alike[1:, 0])
 
 
-def test_strokes_of_two_amplitudes_are_not_alike(practical_pair: tuple[Recording, Recording]) -> None:
+def test_strokes_of_two_amplitudes_are_not_alike(
+    practical_pair: tuple[Recording, Recording],
+) -> None:
     found = motion(practical_pair[0])
     assert found is not None
     first = found.table[1:-1, 0].astype(int)

@@ -11,7 +11,9 @@ TIME = 1e-3 * np.arange(4000)
 
 def recording(angle: np.ndarray, command: np.ndarray, current: float = 2.0) -> Recording:
     channels = {"time": TIME, "angle": angle, "command": command}
-    return Recording("r", {**channels, "voltage": np.full(4000, 3.0), "current": np.full(4000, current)}, Bench())
+    return Recording(
+        "r", {**channels, "voltage": np.full(4000, 3.0), "current": np.full(4000, current)}, Bench()
+    )
 
 
 def test_a_target_is_due_one_sample_later() -> None:
@@ -34,7 +36,9 @@ def test_errors_and_energy_of_a_part() -> None:
 
 
 def test_waiting_counts_only_while_the_command_moves() -> None:
-    """It stands for the first of two seconds of the ramp, then follows; afterwards command and joint both rest."""
+    """It stands for the first of two seconds of the ramp, then follows; afterwards command and
+    joint both rest.
+    """
     command = 0.1 * np.minimum(TIME, 2.0)
     angle = 0.1 * np.clip(TIME - 1.0, 0.0, 1.0)
     assert track(recording(angle, command)).waiting == pytest.approx(0.5, abs=0.03)

@@ -15,7 +15,9 @@ from .synthetic import TRUTH
 
 
 def spread(names: tuple[str, ...], pinned: list[float], tight: float, loose: float) -> Spread:
-    """Two parameters of which ``pinned`` @ both has deviation ``tight``, and their other combination ``loose``."""
+    """Two parameters of which ``pinned`` @ both has deviation ``tight``, and their other
+    combination ``loose``.
+    """
     basis = np.array([pinned, [-pinned[1], pinned[0]]])
     turn = np.linalg.inv(basis)
     return Spread(names, turn @ np.diag([tight**2, loose**2]) @ turn.T, math.inf)
@@ -24,7 +26,11 @@ def spread(names: tuple[str, ...], pinned: list[float], tight: float, loose: flo
 @pytest.mark.parametrize(
     ("names", "weight", "told"),
     [
-        (("Mc", "sigma_2"), 0.3, "sum at 0.3 rad/s is pinned, Mc + 0.3 sigma_2 = 8.4289 +- 0.0016 N m"),
+        (
+            ("Mc", "sigma_2"),
+            0.3,
+            "sum at 0.3 rad/s is pinned, Mc + 0.3 sigma_2 = 8.4289 +- 0.0016 N m",
+        ),
         (("mu_c", "mu_2"), 0.3, "sum at 0.3 rad/s is pinned, mu_c + 0.3 mu_2 = 0.0616 +- 0.0016"),
         (("Ms", "mu_s"), 285.0, "sum at a contact moment of 285 N m is pinned, Ms + 285 mu_s"),
     ],
@@ -44,7 +50,9 @@ def test_other_pairs_are_told_as_products_and_ratios() -> None:
     ):
         # mu_s moves by half a percent for each percent of omega_sL, and by 0.01 % on its own.
         moves = np.array([[0.005 * sign, 0.0001], [0.01, 0.0]]) * relative[:, None]
-        (pair,) = tradeoffs(Spread(("mu_s", "omega_sL"), moves @ moves.T, math.inf), TRUTH, UNITS_ROTARY)
+        (pair,) = tradeoffs(
+            Spread(("mu_s", "omega_sL"), moves @ moves.T, math.inf), TRUTH, UNITS_ROTARY
+        )
         assert words in pair.statement
         assert pair.statement.endswith("to 0.016 %")
 

@@ -26,8 +26,12 @@ def noise(seed: int) -> Callable[[int], Array]:
 
 
 def day(seed: int, duration: float = 20.0, **change: float) -> Recording:
-    made = sine({**TRUTH, **change}, name=f"day {seed}", rate=RATE, duration=duration, noise=noise(seed))
-    return replace(made, channels={**made.channels, "command": made.channels["angle"]}, sha256=f"{seed}")
+    made = sine(
+        {**TRUTH, **change}, name=f"day {seed}", rate=RATE, duration=duration, noise=noise(seed)
+    )
+    return replace(
+        made, channels={**made.channels, "command": made.channels["angle"]}, sha256=f"{seed}"
+    )
 
 
 def test_only_the_parameter_that_changed_has_moved() -> None:

@@ -30,7 +30,9 @@ def ar1(rng: np.random.Generator, n: int, pole: float) -> np.ndarray:
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_ninety_percent_intervals_cover_at_about_that_rate(pole: float) -> None:
     clean = prepare(sine(ROLLING, frequency=2.0, duration=4.0), 500.0)
-    columns = np.column_stack([np.sign(clean.velocity), clean.velocity, clean.acceleration])[clean.used]
+    columns = np.column_stack([np.sign(clean.velocity), clean.velocity, clean.acceleration])[
+        clean.used
+    ]
     rng = np.random.default_rng(11)
     covered = np.zeros(len(LINEAR))
     for _ in range(TRIALS):
@@ -77,7 +79,13 @@ def test_parameter_that_moves_nothing_has_no_interval() -> None:
 
 def test_inertia_of_a_slow_motion_is_withheld_with_words() -> None:
     rng = np.random.default_rng(4)
-    slow = sine(frequency=0.02, amplitude=3.0, duration=50.0, rate=200.0, noise=lambda n: rng.normal(0.0, 0.5, n))
+    slow = sine(
+        frequency=0.02,
+        amplitude=3.0,
+        duration=50.0,
+        rate=200.0,
+        noise=lambda n: rng.normal(0.0, 0.5, n),
+    )
     found = identify(Dataset((slow,))).parameters
     assert found["J"].value is None
     assert not found["J"].identifiable
@@ -98,10 +106,14 @@ def test_static_friction_without_a_rise_is_withheld_with_words() -> None:
 
 @pytest.mark.parametrize("noise_N_m", [0.0, 0.02, 0.2])
 @pytest.mark.parametrize("seed", range(3))
-def test_static_friction_is_withheld_where_its_falling_part_is_not_seen(noise_N_m: float, seed: int) -> None:
+def test_static_friction_is_withheld_where_its_falling_part_is_not_seen(
+    noise_N_m: float, seed: int
+) -> None:
     """No sample is slower than 8 omega_sf, so nothing says how high friction rises toward rest."""
     rng = np.random.default_rng(seed)
-    fast = sine(amplitude=0.3, frequency=0.5, drift=1.4, noise=lambda n: rng.normal(0.0, noise_N_m, n))
+    fast = sine(
+        amplitude=0.3, frequency=0.5, drift=1.4, noise=lambda n: rng.normal(0.0, noise_N_m, n)
+    )
     found = identify(Dataset((fast,))).parameters
     for name in ("Ms", "omega_sf"):
         assert found[name].value is None, name

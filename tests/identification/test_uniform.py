@@ -20,16 +20,22 @@ BENCH = Bench(torque_constant=0.03, gear_ratio=100.0, moment_arm=0.095)
 
 
 def there_and_back(speed: float, jerky: bool = False) -> Recording:
-    """A ramp of two seconds each way with the torque of eq. 9; jerky: the joint stands, and catches up in jumps."""
+    """A ramp of two seconds each way with the torque of eq. 9; jerky: the joint stands, and catches
+    up in jumps.
+    """
     leg = speed * PERIOD * np.arange(2000)
-    command = np.concatenate([np.zeros(300), leg, np.full(300, leg[-1]), leg[-1] - leg, np.zeros(300)])
+    command = np.concatenate(
+        [np.zeros(300), leg, np.full(300, leg[-1]), leg[-1] - leg, np.zeros(300)]
+    )
     angle = command.copy()
     if jerky:
         angle = np.floor(command / (0.2 * speed)) * 0.2 * speed
     velocity = np.gradient(command, PERIOD)
     current = system_friction(velocity, NOMINAL, 2.0) / 3.0
     time = PERIOD * np.arange(len(command))
-    return Recording(f"{speed:g}", {"time": time, "command": command, "angle": angle, "current": current}, BENCH)
+    return Recording(
+        f"{speed:g}", {"time": time, "command": command, "angle": angle, "current": current}, BENCH
+    )
 
 
 def test_each_constant_speed_is_a_point() -> None:
@@ -44,7 +50,9 @@ def test_each_constant_speed_is_a_point() -> None:
 def test_a_sine_has_none() -> None:
     t = PERIOD * np.arange(5000)
     sine = 0.3 * np.sin(0.4 * np.pi * t)
-    recording = Recording("s", {"time": t, "command": sine, "angle": sine, "current": 0.0 * t}, BENCH)
+    recording = Recording(
+        "s", {"time": t, "command": sine, "angle": sine, "current": 0.0 * t}, BENCH
+    )
     assert uniform_points(recording) == []
 
 

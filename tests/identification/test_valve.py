@@ -1,4 +1,6 @@
-"""Areas of the swinging gate: the paper's figures, and areas counted without any formula for them."""
+"""Areas of the swinging gate: the paper's figures, and areas counted without any formula for
+them.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +16,17 @@ from identification.model.valve import PAPER, ValveGeometry, impacted_area, thro
 
 
 def integrated(angle: float, g: ValveGeometry, strips: int = 400) -> float:
-    """A_s as the length of the covered pieces of vertical lines, summed by Gauss's rule between all corners."""
+    """A_s as the length of the covered pieces of vertical lines, summed by Gauss's rule between all
+    corners.
+    """
     centre = np.array([g.L1 * math.sin(angle), g.L1 * math.cos(angle)])
     apart = math.hypot(centre[0], centre[1] - g.L1)
-    edges = {max(-g.b / 2, centre[0] - g.D / 2), min(g.b / 2, centre[0] + g.D / 2), -g.d / 2, g.d / 2}
+    edges = {
+        max(-g.b / 2, centre[0] - g.D / 2),
+        min(g.b / 2, centre[0] + g.D / 2),
+        -g.d / 2,
+        g.d / 2,
+    }
     if abs(g.D / 2 - g.d / 2) < apart < g.D / 2 + g.d / 2:
         along = (apart**2 + (g.d / 2) ** 2 - (g.D / 2) ** 2) / (2 * apart)
         across = math.sqrt((g.d / 2) ** 2 - along**2)
@@ -36,8 +45,12 @@ def integrated(angle: float, g: ValveGeometry, strips: int = 400) -> float:
         dx = 0.25 * math.pi * (right - left) * np.sin(u) * weights
         reach = np.sqrt(np.maximum((g.D / 2) ** 2 - (x - centre[0]) ** 2, 0.0))
         hole = np.sqrt(np.maximum((g.d / 2) ** 2 - x**2, 0.0))
-        shared = np.minimum(centre[1] + reach, g.L1 + hole) - np.maximum(centre[1] - reach, g.L1 - hole)
-        total += float(np.sum(dx * (2.0 * reach - np.where(hole > 0.0, np.maximum(shared, 0.0), 0.0))))
+        shared = np.minimum(centre[1] + reach, g.L1 + hole) - np.maximum(
+            centre[1] - reach, g.L1 - hole
+        )
+        total += float(
+            np.sum(dx * (2.0 * reach - np.where(hole > 0.0, np.maximum(shared, 0.0), 0.0)))
+        )
     return total
 
 
@@ -52,7 +65,9 @@ def test_the_papers_figures() -> None:
 @pytest.mark.parametrize("degrees", np.linspace(0.0, 30.0, 31))
 def test_areas_are_those_of_strips(degrees: float) -> None:
     angle = math.radians(degrees)
-    assert float(impacted_area(np.array(angle))) == pytest.approx(integrated(angle, PAPER), abs=2e-11)
+    assert float(impacted_area(np.array(angle))) == pytest.approx(
+        integrated(angle, PAPER), abs=2e-11
+    )
 
 
 @given(
@@ -72,7 +87,12 @@ def test_any_valve(d: float, D: float, slack: float, angle: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "words"), [({"D": 0.0}, "D = 0 m"), ({"L1": math.nan}, "L1 = nan"), ({"d": 0.06}, "wider than its plate")]
+    ("wrong", "words"),
+    [
+        ({"D": 0.0}, "D = 0 m"),
+        ({"L1": math.nan}, "L1 = nan"),
+        ({"d": 0.06}, "wider than its plate"),
+    ],
 )
 def test_a_valve_that_cannot_be_built(wrong: dict[str, float], words: str) -> None:
     with pytest.raises(ValueError, match=words):

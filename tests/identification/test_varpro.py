@@ -11,7 +11,11 @@ from hypothesis import strategies as st
 from scipy import optimize
 
 from identification.estimate.default import solve_stages
-from identification.estimate.equation_error.regression import loaded_stage, model_torque, unloaded_stage
+from identification.estimate.equation_error.regression import (
+    loaded_stage,
+    model_torque,
+    unloaded_stage,
+)
 from identification.estimate.equation_error.variable_projection import solve
 from identification.numerics.bounded_least_squares import Design, bounded_least_squares
 from identification.prepare import prepare
@@ -75,7 +79,9 @@ def test_fixed_parameters_are_held_at_their_value(fixed: dict[str, float]) -> No
 
 
 @pytest.mark.parametrize(
-    "names", [("Mc",), ("Ms",), ("Mc", "Ms"), ("omega_sf",), ("J",), ("mu_c",), ("mu_s", "omega_sL")], ids="+".join
+    "names",
+    [("Mc",), ("Ms",), ("Mc", "Ms"), ("omega_sf",), ("J",), ("mu_c",), ("mu_s", "omega_sL")],
+    ids="+".join,
 )
 def test_the_others_come_back_where_the_fixed_ones_are_right(names: tuple[str, ...]) -> None:
     found = estimate(Model(fixed={n: TRUTH[n] for n in names}), sine(), sine(weight=WEIGHT_KG))
@@ -89,7 +95,9 @@ def test_everything_fixed_leaves_nothing_to_fit() -> None:
 
 @pytest.mark.parametrize("offset", [-0.8, 0.4])
 def test_declared_offset_comes_back_with_its_sign(offset: float) -> None:
-    found = estimate(Model(terms=("offset",)), sine(offset=offset), sine(offset=offset, weight=WEIGHT_KG))
+    found = estimate(
+        Model(terms=("offset",)), sine(offset=offset), sine(offset=offset, weight=WEIGHT_KG)
+    )
     assert_close(found, {**TRUTH, "offset": offset}, 1e-6)
 
 

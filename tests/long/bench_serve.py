@@ -1,12 +1,16 @@
 """A bench process: simulated devices in real time behind the wires that a host program opens.
 
-`python -m tests.long.bench_serve TRANSPORT` takes one order a line on its standard input and answers each with a line
-of JSON, which holds ``ns``, the reading of the monotonic clock at which the order was carried out:
+`python -m tests.long.bench_serve TRANSPORT` takes one order a line on its standard input and
+answers each with a line of JSON, which holds ``ns``, the reading of the monotonic clock at which
+the order was carried out:
 
-- ``renew``: a bench as new, on the same ports, or on new ones where the old ones are gone; answers with ``ports``.
-- ``state``: answers with what the drive has done since the last ``renew``, see :class:`tests.long.benches.Account`.
+- ``renew``: a bench as new, on the same ports, or on new ones where the old ones are gone; answers
+  with ``ports``.
+- ``state``: answers with what the drive has done since the last ``renew``, see
+  :class:`tests.long.benches.Account`.
 - ``hang KG``: hangs a mass on the lever.
-- ``unplug``: takes the drive's adapter away: EIO on a terminal, the end of a connection on a socket.
+- ``unplug``: takes the drive's adapter away: EIO on a terminal, the end of a connection on a
+  socket.
 - ``garbage SEED``: sends the host program bytes that mean nothing, on the drive's line.
 """
 
@@ -46,7 +50,13 @@ _NONSENSE: Mapping[str, tuple[bytes, ...]] = {
     "serial": (b"\x90\x02\x00", b"\x90\x02\x60\x04\xff", b"\x90\x90\x02\x02"),
     "slcan": (b"tZZZ8\r", b"t1819\r", b"t18180011\r", b"T\r", b"\a", b"r181\r", b"t18184G00\r"),
     "dbc": (b"tZZZ8\r", b"t1909\r", b"t19080011\r", b"T\r", b"\a", b"r190\r", b"t19084G00\r"),
-    "socketcand": (b"< frame ZZZ 1.0 00 >", b"< frame >", b"> <", b"< error >", b"< frame 181 x 1122 >"),
+    "socketcand": (
+        b"< frame ZZZ 1.0 00 >",
+        b"< frame >",
+        b"> <",
+        b"< error >",
+        b"< frame 181 x 1122 >",
+    ),
 }
 """What a line brings that is broken in the ways of its own protocol."""
 
@@ -99,7 +109,9 @@ class _Hub:
 
 
 class Served:
-    """A bench as a process of its own serves it: devices, ports, and the account of what they did."""
+    """A bench as a process of its own serves it: devices, ports, and the account of what they
+    did.
+    """
 
     def __init__(self, transport: str) -> None:
         self._transport = transport
@@ -124,7 +136,8 @@ class Served:
         else:
             self._bench = bench = simulated_bench(self._machine, 0)  # type: ignore[assignment]
             on = power_state.POWERED  # type: ignore[assignment]
-        # The first step loads the compiled machine, which takes longer than a host waits for an answer.
+        # The first step loads the compiled machine, which takes longer than a host waits for an
+        # answer.
         bench.clock.sleep_until_ns(NS // 50)
         if isinstance(bench, SimulatedBench):
             bench.drive.refresh()
@@ -145,7 +158,9 @@ class Served:
         return {"ports": self._names}
 
     def _wire(self, bench: Any) -> None:
-        """Put the devices behind their ports, which stay what they are where they are still there."""
+        """Put the devices behind their ports, which stay what they are where they are still
+        there.
+        """
         if self._transport == "serial":
             stations: list[Station] = [SimulatedEposPort(bench.bus, bench.clock, bench.drive)]
             stations.append(SimulatedAmt21(bench.clock, bench.sampler))
@@ -161,7 +176,9 @@ class Served:
         if stations and not self._whole:
             for name in self._names:
                 self._ports.unplug(name)
-            self._names = [self._ports.open_pty(slot) for slot, _ in zip(self._slots, stations, strict=False)]
+            self._names = [
+                self._ports.open_pty(slot) for slot, _ in zip(self._slots, stations, strict=False)
+            ]
         self._whole = True
 
     def _connected(self) -> _Slot:
@@ -170,12 +187,15 @@ class Served:
         return slot
 
     def _keep_up(self) -> None:
-        # Asked after a long pause, the machine would take long to catch up, and the answer come too late.
+        # Asked after a long pause, the machine would take long to catch up, and the answer come too
+        # late.
         bench = self._bench
         assert bench is not None
         if isinstance(bench, SimulatedBench):
             bench.drive.refresh()
-        self._angles.append((bench.clock.now_ns() - self._ahead_ns, math.degrees(bench.machine.truth().angle_rad)))
+        self._angles.append(
+            (bench.clock.now_ns() - self._ahead_ns, math.degrees(bench.machine.truth().angle_rad))
+        )
         self._timer.start(bench.clock.now_ns() + _STEP_NS)
 
     def serve(self) -> None:
@@ -239,13 +259,19 @@ class Served:
 def nonsense(transport: str, seed: int) -> bytes:
     """Return some 200 bytes: noise between lines that are broken in the ways of this protocol."""
     dice = random.Random(seed)
-    pieces = [piece for chosen in _NONSENSE[transport] for piece in (dice.randbytes(dice.randint(1, 24)), chosen)]
+    pieces = [
+        piece
+        for chosen in _NONSENSE[transport]
+        for piece in (dice.randbytes(dice.randint(1, 24)), chosen)
+    ]
     return b"".join(pieces) + dice.randbytes(16) + (b"\r" if transport in ("slcan", "dbc") else b"")
 
 
 def main() -> None:
     """Be a bench."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("transport", choices=TRANSPORTS)
     Served(parser.parse_args().transport).serve()
 

@@ -1,4 +1,6 @@
-"""Simulated benches in processes of their own (:mod:`tests.long.bench_serve`), as harnesses use them."""
+"""Simulated benches in processes of their own (:mod:`tests.long.bench_serve`), as harnesses use
+them.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,9 @@ _ANSWER_S = 20.0
 
 
 class _Loader(yaml.SafeLoader):
-    """Takes OFF for a word, as bench files do, and knows no booleans, which the packaged ones have none of."""
+    """Takes OFF for a word, as bench files do, and knows no booleans, which the packaged ones have
+    none of.
+    """
 
     yaml_implicit_resolvers = {  # noqa: RUF012 - the base class owns this attribute
         letter: [pair for pair in pairs if pair[0] != "tag:yaml.org,2002:bool"]
@@ -54,7 +58,8 @@ class Account:
         powered: Each change of the power stage: when, and whether it is on.
         heard_ns: When bytes came in from the host program.
         angles: Joint angle in deg, 20 times a second: when, and what.
-        pauses: Where the bench itself had to wait for this computer: until when, and for how long, ns.
+        pauses: Where the bench itself had to wait for this computer: until when, and for how long,
+        ns.
         speed: Of the joint now, rad/s.
     """
 
@@ -71,17 +76,25 @@ class Account:
 
     def on_at(self, ns: int) -> bool:
         """Whether it was on then."""
-        return [on for when, on in self.powered if when <= ns][-1] if ns >= self.powered[0][0] else False
+        return (
+            [on for when, on in self.powered if when <= ns][-1]
+            if ns >= self.powered[0][0]
+            else False
+        )
 
     def off_after_s(self, ns: int) -> float | None:
-        """Return how long after ``ns`` the power was off for good, s; 0 where it already was, None where it is on."""
+        """Return how long after ``ns`` the power was off for good, s; 0 where it already was, None
+        where it is on.
+        """
         if self.on:
             return None
         return max(0.0, (self.powered[-1][0] - ns) / NS)
 
     def ever_on(self, begin_ns: int, end_ns: int) -> bool:
         """Whether it was on at any time in between."""
-        return self.on_at(begin_ns) or any(on for when, on in self.powered if begin_ns <= when <= end_ns)
+        return self.on_at(begin_ns) or any(
+            on for when, on in self.powered if begin_ns <= when <= end_ns
+        )
 
 
 class BenchError(Exception):
@@ -161,8 +174,12 @@ class Bench:
                 raise BenchError(f"the host never spoke to the bench on {self.transport}: {why}")
             time.sleep(0.02)
 
-    def write_file(self, folder: Path, name: str = "bench.yaml", cycle_Hz: int = 100, **limits: float) -> Path:
-        """Write the bench file that names its ports; slow and patient, as the machine may be busy with other things."""
+    def write_file(
+        self, folder: Path, name: str = "bench.yaml", cycle_Hz: int = 100, **limits: float
+    ) -> Path:
+        """Write the bench file that names its ports; slow and patient, as the machine may be busy
+        with other things.
+        """
         bench = yaml.load(resolve(TRANSPORTS[self.transport], "benches").read_text(), _Loader)  # noqa: S506
         del bench["mock"]
         bench["name"] = self.transport
@@ -172,7 +189,8 @@ class Bench:
         else:
             slcan = self.transport != "socketcand"
             bench["bus"]["interface"] = "slcan" if slcan else "socketcand"
-            # A server has one channel; its name holds the port, so that no two benches of this computer share it.
+            # A server has one channel; its name holds the port, so that no two benches of this
+            # computer share it.
             bench["bus"]["channel"] = str(self.ports[0]) if slcan else f"can{self.ports[0]}"
             bench["encoder"]["eds"] = str(_EDS / "encoder.eds")
             if self.transport == "dbc":
@@ -180,7 +198,12 @@ class Bench:
             else:
                 bench["servo"]["eds"] = str(_EDS / "drive.eds")
         bench["cycle_Hz"] = cycle_Hz
-        bench["limits"] |= {"sample_age_ms": 150, "lateness_ms": 50, "encoder_disagreement_deg": 5, **limits}
+        bench["limits"] |= {
+            "sample_age_ms": 150,
+            "lateness_ms": 50,
+            "encoder_disagreement_deg": 5,
+            **limits,
+        }
         path = folder / name
         path.write_text(yaml.safe_dump(bench))
         return path
@@ -191,7 +214,9 @@ def bench_process(transport: str) -> Iterator[Bench]:
     """Start a bench in a process of its own, and end it at the end."""
     words = [sys.executable, "-m", "tests.long.bench_serve", transport]
     root = Path(__file__).resolve().parents[2]
-    with subprocess.Popen(words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root) as process:
+    with subprocess.Popen(
+        words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=root
+    ) as process:
         assert process.stdin is not None
         try:
             yield Bench(transport, process)

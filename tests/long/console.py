@@ -1,4 +1,6 @@
-"""A command on a terminal of its own, started as a shell starts it, with an operator at the keyboard."""
+"""A command on a terminal of its own, started as a shell starts it, with an operator at the
+keyboard.
+"""
 
 from __future__ import annotations
 
@@ -76,17 +78,23 @@ while True:
 tell(b"ended %d\\n" % os.waitstatus_to_exitcode(status))
 control.recv(1)
 """
-"""What a shell does: a session and a process group of its own, the terminal in its hands, a look at how it ended."""
+"""What a shell does: a session and a process group of its own, the terminal in its hands, a look at
+how it ended.
+"""
 
 
 def unwrapped(text: str) -> str:
-    """Return text with each end of a line as a blank, so that words are found however wide the terminal is."""
+    """Return text with each end of a line as a blank, so that words are found however wide the
+    terminal is.
+    """
     return re.sub(r"\s*[\r\n]+\s*", " ", text)
 
 
 @dataclass(frozen=True)
 class Streams:
-    """What standard input and output are: ``tty``, ``pipe``, ``closed``, or a path; standard error is the terminal."""
+    """What standard input and output are: ``tty``, ``pipe``, ``closed``, or a path; standard error
+    is the terminal.
+    """
 
     stdin: str = "tty"
     stdout: str = "tty"
@@ -106,7 +114,8 @@ class Console:
         columns: Of the terminal.
 
     Attributes:
-        answers: What the operator types at the next prompts for a mass, in order; the last again and again.
+        answers: What the operator types at the next prompts for a mass, in order; the last again
+        and again.
         hold: While true, no prompt is answered.
         reading: While false, nothing is read from the terminal.
         notices: What the witness told, in order.
@@ -174,11 +183,14 @@ class Console:
         theirs.close()
         for descriptor in (notices, gate_in, *ends):
             os.close(descriptor)
-        # As long as it is open here, reading the other end does not fail, whoever else has closed it.
+        # As long as it is open here, reading the other end does not fail, whoever else has closed
+        # it.
         self._slave = slave
         self._pending = {self._notices: b"", control.fileno(): b""}
 
-    def _stream(self, kind: str, path: str, number: int, ends: list[int]) -> tuple[int | None, int | str | None]:
+    def _stream(
+        self, kind: str, path: str, number: int, ends: list[int]
+    ) -> tuple[int | None, int | str | None]:
         """Return our end of a stream, where it has one, and what the command gets."""
         if kind == "tty":
             return None, path
@@ -194,7 +206,9 @@ class Console:
     def pump(self, timeout_s: float = 0.05) -> None:
         """Move whatever has come in within the time, and answer prompts."""
         sources = [self._notices, self._control.fileno()]
-        sources += [end for end in (self._master if self.reading else None, self._stdout) if end is not None]
+        sources += [
+            end for end in (self._master if self.reading else None, self._stdout) if end is not None
+        ]
         ready, _, _ = select.select([end for end in sources if end >= 0], [], [], timeout_s)
         for end in ready:
             try:
@@ -240,7 +254,11 @@ class Console:
             if len(self.asked_ns) == 0 or self._answered_at > self._asked_from:
                 self.asked_ns.append(time.monotonic_ns())
                 self._asked_from = self._answered_at or 1
-            if self.hold or time.monotonic_ns() - self.asked_ns[-1] < _THOUGHT_S * 1e9 or self.status is not None:
+            if (
+                self.hold
+                or time.monotonic_ns() - self.asked_ns[-1] < _THOUGHT_S * 1e9
+                or self.status is not None
+            ):
                 return
             self._answered_at = len(text)
             answer = self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
@@ -274,8 +292,13 @@ class Console:
         return self.status is not None
 
     def text(self, since_ns: int = 0) -> str:
-        """Return what came on the terminal and on the standard output, without control sequences."""
-        return _ANSI.sub("", b"".join(data for ns, data in self._chunks if ns >= since_ns).decode(errors="replace"))
+        """Return what came on the terminal and on the standard output, without control
+        sequences.
+        """
+        return _ANSI.sub(
+            "",
+            b"".join(data for ns, data in self._chunks if ns >= since_ns).decode(errors="replace"),
+        )
 
     def said_ns(self, pattern: str, since_ns: int = 0) -> int | None:
         """Return when words that match had come, ns; None where they have not."""

@@ -1,4 +1,5 @@
-"""A million random and mutated frames for the decoder of a drive's own CAN frames: nothing bad gets through.
+"""A million random and mutated frames for the decoder of a drive's own CAN frames: nothing bad gets
+through.
 
 python tests/long/dbc_fuzz.py [--frames N] [--seed N]
 """
@@ -52,7 +53,9 @@ def main(argv: list[str] | None = None) -> int:
     clock = SimulatedClock()
     bus = _Silence(clock)
     link = DbcLink(clock, lambda: bus)
-    channel = link.add_channel(wire(section, Path(document.path), True, document.problem), "the drive")
+    channel = link.add_channel(
+        wire(section, Path(document.path), True, document.problem), "the drive"
+    )
     servo = DbcServo(link, channel, section.drive(100.0, 0.03))
     link.open()
     link.set_cycle(0.001, "the fuzzer")
@@ -74,7 +77,9 @@ def main(argv: list[str] | None = None) -> int:
             frames.append(RawFrame(clock.now_ns(), identifier | flag, bytes(data), False))
         before = {identifier: (slot.data, slot.count) for identifier, slot in channel.slots.items()}
         bus.slipped_in = frames
-        channel.order(channel.wiring.enable[next(iter(channel.wiring.enable))], hold=bool(rng.integers(2)))
+        channel.order(
+            channel.wiring.enable[next(iter(channel.wiring.enable))], hold=bool(rng.integers(2))
+        )
         try:
             link.exchange()
         except DriveFault:
@@ -89,13 +94,16 @@ def main(argv: list[str] | None = None) -> int:
             counts["taken"] += slot.count - count_before
             assert len(slot.data) == slot.message.size
             if slot.message.checksum is not None:
-                assert slot.data[-1] == crc8_j1850(slot.data[:-1] + b"\0"), "a bad checksum got through"
+                assert slot.data[-1] == crc8_j1850(slot.data[:-1] + b"\0"), (
+                    "a bad checksum got through"
+                )
         link.take_frames()
         counts["fed"] += BATCH
     seconds = time.perf_counter() - began
     link.close()
     print(
-        ", ".join(f"{name} {count}" for name, count in counts.items()), f"in {seconds:.0f} s; nothing bad got through"
+        ", ".join(f"{name} {count}" for name, count in counts.items()),
+        f"in {seconds:.0f} s; nothing bad got through",
     )
     return 0
 

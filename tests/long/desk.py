@@ -68,7 +68,10 @@ class Desk:
 
     def answered(self, stage: str) -> bool:
         """Whether the prompt of a stage was answered, so that the drive is prepared."""
-        return any(notice.get("stage") == stage and notice["phase"] == "prepare" for notice in self.notices())
+        return any(
+            notice.get("stage") == stage and notice["phase"] == "prepare"
+            for notice in self.notices()
+        )
 
     def wait_for(self, phase: str) -> None:
         """Wait for a phase, then for the moment in it.
@@ -79,7 +82,9 @@ class Desk:
         limit = time.monotonic() + START_S
         while not self.reached(phase):
             if time.monotonic() > limit or self.status() is not None:
-                raise MissedError(f"phase {phase} was never reached: {self.tmux.everything()[-400:]}")
+                raise MissedError(
+                    f"phase {phase} was never reached: {self.tmux.everything()[-400:]}"
+                )
             time.sleep(0.005)
         time.sleep(PHASES[phase][2])
 
@@ -96,7 +101,9 @@ class Desk:
             return seen >= count and re.search(r"Mass on the lever[^:]*: ?$", lines[-1]) is not None
 
         if not self.tmux.until(asked, timeout_s):
-            raise MissedError(f"prompt {count} is not on the screen: {self.tmux.everything()[-400:]}")
+            raise MissedError(
+                f"prompt {count} is not on the screen: {self.tmux.everything()[-400:]}"
+            )
 
     def open_gate(self) -> None:
         """Let the command go on."""
@@ -131,7 +138,10 @@ class Desk:
 def check_screen(desk: Desk, status: int | None, *wanted: int, verdict: bool = True) -> None:
     """Hold the screen at the end against what must be there."""
     text = desk.tmux.everything()
-    desk.expect(status in wanted, f"exit status {status}, must be {' or '.join(map(str, wanted))}: {text[-300:]}")
+    desk.expect(
+        status in wanted,
+        f"exit status {status}, must be {' or '.join(map(str, wanted))}: {text[-300:]}",
+    )
     desk.expect("Traceback (most recent call last)" not in text, f"a traceback: {text[-300:]}")
     if verdict:
         desk.expect(re.search(VERDICT, unwrapped(text)), f"no verdict on the screen: {text[-300:]}")
@@ -141,7 +151,9 @@ def check_screen(desk: Desk, status: int | None, *wanted: int, verdict: bool = T
 
 
 def tidy(text: str, columns: int) -> Iterator[str]:
-    """Yield what is garbled: a status line or prompt wider than the terminal, or what begins within another line."""
+    """Yield what is garbled: a status line or prompt wider than the terminal, or what begins within
+    another line.
+    """
     for line in text.splitlines():
         if len(line) > columns and STATUS_LINE.search(line):
             yield f"a status line of {len(line)} characters on {columns} columns: {line[:100]!r}"
@@ -160,7 +172,9 @@ def wide(text: str, columns: int) -> Iterator[str]:
             yield f"a message of {len(line)} characters, broken at {columns}: {line[:50]!r}"
 
 
-def sit_down(bench: Bench, folder: Path, columns: int = 80, sequence: str = SEQUENCE + SECOND_STAGE) -> Desk:
+def sit_down(
+    bench: Bench, folder: Path, columns: int = 80, sequence: str = SEQUENCE + SECOND_STAGE
+) -> Desk:
     """Make a place with a bench as new."""
     bench.renew()
     bench.write_file(folder)

@@ -1,4 +1,5 @@
-"""Runs every console block of the documents, the long ones too: ``python -m tests.long.docs_run [PAGE ...]``.
+"""Runs every console block of the documents, the long ones too:
+``python -m tests.long.docs_run [PAGE ...]``.
 
 Each document has a folder of its own, in which its blocks run one after the other.
 """
@@ -73,7 +74,9 @@ def run_block(block: Block, folder: Path, environment: dict[str, str]) -> bool:
 
 
 def borrowed(name: str, folder: Path) -> bool:
-    """Link a shared recording and those beside it into a folder; False where there is none of this name."""
+    """Link a shared recording and those beside it into a folder; False where there is none of this
+    name.
+    """
     found = next(RECORDINGS.rglob(name), None) if RECORDINGS.is_dir() else None
     if found is None:
         return False
@@ -84,11 +87,14 @@ def borrowed(name: str, folder: Path) -> bool:
 
 
 def shim(folder: Path) -> dict[str, str]:
-    """Put a command ``rig`` of this interpreter and this repository on the path; return the environment."""
+    """Put a command ``rig`` of this interpreter and this repository on the path; return the
+    environment.
+    """
     script = folder / ".bin" / "rig"
     script.parent.mkdir()
     script.write_text(
-        f'#!/bin/sh\nPYTHONPATH="{ROOT}" exec "{sys.executable}" -c "from rig.cli.entry import main; main()" "$@"\n',
+        f'#!/bin/sh\nPYTHONPATH="{ROOT}" exec "{sys.executable}" -c "from rig.cli.entry import '
+        f'main; main()" "$@"\n',
         encoding="utf-8",
     )
     script.chmod(0o755)

@@ -17,7 +17,14 @@ PHASES: Mapping[str, float] = {
     "disable": 0.0,
 }
 """Phase to how long after its start the fault comes, s."""
-STATES = ("switch_on_disabled", "ready", "switched_on", "operation_enabled", "quick_stop_active", "fault_reaction")
+STATES = (
+    "switch_on_disabled",
+    "ready",
+    "switched_on",
+    "operation_enabled",
+    "quick_stop_active",
+    "fault_reaction",
+)
 BRAKE_S = 0.1
 """Trip, quick stop at 2000 deg/s^2, and up to 20 cycles until the state is read again."""
 WATCH_S = 0.2
@@ -27,14 +34,18 @@ SILENCE_S = 0.35
 STANDSTILL_S = 1.1
 """A drive that stays in QUICK STOP ACTIVE is waited for 1 s, then disabled."""
 LATENT_S = 1.5
-"""Shows only when it is next needed, at the latest as the drive is disabled; the whole run takes 1.3 s."""
+"""Shows only when it is next needed, at the latest as the drive is disabled; the whole run takes
+1.3 s.
+"""
 
 
 @dataclass(frozen=True)
 class Must:
-    """The reaction asked for: exit status, words of the run, and for what is not ridden out the time to power off.
+    """The reaction asked for: exit status, words of the run, and for what is not ridden out the
+    time to power off.
 
-    ``verified`` is whether the host can still read 6041h; ``stays_on`` is for a drive that nobody stops.
+    ``verified`` is whether the host can still read 6041h; ``stays_on`` is for a drive that nobody
+    stops.
     """
 
     exit_status: int
@@ -96,7 +107,10 @@ CASES: Mapping[str, Case] = {
     "cable pulled": Case(
         (fault("bus", "lost", count=0),),
         Must(4, "sample age.*could NOT be verified", WATCH_S, verified=False),
-        at("prompt prepare enable disable", Must(4, "no SDO response.*could NOT be verified", WATCH_S, verified=False)),
+        at(
+            "prompt prepare enable disable",
+            Must(4, "no SDO response.*could NOT be verified", WATCH_S, verified=False),
+        ),
     ),
     "10 frames repeated": Case((fault("bus", "repeated", count=10),), RIDES),
     "a frame 3 ms late": Case((fault("bus", "late", value=0.003),), RIDES),
@@ -114,9 +128,14 @@ CASES: Mapping[str, Case] = {
         at("prompt prepare enable disable", RIDES),
     ),
     "process data cut short": Case((fault("bus", "short", frames=MOTION),), RIDES),
-    "bus-off": Case((fault("bus", "bus_off"),), Must(4, "bus-off.*could NOT be verified", WATCH_S, verified=False)),
+    "bus-off": Case(
+        (fault("bus", "bus_off"),),
+        Must(4, "bus-off.*could NOT be verified", WATCH_S, verified=False),
+    ),
     "error frames": Case(
-        (fault("bus", "error_frames", count=3),), Must(4, "error frame", BRAKE_S), at("disable", RIDES)
+        (fault("bus", "error_frames", count=3),),
+        Must(4, "error frame", BRAKE_S),
+        at("disable", RIDES),
     ),
     "host's heartbeat lost": Case(
         (fault("bus", "lost", frames={"device": "host", "function": "heartbeat"}, count=0),),
@@ -126,11 +145,14 @@ CASES: Mapping[str, Case] = {
     "drive's heartbeat lost": Case(
         (fault("bus", "lost", frames={"device": "drive", "function": "heartbeat"}, count=0),),
         Must(4, "sent no heartbeat", SILENCE_S),
-        at("prompt prepare", Must(4, "did not report OPERATIONAL", 0.0)) | at("hold disable", RIDES),
+        at("prompt prepare", Must(4, "did not report OPERATIONAL", 0.0))
+        | at("hold disable", RIDES),
     ),
     "EMCY": Case((fault("drive", "emcy"),), Must(4, "2310h", BRAKE_S), at("disable", RIDES)),
     "drive fault": Case(
-        (fault("drive", "fault"),), Must(4, "7320h", BRAKE_S), at("disable", Must(0, "read back: fault", BRAKE_S))
+        (fault("drive", "fault"),),
+        Must(4, "7320h", BRAKE_S),
+        at("disable", Must(0, "read back: fault", BRAKE_S)),
     ),
     "drive restarts": Case(
         (fault("drive", "restart"),),
@@ -139,19 +161,27 @@ CASES: Mapping[str, Case] = {
     ),
     **{f"quick stop, 605Ah = {option}": _stopping(option) for option in (0, 1, 2, 5, 6)},
     "mode refused": Case(
-        (fault("drive", "mode_refused"),), RIDES, at("prompt prepare enable", Must(4, "mode of operation is 0", 0.0))
+        (fault("drive", "mode_refused"),),
+        RIDES,
+        at("prompt prepare enable", Must(4, "mode of operation is 0", 0.0)),
     ),
     "SDO abort": Case(
-        (fault("drive", "sdo_abort"),), Must(4, "refuses", LATENT_S), at("prompt prepare enable disable", REFUSED)
+        (fault("drive", "sdo_abort"),),
+        Must(4, "refuses", LATENT_S),
+        at("prompt prepare enable disable", REFUSED),
     ),
     "SDO time-out": Case(
         (fault("drive", "sdo_timeout"),),
         Must(4, "no SDO response", LATENT_S),
         at("prompt prepare enable disable", NO_ANSWER),
     ),
-    "encoder bit": Case((fault("encoder", "bit"),), FOUND, at("prompt prepare enable disable", RIDES)),
+    "encoder bit": Case(
+        (fault("encoder", "bit"),), FOUND, at("prompt prepare enable disable", RIDES)
+    ),
     "encoder jump": Case(
-        (fault("encoder", "jump"),), FOUND, at("prompt prepare enable", FOUND_LATER) | at("disable", RIDES)
+        (fault("encoder", "jump"),),
+        FOUND,
+        at("prompt prepare enable", FOUND_LATER) | at("disable", RIDES),
     ),
     "encoder frozen": Case((fault("encoder", "frozen"),), FOUND_LATER, at("hold disable", RIDES)),
     "encoder reversed": Case((fault("encoder", "reversed"),), FOUND_LATER, at("disable", RIDES)),
@@ -160,7 +190,9 @@ CASES: Mapping[str, Case] = {
     ),
     "controller killed": Case((fault("host", "killed"),), Must(-9, "", WATCH_S, verified=False)),
     "clock steps 1 s ahead": Case(
-        (fault("host", "clock_step", value=1.0),), Must(4, "sent no heartbeat", BRAKE_S), at("disable", RIDES)
+        (fault("host", "clock_step", value=1.0),),
+        Must(4, "sent no heartbeat", BRAKE_S),
+        at("disable", RIDES),
     ),
     "clock steps 1 s back": Case(
         (fault("host", "clock_step", value=-1.0),),
@@ -171,7 +203,9 @@ CASES: Mapping[str, Case] = {
     "disk full": Case((fault("disk", "full"),), Must(4, "cannot be written", 0.25)),
     "Ctrl-C": Case((fault("operator", "stop"),), Must(3, "stopped by the operator", BRAKE_S)),
     "prompt unanswered": Case(
-        (fault("operator", "unanswered", value=30.0),), RIDES, at("prompt", Must(3, "without an answer", 0.0))
+        (fault("operator", "unanswered", value=30.0),),
+        RIDES,
+        at("prompt", Must(3, "without an answer", 0.0)),
     ),
     "60 kg instead of none": Case((fault("operator", "wrong_weight", value=60.0),), RIDES),
     "300 kg instead of none": Case(

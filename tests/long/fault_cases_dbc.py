@@ -42,17 +42,27 @@ DBC: Mapping[str, Case] = {
         at("prompt prepare disable", replace(_LOST, verified=True)) | at("enable", RIDES),
     ),
     "cable pulled": _but(
-        "cable pulled", at("prompt prepare disable", _LOST) | at("enable", replace(_LOST, words="sent no heartbeat"))
+        "cable pulled",
+        at("prompt prepare disable", _LOST)
+        | at("enable", replace(_LOST, words="sent no heartbeat")),
     ),
     "10 frames repeated": CASES["10 frames repeated"],
-    "a frame 3 ms late": _but("a frame 3 ms late", at("enable", Must(4, "not OPERATION ENABLED", BRAKE_S))),
-    "the drive's positions 20 ms late, 60 of them": CASES["the drive's positions 20 ms late, 60 of them"],
+    "a frame 3 ms late": _but(
+        "a frame 3 ms late", at("enable", Must(4, "not OPERATION ENABLED", BRAKE_S))
+    ),
+    "the drive's positions 20 ms late, 60 of them": CASES[
+        "the drive's positions 20 ms late, 60 of them"
+    ],
     "target with a bit wrong": CASES["target with a bit wrong"],
-    "checksum wrong: position with a bit wrong": Case(CASES["position with a bit wrong"].rows, RIDES),
+    "checksum wrong: position with a bit wrong": Case(
+        CASES["position with a bit wrong"].rows, RIDES
+    ),
     "checksum wrong, 40 times": Case(
         (fault("bus", "flipped", frames=MOTION, value=29, count=40),),
         STALE,
-        at("prompt prepare", _MUTE) | at("enable", RIDES) | at("disable", replace(_MUTE, within_s=BRAKE_S)),
+        at("prompt prepare", _MUTE)
+        | at("enable", RIDES)
+        | at("disable", replace(_MUTE, within_s=BRAKE_S)),
     ),
     "speed with a bit wrong (no checksum)": Case(
         (fault("bus", "flipped", frames={"device": "drive", "function": "speed"}, value=6),), RIDES
@@ -63,7 +73,9 @@ DBC: Mapping[str, Case] = {
     "host silent": Case(
         (fault("bus", "lost", frames={"device": "host"}, count=0),),
         replace(STALE, within_s=WATCH_S),
-        at("prompt prepare", _MUTE) | at("enable", _NO_ENABLE) | at("disable", Must(0, "read back: fault", WATCH_S)),
+        at("prompt prepare", _MUTE)
+        | at("enable", _NO_ENABLE)
+        | at("disable", Must(0, "read back: fault", WATCH_S)),
     ),
     "host's commands lost": Case(
         (fault("bus", "lost", frames={"device": "host", "function": "output"}, count=0),),
@@ -83,7 +95,8 @@ DBC: Mapping[str, Case] = {
     "encoder's heartbeat lost": Case(
         (fault("bus", "lost", frames={"device": "encoder", "function": "heartbeat"}, count=0),),
         Must(4, "sent no heartbeat", SILENCE_S),
-        at("prompt prepare", Must(4, "did not report OPERATIONAL", 0.0)) | at("hold disable", RIDES),
+        at("prompt prepare", Must(4, "did not report OPERATIONAL", 0.0))
+        | at("hold disable", RIDES),
     ),
     "life counter stuck": Case(
         (fault("drive", "counter_stuck"),),
@@ -99,18 +112,31 @@ DBC: Mapping[str, Case] = {
     "drive restarts": Case(
         (fault("drive", "restart"),),
         NOT_RUNNING,
-        at("prompt prepare disable", RIDES) | at("enable", Must(4, "no longer holds the limits", SILENCE_S)),
+        at("prompt prepare disable", RIDES)
+        | at("enable", Must(4, "no longer holds the limits", SILENCE_S)),
     ),
-    "order to run refused": Case((fault("drive", "mode_refused"),), RIDES, at(NO_POWER, _NO_ENABLE)),
+    "order to run refused": Case(
+        (fault("drive", "mode_refused"),), RIDES, at(NO_POWER, _NO_ENABLE)
+    ),
     "limits refused": Case(
-        (fault("drive", "limits_refused"),), RIDES, at("prompt prepare", Must(4, "does not take these limits", 0.0))
+        (fault("drive", "limits_refused"),),
+        RIDES,
+        at("prompt prepare", Must(4, "does not take these limits", 0.0)),
     ),
-    **{name: case for name, case in CASES.items() if case.rows[0]["target"] in ("encoder", "host", "disk", "operator")},
+    **{
+        name: case
+        for name, case in CASES.items()
+        if case.rows[0]["target"] in ("encoder", "host", "disk", "operator")
+    },
     "encoder jump": _but("encoder jump", at("prompt prepare", _LATER)),
     "encoder frozen": _but("encoder frozen", at("prompt prepare", _LATER)),
     "encoder reversed": _but("encoder reversed", at("prompt prepare", _LATER)),
     "control loop hangs 0.5 s": _but("control loop hangs 0.5 s", at("enable", RIDES), _WATCHDOG),
     "clock steps 1 s back": _but("clock steps 1 s back", {}, _WATCHDOG),
-    "300 kg instead of none": _but("300 kg instead of none", at("prompt prepare", Must(1, "beyond its limit", 1.2))),
+    "300 kg instead of none": _but(
+        "300 kg instead of none", at("prompt prepare", Must(1, "beyond its limit", 1.2))
+    ),
 }
-"""Where a drive with frames of its own differs: no SDO, a watchdog on its commands, checksums and life counters."""
+"""Where a drive with frames of its own differs: no SDO, a watchdog on its commands, checksums and
+life counters.
+"""

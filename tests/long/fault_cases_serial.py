@@ -30,7 +30,8 @@ _OTHERWISE: Mapping[str, Case] = {
     "drive fault": Case(
         (fault("drive", "fault"),),
         NOT_RUNNING,
-        at("prompt prepare enable", Must(4, "7320h", 0.0)) | at("disable", Must(0, "read back: fault", BRAKE_S)),
+        at("prompt prepare enable", Must(4, "7320h", 0.0))
+        | at("disable", Must(0, "read back: fault", BRAKE_S)),
     ),
     "drive restarts": Case(
         (fault("drive", "restart"),),
@@ -38,7 +39,9 @@ _OTHERWISE: Mapping[str, Case] = {
         at("prompt prepare disable", RIDES) | at("enable", Must(4, "mode of operation is 0", 0.0)),
     ),
     "control loop hangs 0.5 s": Case(
-        (fault("host", "hangs"),), replace(_LATE, within_s=0.6), at("prompt prepare enable disable", RIDES)
+        (fault("host", "hangs"),),
+        replace(_LATE, within_s=0.6),
+        at("prompt prepare enable disable", RIDES),
     ),
     "clock steps 1 s ahead": Case(
         (fault("host", "clock_step", value=1.0),), _LATE, at("prompt prepare enable disable", RIDES)
@@ -50,7 +53,9 @@ _OTHERWISE: Mapping[str, Case] = {
         at("approach excite ramp_out hold disable", RIDES),
     ),
 }
-"""Where a serial line differs: no watchdog, no emergency messages, no heartbeats, and lower limits."""
+"""Where a serial line differs: no watchdog, no emergency messages, no heartbeats, and lower
+limits.
+"""
 
 
 _UNHEARD = at(NO_POWER, _DEAF) | at("disable", replace(_DEAF, within_s=BRAKE_S))
@@ -75,10 +80,18 @@ _LINE: Mapping[str, Case] = {
         at(NO_POWER, _DEAF) | at("disable", replace(_DEAF, within_s=None, stays_on=True)),
     ),
     "an answer 5 ms late": Case((fault("line", "late", **_ANSWERS),), RIDES),
-    "40 answers 5 ms late": Case((fault("line", "late", **_ANSWERS, count=40),), STALE, at(_IDLE, RIDES)),
-    "10 requests repeated": Case((fault("line", "repeated", **_REQUESTS, count=10),), RIDES, _DOUBLED),
-    "10 answers repeated": Case((fault("line", "repeated", **_ANSWERS, count=10),), RIDES, _DOUBLED),
-    "a request refused": Case((fault("line", "refused"),), RIDES, at("prompt prepare disable", REFUSED)),
+    "40 answers 5 ms late": Case(
+        (fault("line", "late", **_ANSWERS, count=40),), STALE, at(_IDLE, RIDES)
+    ),
+    "10 requests repeated": Case(
+        (fault("line", "repeated", **_REQUESTS, count=10),), RIDES, _DOUBLED
+    ),
+    "10 answers repeated": Case(
+        (fault("line", "repeated", **_ANSWERS, count=10),), RIDES, _DOUBLED
+    ),
+    "a request refused": Case(
+        (fault("line", "refused"),), RIDES, at("prompt prepare disable", REFUSED)
+    ),
     "drive's line cut for 0.5 s": Case(
         (fault("line", "cut", value=0.5),), replace(STALE, within_s=0.6), at(_IDLE, RIDES)
     ),
@@ -92,7 +105,9 @@ _NO_ENCODER = Must(4, "simulated AMT21", 0.0)
 _NO_ANGLE = at("prompt prepare", _NO_ENCODER) | at("disable", RIDES)
 _ENCODER_LINE: Mapping[str, Case] = {
     "encoder's answer lost": Case((fault("encoder_line", "lost", **_ANSWERS),), RIDES),
-    "a byte of the encoder's answer lost": Case((fault("encoder_line", "byte_lost", **_ANSWERS),), RIDES),
+    "a byte of the encoder's answer lost": Case(
+        (fault("encoder_line", "byte_lost", **_ANSWERS),), RIDES
+    ),
     "encoder's check bits wrong": Case((fault("encoder_line", "corrupt", **_ANSWERS),), RIDES),
     "encoder's check bits wrong, 40 times": Case(
         (fault("encoder_line", "corrupt", **_ANSWERS, count=40),), STALE, _NO_ANGLE
@@ -102,9 +117,12 @@ _ENCODER_LINE: Mapping[str, Case] = {
         (fault("encoder_line", "repeated", **_ANSWERS, count=10),), STALE, _NO_ANGLE
     ),
     "encoder's line cut": Case((fault("encoder_line", "cut"),), STALE, _NO_ANGLE),
-    # What the joint can't have done is not believed, so that these show as answers without an angle.
+    # What the joint can't have done is not believed, so that these show as answers without an
+    # angle.
     "encoder bit": Case((fault("encoder", "bit"),), RIDES),
-    "encoder jump": Case((fault("encoder", "jump"),), STALE, at("prompt prepare", FOUND_LATER) | at("disable", RIDES)),
+    "encoder jump": Case(
+        (fault("encoder", "jump"),), STALE, at("prompt prepare", FOUND_LATER) | at("disable", RIDES)
+    ),
     "encoder reversed": Case(
         (fault("encoder", "reversed"),),
         FOUND_LATER,
@@ -119,7 +137,10 @@ _DEAD: Mapping[str, Case] = {
         at(NO_POWER, Must(-9, "", 0.0, verified=False)),
     ),
 }
-"""The guardian is a process of its own, for real ports: see tests/long/guardian.py. Here is what is left without it."""
+"""The guardian is a process of its own, for real ports: see tests/long/guardian.py.
+
+Here is what is left without it.
+"""
 _NOT_HERE = ("controller killed", "EMCY", "SDO abort", "SDO time-out")
 SERIAL: Mapping[str, Case] = {
     **{

@@ -1,8 +1,8 @@
 """Every fault in every phase of a run, on each transport: what happened, held against what must.
 
-As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints the tables and writes
-them to docs/faults.md; with words given, it goes only through what holds one of them, and prints.
-Times are simulated; "off" is when the simulated power stage went off for good.
+As a script (`python -m tests.long.fault_matrix`, two minutes) it goes through all of them, prints
+the tables and writes them to docs/faults.md; with words given, it goes only through what holds one
+of them, and prints. Times are simulated; "off" is when the simulated power stage went off for good.
 """
 
 from __future__ import annotations
@@ -86,7 +86,11 @@ def run_rows(rows: list[dict[str, Any]], must: Must, bench: str, folder: Path) -
     arguments += ["--faults", str(folder / "faults.yaml")]
     code = _run_and_die(arguments, folder) if must.exit_status < 0 else _run(arguments)
     findings = json.loads((run / "faults.json").read_text())["faults"]
-    log = recover(run) and read_run(run / "recording.mcap") if code < 0 else read_run(run / "recording.mcap")
+    log = (
+        recover(run) and read_run(run / "recording.mcap")
+        if code < 0
+        else read_run(run / "recording.mcap")
+    )
     record = json.loads((run / "run.json").read_text())
     problems = list(_problems(must, code, findings, log, record))
     off = findings[-1]["off_after_s"]
@@ -104,10 +108,14 @@ def _run(arguments: list[str]) -> int:
 
 def _run_and_die(arguments: list[str], folder: Path) -> int:
     code = "import sys; from rig.cli.entry import status; sys.exit(status(sys.argv[1:]))"
-    return subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, cwd=folder).returncode
+    return subprocess.run(
+        [sys.executable, "-c", code, *arguments], capture_output=True, cwd=folder
+    ).returncode
 
 
-def _problems(must: Must, code: int, findings: list[dict[str, Any]], log: Log, record: dict[str, Any]) -> Iterator[str]:
+def _problems(
+    must: Must, code: int, findings: list[dict[str, Any]], log: Log, record: dict[str, Any]
+) -> Iterator[str]:
     for finding in findings:
         yield from finding["remarks"]
         if finding["applied_s"] is None:
@@ -115,10 +123,20 @@ def _problems(must: Must, code: int, findings: list[dict[str, Any]], log: Log, r
     if code != must.exit_status:
         yield f"exit status {code}, must be {must.exit_status}"
     if (findings[-1]["off_after_s"] is None) is not must.stays_on:
-        yield "the drive is still energised" if not must.stays_on else "the drive is off, and must be on"
+        yield (
+            "the drive is still energised"
+            if not must.stays_on
+            else "the drive is off, and must be on"
+        )
     if code >= 0 and record["de_energised"] is not must.verified and record["state"] != "running":
         yield f"run.json says de_energised {record['de_energised']}, must be {must.verified}"
-    last_s = max((frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data)), default=0) / 1e9
+    last_s = (
+        max(
+            (frame.time_ns for m in log.messages["/frames"] for frame in decode_frames(m.data)),
+            default=0,
+        )
+        / 1e9
+    )
     if last_s < findings[0]["applied_s"] - LOG_GAP_S:
         yield f"the log ends at {last_s:.3f} s, the fault came at {findings[0]['applied_s']:.3f} s"
     if log.damage is None and code >= 0 and log.events[-1].get("message") != record["message"]:
@@ -132,7 +150,9 @@ def state_rows(state: str, transport: Transport) -> tuple[list[dict[str, Any]], 
     row = fails | {"state": state}
     lead = {"phase": "excite", "after_s": 0.1}
     if state == "quick_stop_active":
-        return [{**fault("operator", "stop"), **lead}, row | {"after_s": 0.005}], Must(3, "stopped", BRAKE_S)
+        return [{**fault("operator", "stop"), **lead}, row | {"after_s": 0.005}], Must(
+            3, "stopped", BRAKE_S
+        )
     if state == "fault_reaction":
         before = fails | {"value": transport.code + 0x10} | lead
         return [before, row | {"after_s": 0.005}], Must(4, transport.in_reaction, BRAKE_S)
@@ -142,29 +162,55 @@ def state_rows(state: str, transport: Transport) -> tuple[list[dict[str, Any]], 
 
 
 def matrix(folder: Path, words: list[str]) -> tuple[list[str], list[str]]:
-    """Run everything whose name holds one of the words; return the lines of the page and the problems."""
+    """Run everything whose name holds one of the words; return the lines of the page and the
+    problems.
+    """
     lines: list[str] = []
     problems: list[str] = []
     for line, transport in TRANSPORTS.items():
-        lines += [f"### {line}", "", f"| fault | {' | '.join(PHASES)} |", "|---" * (len(PHASES) + 1) + "|"]
+        lines += [
+            f"### {line}",
+            "",
+            f"| fault | {' | '.join(PHASES)} |",
+            "|---" * (len(PHASES) + 1) + "|",
+        ]
         for name, case in transport.cases.items():
             if not any(word in name for word in words):
                 continue
-            cells = {p: run_case(case, p, transport.bench, folder / f"{line} {name} {p}") for p in PHASES}
+            cells = {
+                p: run_case(case, p, transport.bench, folder / f"{line} {name} {p}") for p in PHASES
+            }
             lines.append(f"| {name} | {' | '.join(cell.text for cell in cells.values())} |")
-            problems += [f"{line}: {name}, {p}: {problem}" for p, cell in cells.items() for problem in cell.problems]
+            problems += [
+                f"{line}: {name}, {p}: {problem}"
+                for p, cell in cells.items()
+                for problem in cell.problems
+            ]
             print(lines[-1], flush=True)
         states = transport.states
-        cells = {s: run_rows(*state_rows(s, transport), transport.bench, folder / f"{line} {s}") for s in states}
-        lines += ["", f"| drive fault in | {' | '.join(states)} |", "|---" * (len(states) + 1) + "|"]
+        cells = {
+            s: run_rows(*state_rows(s, transport), transport.bench, folder / f"{line} {s}")
+            for s in states
+        }
+        lines += [
+            "",
+            f"| drive fault in | {' | '.join(states)} |",
+            "|---" * (len(states) + 1) + "|",
+        ]
         lines += [f"| | {' | '.join(cell.text for cell in cells.values())} |", ""]
-        problems += [f"{line}: fault in {s}: {problem}" for s, cell in cells.items() for problem in cell.problems]
+        problems += [
+            f"{line}: fault in {s}: {problem}"
+            for s, cell in cells.items()
+            for problem in cell.problems
+        ]
         print(lines[-2], flush=True)
     return lines, problems
 
 
 def main() -> int:
-    """Run the matrix, print it and put it into the page; with words given, only print the rows that hold one."""
+    """Run the matrix, print it and put it into the page; with words given, only print the rows that
+    hold one.
+    """
     words = sys.argv[1:]
     with tempfile.TemporaryDirectory() as folder:
         lines, problems = matrix(Path(folder), words or [""])

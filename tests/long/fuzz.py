@@ -1,7 +1,9 @@
-"""A million random and mutated frames or bytes for every decoder: no exception but the declared ones.
+"""A million random and mutated frames or bytes for every decoder: no exception but the declared
+ones.
 
-Each function takes how much to do and a generator, and returns counts. Frames are half random, half mutations of good
-ones (identifier, length, bits), since random ones alone seldom get past the first check.
+Each function takes how much to do and a generator, and returns counts. Frames are half random, half
+mutations of good ones (identifier, length, bits), since random ones alone seldom get past the first
+check.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ from rig.runs.recorder import open_recorder
 
 BATCH = 50
 CYCLE_S = 0.001
-SCALES = ServoScales(counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45)
+SCALES = ServoScales(
+    counts_per_turn=4096, gear_ratio=100.0, rated_current_A=15.0, rated_torque_N_m=0.45
+)
 _FLAGS = (0, 0, 0, 0, 0, EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG)
 
 
@@ -97,8 +101,8 @@ def random_frame(rng: np.random.Generator) -> RawFrame:
 def fuzz_link(count: int, rng: np.random.Generator) -> Counter[str]:
     """Feed frames to the host's link while its devices are silent.
 
-    A frame that is not whole process data of the right identifier must leave every sample as it was; one that is may
-    change the sample, which must then still be computed.
+    A frame that is not whole process data of the right identifier must leave every sample as it
+    was; one that is may change the sample, which must then still be computed.
     """
     bench = simulated_bench(Machine(), 0)
     tap = _Tap(bench.bus, bench.clock)
@@ -106,7 +110,9 @@ def fuzz_link(count: int, rng: np.random.Generator) -> Counter[str]:
     drive = link.add_node(DRIVE_NODE, DRIVE_EDS)
     nodes = (drive, link.add_node(ENCODER_NODE, ENCODER_EDS))
     servo = Cia402Servo(drive, link, SCALES)
-    encoder = Cia406Encoder(nodes[1], EncoderScales(bench.machine.constants.sensing.joint_counts_per_turn))
+    encoder = Cia406Encoder(
+        nodes[1], EncoderScales(bench.machine.constants.sensing.joint_counts_per_turn)
+    )
     link.open()
     servo.prepare(CYCLE_S)
     encoder.prepare(CYCLE_S)
@@ -117,7 +123,8 @@ def fuzz_link(count: int, rng: np.random.Generator) -> Counter[str]:
     counts: Counter[str] = Counter()
     for _ in range(-(-count // BATCH)):
         frames = [
-            random_frame(rng) if rng.integers(2) else mutated(good[rng.integers(len(good))], rng) for _ in range(BATCH)
+            random_frame(rng) if rng.integers(2) else mutated(good[rng.integers(len(good))], rng)
+            for _ in range(BATCH)
         ]
         bad = [f for f in frames if lengths.get(f.identifier) != len(f.data)]
         before = [slot.values for node in nodes for slot in node.inputs.values()]
@@ -185,7 +192,11 @@ def fuzz_sdo_client(count: int, rng: np.random.Generator) -> Counter[str]:
     drive = link.add_node(DRIVE_NODE, DRIVE_EDS)
     link.open()
     counts: Counter[str] = Counter()
-    actions = (lambda: drive.read(0x6041), lambda: drive.read_text(0x1008), lambda: drive.write(0x607A, 0, 1))
+    actions = (
+        lambda: drive.read(0x6041),
+        lambda: drive.read_text(0x1008),
+        lambda: drive.write(0x607A, 0, 1),
+    )
     while liar.sent < count:
         try:
             actions[rng.integers(3)]()
@@ -198,7 +209,9 @@ def fuzz_sdo_client(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_twins(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed frames to the simulated devices as a mad host would; they answer what they like, and go on."""
+    """Feed frames to the simulated devices as a mad host would; they answer what they like, and go
+    on.
+    """
     bench = simulated_bench(Machine(), 0)
     good = [
         RawFrame(0, 0x000, bytes([1, 1]), True),
@@ -214,7 +227,11 @@ def fuzz_twins(count: int, rng: np.random.Generator) -> Counter[str]:
     counts: Counter[str] = Counter()
     for _ in range(-(-count // BATCH)):
         for _ in range(BATCH):
-            frame = random_frame(rng) if rng.integers(2) else mutated(good[rng.integers(len(good))], rng)
+            frame = (
+                random_frame(rng)
+                if rng.integers(2)
+                else mutated(good[rng.integers(len(good))], rng)
+            )
             bench.bus.transmit(frame.identifier & 0x7FF, frame.data[:8])
         counts["frames"] += BATCH
         counts["answers"] += len(bench.bus.collect(0.01))
@@ -224,17 +241,20 @@ def fuzz_twins(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_epos_serial(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed ``count`` bytes of noise and of damaged frames to the EPOS decoder, in pieces of any length.
+    """Feed ``count`` bytes of noise and of damaged frames to the EPOS decoder, in pieces of any
+    length.
 
-    What it takes for a frame must have been on the line byte by byte, check sum and stuffing included, and a good
-    frame after a pause on the line must still be found.
+    What it takes for a frame must have been on the line byte by byte, check sum and stuffing
+    included, and a good frame after a pause on the line must still be found.
     """
     decoder = epos_serial.FrameDecoder()
     counts: Counter[str] = Counter()
     while counts["bytes"] < count:
         line = bytearray()
         for _ in range(20):
-            good = bytearray(epos_serial.encode(int(rng.integers(256)), rng.bytes(2 * int(rng.integers(8)))))
+            good = bytearray(
+                epos_serial.encode(int(rng.integers(256)), rng.bytes(2 * int(rng.integers(8))))
+            )
             match int(rng.integers(4)):
                 case 0:
                     good = bytearray(rng.bytes(len(good)))
@@ -260,16 +280,20 @@ def fuzz_epos_serial(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_slcan(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed ``count`` bytes of noise and of damaged lines to the decoder of CAN adapters on a serial line.
+    """Feed ``count`` bytes of noise and of damaged lines to the decoder of CAN adapters on a serial
+    line.
 
-    What it takes for a frame must have been a whole line, and every good line after the next end of one must be found.
+    What it takes for a frame must have been a whole line, and every good line after the next end of
+    one must be found.
     """
     decoder = slcan.LineDecoder()
     counts: Counter[str] = Counter()
     while counts["bytes"] < count:
         line = bytearray()
         for _ in range(20):
-            good = bytearray(slcan.encode(int(rng.integers(0x800)), rng.bytes(int(rng.integers(9)))))
+            good = bytearray(
+                slcan.encode(int(rng.integers(0x800)), rng.bytes(int(rng.integers(9))))
+            )
             match int(rng.integers(4)):
                 case 0:
                     good = bytearray(rng.bytes(len(good)))
@@ -299,7 +323,9 @@ def fuzz_slcan(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_amt21(count: int, rng: np.random.Generator) -> Counter[str]:
-    """Feed ``count`` answers of 0 to 4 bytes to the AMT21 decoder; those it takes are whole words that check."""
+    """Feed ``count`` answers of 0 to 4 bytes to the AMT21 decoder; those it takes are whole words
+    that check.
+    """
     counts: Counter[str] = Counter()
     for _ in range(count):
         answer = rng.bytes(2 if rng.integers(4) else int(rng.integers(5)))
@@ -312,7 +338,9 @@ def fuzz_amt21(count: int, rng: np.random.Generator) -> Counter[str]:
 
 
 def fuzz_recording(count: int, rng: np.random.Generator, folder: Path) -> Counter[str]:
-    """Damage a recording of some 20 kB in ``count`` / 50 ways; what is still read is a part of what was written."""
+    """Damage a recording of some 20 kB in ``count`` / 50 ways; what is still read is a part of what
+    was written.
+    """
     whole = folder / "whole.mcap"
     write_recording(whole, 200)
     content = whole.read_bytes()
@@ -329,7 +357,9 @@ def fuzz_recording(count: int, rng: np.random.Generator, folder: Path) -> Counte
             continue
         found = log.samples["time"]
         counts["damage reported"] += log.damage is not None
-        assert np.isin(found, times).all(), "a damaged recording gave a sample that was never written"
+        assert np.isin(found, times).all(), (
+            "a damaged recording gave a sample that was never written"
+        )
     return counts
 
 
@@ -348,7 +378,9 @@ def write_recording(path: Path, samples: int) -> None:
 
 
 def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """Return the content with bits flipped, bytes zeroed, a piece missing or the end cut off, up to three times."""
+    """Return the content with bits flipped, bytes zeroed, a piece missing or the end cut off, up to
+    three times.
+    """
     spoiled = bytearray(content)
     for _ in range(int(rng.integers(1, 4))):
         at = int(rng.integers(len(spoiled)))
@@ -386,11 +418,18 @@ def main() -> int:
     for name, decode in DECODERS.items():
         _report(name, decode, options.count, options.seed)
     with tempfile.TemporaryDirectory() as folder:
-        _report("recordings", lambda n, rng: fuzz_recording(n, rng, Path(folder)), options.count, options.seed)
+        _report(
+            "recordings",
+            lambda n, rng: fuzz_recording(n, rng, Path(folder)),
+            options.count,
+            options.seed,
+        )
     return 0
 
 
-def _report(name: str, decode: Callable[[int, np.random.Generator], Counter[str]], count: int, seed: int) -> None:
+def _report(
+    name: str, decode: Callable[[int, np.random.Generator], Counter[str]], count: int, seed: int
+) -> None:
     began = time.monotonic()
     counts = decode(count, np.random.default_rng(seed))
     print(f"{name}: {dict(counts)}, {time.monotonic() - began:.0f} s", flush=True)

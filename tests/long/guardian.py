@@ -1,7 +1,9 @@
-"""``kill -9`` of the controller of an EPOS4 on a serial line, which has no watchdog: the guardian must stop the drive.
+"""``kill -9`` of the controller of an EPOS4 on a serial line, which has no watchdog: the guardian
+must stop the drive.
 
-The simulated bench answers behind two pseudo-terminals, in real time and in a process of its own; the controller is
-`rig run` on a bench file that names them as real ports. It is killed in every phase of a run, and at random moments.
+The simulated bench answers behind two pseudo-terminals, in real time and in a process of its own;
+the controller is `rig run` on a bench file that names them as real ports. It is killed in every
+phase of a run, and at random moments.
 """
 
 from __future__ import annotations
@@ -26,7 +28,9 @@ from .benches import Bench, bench_process
 from .fault_cases import PHASES
 
 STOP_S = 0.25
-"""The kernel closes the pipe and the guardian wakes, on a busy machine; then the ramp, and 20 ms to settle."""
+"""The kernel closes the pipe and the guardian wakes, on a busy machine; then the ramp, and 20 ms to
+settle.
+"""
 AFTER_S = 1.5
 _WITHOUT_POWER = ("prompt", "prepare", "enable", "disable", "any")
 LATEST_S = 2.2
@@ -58,7 +62,8 @@ def observe(stage, phase):
 
 def watched(inputs, plan, devices, *more):
     # On a busy machine the run would end before it is killed.
-    limits = dataclasses.replace(plan.limits, lateness=1.0, sample_age=1.0, encoder_disagreement=1.0)
+    wide = {"lateness": 1.0, "sample_age": 1.0, "encoder_disagreement": 1.0}
+    limits = dataclasses.replace(plan.limits, **wide)
     plan = dataclasses.replace(plan, limits=limits)
     return execute(inputs, plan, dataclasses.replace(devices, observer=observe), *more)
 
@@ -69,7 +74,9 @@ sys.exit(status(sys.argv[1:]))
 
 @dataclass
 class Result:
-    """What one kill left behind: whether there was power, how long it took to end, and what the guardian wrote."""
+    """What one kill left behind: whether there was power, how long it took to end, and what the
+    guardian wrote.
+    """
 
     where: str
     powered: bool
@@ -91,7 +98,10 @@ class Result:
         """Return it in one line."""
         off = "ON" if self.off_s is None else f"off after {self.off_s:.3f} s"
         wrote = "nothing" if self.report is None else self.report["safe"]["state"]
-        return f"{self.where}: {'powered' if self.powered else 'no power'}, {off}; guardian wrote {wrote}"
+        return (
+            f"{self.where}: {'powered' if self.powered else 'no power'}, {off}; guardian wrote "
+            f"{wrote}"
+        )
 
 
 class RunError(Exception):
@@ -105,7 +115,14 @@ def kill(bench: Bench, file: Path, run: Path, where: str, after_s: float) -> Res
         RunError: It ended before, as on a machine that is too busy to answer in time.
     """
     bench.renew()
-    arguments = ["run", str(file.parent / "sequence.yaml"), "--bench", str(file), "--yes", "--no-first-pass"]
+    arguments = [
+        "run",
+        str(file.parent / "sequence.yaml"),
+        "--bench",
+        str(file),
+        "--yes",
+        "--no-first-pass",
+    ]
     controller = subprocess.Popen(
         [sys.executable, "-c", _CONTROLLER, where, str(after_s), *arguments, "--out", str(run)],
         stdout=subprocess.PIPE,
@@ -127,17 +144,23 @@ def kill(bench: Bench, file: Path, run: Path, where: str, after_s: float) -> Res
     off_s = account.off_after_s(killed_ns)
     report = run / REPORT_FILE
     samples = recover(run).samples
-    return Result(where, powered, off_s, json.loads(report.read_text()) if report.exists() else None, samples)
+    return Result(
+        where, powered, off_s, json.loads(report.read_text()) if report.exists() else None, samples
+    )
 
 
 def main() -> int:
     """Kill in every phase, then at random moments; print what came of it."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=20, help="at random moments, beside those in every phase")
+    parser.add_argument(
+        "--kills", type=int, default=20, help="at random moments, beside those in every phase"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     moments = random.Random(options.seed)
-    plan = list(PHASES.items()) + [("any", moments.uniform(0.0, LATEST_S)) for _ in range(options.kills)]
+    plan = list(PHASES.items()) + [
+        ("any", moments.uniform(0.0, LATEST_S)) for _ in range(options.kills)
+    ]
     results: list[Result] = []
     failed = 0
     with tempfile.TemporaryDirectory() as folder, bench_process("serial") as bench:
@@ -147,7 +170,9 @@ def main() -> int:
             result = None
             while result is None:
                 try:
-                    result = kill(bench, file, Path(folder) / f"run{number}.{failed}", where, after_s)
+                    result = kill(
+                        bench, file, Path(folder) / f"run{number}.{failed}", where, after_s
+                    )
                 except RunError as error:
                     failed += 1
                     print(f"  {error}; again", flush=True)
@@ -157,7 +182,10 @@ def main() -> int:
             print(f"{after_s:.3f} s into {result}", *result.problems, sep="; ", flush=True)
     offs = [r.off_s for r in results if r.powered and r.off_s is not None]
     bad = sum(bool(list(r.problems)) for r in results)
-    print(f"{len(results)} kills, {len(offs)} under power, off after {max(offs, default=0):.3f} s at most, {bad} bad")
+    print(
+        f"{len(results)} kills, {len(offs)} under power, off after {max(offs, default=0):.3f} s "
+        f"at most, {bad} bad"
+    )
     print(f"{failed} runs failed by themselves before they were killed, and were done again")
     return 1 if bad else 0
 

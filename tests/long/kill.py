@@ -1,10 +1,12 @@
-"""``kill -9`` of the controller at random moments, while the simulated bench lives on in a process of its own.
+"""``kill -9`` of the controller at random moments, while the simulated bench lives on in a process
+of its own.
 
-The bench answers behind a pseudo-terminal as an slcan adapter does, in real time; the controller is ``rig run`` on a
-bench file that names python-can's ``slcan``, the path of a real adapter. Both use the machine's monotonic clock.
+The bench answers behind a pseudo-terminal as an slcan adapter does, in real time; the controller is
+``rig run`` on a bench file that names python-can's ``slcan``, the path of a real adapter. Both use
+the machine's monotonic clock.
 
-Every few kills the run is resumed on the same bench, which was never switched off: ``rig resume`` must begin at the
-first unfinished stage and end with all of them done.
+Every few kills the run is resumed on the same bench, which was never switched off: ``rig resume``
+must begin at the first unfinished stage and end with all of them done.
 """
 
 from __future__ import annotations
@@ -39,7 +41,14 @@ LOG_GAP_S = 0.2
 LATEST_S = 3.8
 """The whole run takes a little less."""
 RESUME_EVERY, ATTEMPTS = 3, 8
-TOO_LATE = ("sample age", "lateness", "heartbeat", "no SDO response", "following error", "joint speed")
+TOO_LATE = (
+    "sample age",
+    "lateness",
+    "heartbeat",
+    "no SDO response",
+    "following error",
+    "joint speed",
+)
 """What stops a run where the machine lets it wait; the last two as the target then jumps."""
 SEQUENCE = """\
 sequence: 1
@@ -63,9 +72,11 @@ class Result:
         off_s: When it no longer was, s after the kill.
         speed: Of the joint half a second after the kill, rad/s.
         gap_s: How much older the recording's end is than the last cycle.
-        pause_s: The longest pause between two cycles after that end: the machine was busy elsewhere.
+        pause_s: The longest pause between two cycles after that end: the machine was busy
+        elsewhere.
         phase: Where the recording ended.
-        resumed: How ``rig resume`` went; None where it was not tried, empty where it was as it should be.
+        resumed: How ``rig resume`` went; None where it was not tried, empty where it was as it
+            should be.
     """
 
     moment_s: float
@@ -79,7 +90,10 @@ class Result:
 
     @property
     def bad(self) -> bool:
-        """Whether a limit was broken. A recording is written by the control loop: while it pauses, so does that."""
+        """Whether a limit was broken.
+
+        A recording is written by the control loop: while it pauses, so does that.
+        """
         late = self.off_s is None or self.off_s > WATCH_S or self.speed > 1e-3
         return late or (self.gap_s or 0.0) - self.pause_s > LOG_GAP_S or bool(self.resumed)
 
@@ -104,7 +118,14 @@ def worker(number: int, kills: int, folder: Path) -> list[Result]:
 def one(bench: Bench, file: Path, run: Path, moment_s: float) -> Result:
     """Start a controller, kill it, see what the drive does and what the recording holds."""
     bench.renew()
-    words = ["run", str(file.parent / "sequence.yaml"), "--bench", str(file), "--yes", "--no-first-pass"]
+    words = [
+        "run",
+        str(file.parent / "sequence.yaml"),
+        "--bench",
+        str(file),
+        "--yes",
+        "--no-first-pass",
+    ]
     controller = start(bench, [*words, "--out", str(run)], file.parent)
     bench.wait_for_host(lambda: ended(controller))
     time.sleep(moment_s)
@@ -139,8 +160,8 @@ def ended(controller: subprocess.Popen[str]) -> str | None:
 def resume(bench: Bench, run: Path) -> str | None:
     """Go on with a killed run on the bench as it was left; say what is wrong with how that went.
 
-    On a machine too busy for real time the drive's watch or a limit on time stops a run again, as they should; then it
-    is resumed again.
+    On a machine too busy for real time the drive's watch or a limit on time stops a run again, as
+    they should; then it is resumed again.
     """
     words = ""
     for _ in range(ATTEMPTS):
@@ -152,10 +173,14 @@ def resume(bench: Bench, run: Path) -> str | None:
         if not wanted:
             return None
         fault = ["--reset-fault"] if words else []
-        controller = start(bench, ["resume", str(run), "--yes", "--no-first-pass", *fault], run.parent)
+        controller = start(
+            bench, ["resume", str(run), "--yes", "--no-first-pass", *fault], run.parent
+        )
         words = controller.communicate(timeout=60)[1]
         after = read_record(run)
-        again = [after.stages[s.stage_index].name for s in after.segments if s.part == len(after.parts)]
+        again = [
+            after.stages[s.stage_index].name for s in after.segments if s.part == len(after.parts)
+        ]
         if again != wanted[: len(again)]:
             return f"did {again} instead of {wanted}"
         if controller.returncode == 0 and again == wanted:
@@ -166,10 +191,11 @@ def resume(bench: Bench, run: Path) -> str | None:
 
 
 def _recovered(run: Path, cycles_ns: list[int]) -> tuple[float | None, float, str]:
-    """Recover the recording; return how much older its end is than the last cycle on the bus, and where it ended.
+    """Recover the recording; return how much older its end is than the last cycle on the bus, and
+    where it ended.
 
-    Between the two, also the longest pause from one cycle to the next. What comes before the first cycle is events,
-    which are written at once.
+    Between the two, also the longest pause from one cycle to the next. What comes before the first
+    cycle is events, which are written at once.
     """
     try:
         recover(run)
@@ -180,7 +206,11 @@ def _recovered(run: Path, cycles_ns: list[int]) -> tuple[float | None, float, st
     where = {-1: "before cycling", 0: "cycling, outside excitation"}.get(segment, "in excitation")
     if not cycles_ns:
         return None, 0.0, where
-    times = [frame.time_ns for message in log.messages["/frames"] for frame in decode_frames(message.data)]
+    times = [
+        frame.time_ns
+        for message in log.messages["/frames"]
+        for frame in decode_frames(message.data)
+    ]
     end_ns = max(times, default=cycles_ns[0])
     unrecorded = [end_ns, *(when for when in cycles_ns if when > end_ns)]
     pause_s = max((later - earlier for earlier, later in pairwise(unrecorded)), default=0) / NS
@@ -191,12 +221,17 @@ def main() -> int:
     """Kill, count, print."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=200)
-    parser.add_argument("--workers", type=int, default=1, help="controllers killed at the same time")
+    parser.add_argument(
+        "--workers", type=int, default=1, help="controllers killed at the same time"
+    )
     options = parser.parse_args()
     began = time.monotonic()
     share = -(-options.kills // options.workers)
     with tempfile.TemporaryDirectory() as folder, ThreadPoolExecutor(options.workers) as pool:
-        futures = [pool.submit(worker, n, share, Path(folder) / f"bench{n}") for n in range(options.workers)]
+        futures = [
+            pool.submit(worker, n, share, Path(folder) / f"bench{n}")
+            for n in range(options.workers)
+        ]
         results = [result for future in futures for result in future.result()]
     return report(results, time.monotonic() - began, options.workers)
 
@@ -210,12 +245,23 @@ def report(results: list[Result], seconds: float, workers: int) -> int:
     for phase in sorted({r.phase for r in results}):
         print(f"  {sum(r.phase == phase for r in results):4d} {phase}")
     if offs:
-        print(f"energised at the kill: {len(offs)}; off after {min(offs):.3f} to {max(offs):.3f} s (limit {WATCH_S})")
+        print(
+            f"energised at the kill: {len(offs)}; off after {min(offs):.3f} to {max(offs):.3f} s "
+            f"(limit {WATCH_S})"
+        )
     if gaps:
-        print(f"end of the recovered recording before the last cycle: {max(gaps):.3f} s at most (limit {LOG_GAP_S})")
-        print(f"longest pause of a control loop in that time: {max(r.pause_s for r in results):.3f} s")
+        print(
+            f"end of the recovered recording before the last cycle: {max(gaps):.3f} s at most "
+            f"(limit {LOG_GAP_S})"
+        )
+        print(
+            f"longest pause of a control loop in that time: {max(r.pause_s for r in results):.3f} s"
+        )
     resumed = [r.resumed for r in results if r.resumed is not None]
-    print(f"resumed: {len(resumed)}; went on at the first unfinished stage and finished: {resumed.count('')}")
+    print(
+        f"resumed: {len(resumed)}; went on at the first unfinished stage and finished: "
+        f"{resumed.count('')}"
+    )
     for result in bad:
         print(f"BAD {result}")
     print(f"{len(bad)} bad")

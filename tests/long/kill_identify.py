@@ -2,9 +2,10 @@
 
 python tests/long/kill_identify.py [--kills N]
 
-``rig run figure10`` on the simulated bench is killed with SIGKILL at a random share of its recording, then resumed and
-identified. Each of the nine 90 % intervals must have a value in common with that of an uninterrupted run of the same
-seed; two honest ones miss each other in 2 % of cases, and this passes where at most 5 % do.
+``rig run figure10`` on the simulated bench is killed with SIGKILL at a random share of its
+recording, then resumed and identified. Each of the nine 90 % intervals must have a value in common
+with that of an uninterrupted run of the same seed; two honest ones miss each other in 2 % of cases,
+and this passes where at most 5 % do.
 """
 
 from __future__ import annotations
@@ -59,7 +60,9 @@ def killed(run: Path, seed: int, size: int) -> str:
         recording = run / "recording.mcap"
         while not (recording.exists() and recording.stat().st_size >= size):
             if controller.poll() is not None:
-                raise SystemExit(f"the run ended with status {controller.returncode} before it was killed")
+                raise SystemExit(
+                    f"the run ended with status {controller.returncode} before it was killed"
+                )
             time.sleep(0.002)
         os.kill(controller.pid, signal.SIGKILL)
     done = [stage.name for stage in read_record(run).stages if stage.state == "done"]
@@ -68,7 +71,9 @@ def killed(run: Path, seed: int, size: int) -> str:
 
 def main() -> int:
     """Print one row a kill; 1 where too many intervals miss those of the uninterrupted runs."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--kills", type=int, default=10)
     kills = parser.parse_args().kills
     machine = load_bench("practical").value.mock
@@ -94,7 +99,8 @@ def main() -> int:
     print(table(["seed", "killed at", "resumed", "intervals that miss"], rows))
     total = kills * len(truth)
     print(
-        f"{apart} of {total} pairs of intervals miss each other; the truth lies in {held} of the resumed runs' {total}"
+        f"{apart} of {total} pairs of intervals miss each other; the truth lies in {held} of the "
+        f"resumed runs' {total}"
     )
     print(f"intervals, and in {held_whole} of the uninterrupted ones'")
     return 1 if apart > MISSES * total else 0

@@ -1,9 +1,11 @@
-"""A run on the serial bench is suspended, sent Ctrl-Z, or loses its terminal's reader, at random moments.
+"""A run on the serial bench is suspended, sent Ctrl-Z, or loses its terminal's reader, at random
+moments.
 
-`python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watch of its own, so that power must be gone
-within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at once; SIGTSTP ends the run as Ctrl-C does.
-A terminal that is stalled (Ctrl-S, or one that nobody reads and that is full) changes nothing: the run is done, the
-drive is never under power without being spoken to for longer than that, and off within that time of the end of motion.
+`python -m tests.long.moments [--moments N] [--jobs N]`. The drive has no watch of its own, so that
+power must be gone within 0.5 s of the moment from which the control loop cannot run: SIGSTOP at
+once; SIGTSTP ends the run as Ctrl-C does. A terminal that is stalled (Ctrl-S, or one that nobody
+reads and that is full) changes nothing: the run is done, the drive is never under power without
+being spoken to for longer than that, and off within that time of the end of motion.
 """
 
 from __future__ import annotations
@@ -31,7 +33,9 @@ OFF_S = 0.5
 LATEST_S = 1.9
 """From the enabling of the drive; the run takes about as long."""
 EARLY_SHARE, EARLY_S = 0.15, 1.0
-"""Share of the moments that come so long after its preparation began instead, most of them before it has power."""
+"""Share of the moments that come so long after its preparation began instead, most of them before
+it has power.
+"""
 SEQUENCE = """\
 sequence: 1
 name: moments
@@ -59,7 +63,8 @@ class Moment:
         after_s: When, s after the preparation of the drive began.
         phase: In what phase of the run.
         powered: Whether the drive was under power.
-        off_s: When it no longer was, s; for a stalled terminal the longest it was under power without being spoken to.
+        off_s: When it no longer was, s; for a stalled terminal the longest it was under power
+        without being spoken to.
         problems: What is not as it must be.
     """
 
@@ -82,7 +87,16 @@ def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tu
     bench.renew()
     file = bench.write_file(folder)
     (folder / "sequence.yaml").write_text(SEQUENCE)
-    words = ["run", "sequence.yaml", "--bench", str(file), "--yes", "--no-first-pass", "--out", "run"]
+    words = [
+        "run",
+        "sequence.yaml",
+        "--bench",
+        str(file),
+        "--yes",
+        "--no-first-pass",
+        "--out",
+        "run",
+    ]
     console = Console(words, folder, bench.env)
     try:
         console.until(lambda: console.at("one", base) or console.ended, _START_S)
@@ -97,9 +111,14 @@ def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tu
         problems += _broken(console, account, kind, ns)
         off_s = account.off_after_s(ns) if kind.startswith("SIG") else _longest_silence_s(account)
         if off_s is None or off_s > OFF_S:
-            problems.append(f"power without a running loop for {'ever' if off_s is None else f'{off_s:.3f} s'}")
-        # A trip by what the joint does shows that cycles were late; nothing that happens here moves it.
-        busy = any(ns < when < ns + NS for when, _ in account.pauses) or "tripped: " in console.text()
+            problems.append(
+                f"power without a running loop for {'ever' if off_s is None else f'{off_s:.3f} s'}"
+            )
+        # A trip by what the joint does shows that cycles were late; nothing that happens here moves
+        # it.
+        busy = (
+            any(ns < when < ns + NS for when, _ in account.pauses) or "tripped: " in console.text()
+        )
         return Moment(kind, after_s, phase, account.on_at(ns), off_s, tuple(problems)), busy
     finally:
         console.close()
@@ -117,7 +136,9 @@ def _happen(console: Console, kind: str) -> int:
 
 
 def _see(bench: Bench, console: Console, kind: str, ns: int) -> tuple[Account, list[str]]:
-    """Wait for what must come; returns what the bench has seen by then, and what is not as it must be."""
+    """Wait for what must come; returns what the bench has seen by then, and what is not as it must
+    be.
+    """
     problems: list[str] = []
     if kind == "SIGSTOP":
         console.pause(_WATCHED_S)
@@ -146,10 +167,14 @@ def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]
     """Return what is wrong with how it ended."""
     problems = []
     right = {"SIGSTOP": (0, 4), "SIGTSTP": (3,)}.get(kind, (0,))
-    over = any(notice["phase"] == "between stages" and notice["ns"] <= ns for notice in console.notices)
+    over = any(
+        notice["phase"] == "between stages" and notice["ns"] <= ns for notice in console.notices
+    )
     if console.status not in right and not (over and console.status == 0):
         last = " / ".join(console.text().split("\n"))[-200:].strip()
-        problems.append(f"exit status {console.status}, must be {' or '.join(map(str, right))}: {last}")
+        problems.append(
+            f"exit status {console.status}, must be {' or '.join(map(str, right))}: {last}"
+        )
     if "Traceback (most recent call last)" in console.text():
         problems.append("a traceback")
     if kind == "SIGTSTP" and console.stops:
@@ -160,7 +185,10 @@ def _broken(console: Console, account: Account, kind: str, ns: int) -> list[str]
 def _longest_silence_s(account: Account) -> float:
     """Return the longest time under power in which the drive was not spoken to, s."""
     longest = 0.0
-    ends = [*(when for when, _ in account.powered), account.powered[-1][0] + (10 * NS if account.on else 0)]
+    ends = [
+        *(when for when, _ in account.powered),
+        account.powered[-1][0] + (10 * NS if account.on else 0),
+    ]
     for (began, on), end in zip(account.powered, ends[1:], strict=True):
         if on:
             times = [began, *(heard for heard in account.heard_ns if began < heard < end), end]
@@ -187,7 +215,9 @@ Plan = tuple[str, str, float]
 
 
 def draw(dice: random.Random, kind: str) -> Plan:
-    """Return a moment at random: what happens, after the beginning of which phase, and how long after, s."""
+    """Return a moment at random: what happens, after the beginning of which phase, and how long
+    after, s.
+    """
     if dice.random() < EARLY_SHARE:
         return kind, "prepare", dice.uniform(0.0, EARLY_S)
     return kind, "enable", dice.uniform(0.0, LATEST_S)
@@ -218,7 +248,9 @@ def worker(number: int, todo: queue.Queue[Plan], tally: Tally) -> None:
                     break
                 tally.busy += 1
             else:
-                tally.done.append(Moment(plan[0], plan[2], "?", False, None, ("it never came to it",)))
+                tally.done.append(
+                    Moment(plan[0], plan[2], "?", False, None, ("it never came to it",))
+                )
 
 
 def distribution(moments: Sequence[Moment]) -> Iterator[str]:
@@ -232,18 +264,28 @@ def distribution(moments: Sequence[Moment]) -> Iterator[str]:
         shares = ""
         if powered:
             at95 = powered[min(len(powered) - 1, round(0.95 * len(powered)))]
-            shares = f"; {what} {powered[0]:.3f} to {powered[-1]:.3f} s, median {median(powered):.3f}, 95 % {at95:.3f}"
+            shares = (
+                f"; {what} {powered[0]:.3f} to {powered[-1]:.3f} s, median "
+                f"{median(powered):.3f}, 95 % {at95:.3f}"
+            )
             tenths = [sum(0.1 * n <= off < 0.1 * (n + 1) for off in powered) for n in range(5)]
             beyond = len(powered) - sum(tenths)
             shares += f"; by tenths of a second {' '.join(map(str, tenths))}, beyond {beyond}"
         bad = sum(bool(moment.problems) for moment in mine)
-        yield f"{kind}: {len(mine)} moments, {sum(m.powered for m in mine)} under power{shares}; {bad} bad"
+        yield (
+            f"{kind}: {len(mine)} moments, {sum(m.powered for m in mine)} under power{shares}; "
+            f"{bad} bad"
+        )
 
 
 def main() -> int:
     """Do the moments, print the distribution; 1 where one is bad."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--moments", type=int, default=200, help="of each kind; the stalled terminal is one kind")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--moments", type=int, default=200, help="of each kind; the stalled terminal is one kind"
+    )
     parser.add_argument("--jobs", type=int, default=3, help="benches side by side")
     parser.add_argument("--kinds", default=",".join(KINDS))
     parser.add_argument("--seed", type=int, default=0)
@@ -269,11 +311,15 @@ def main() -> int:
         todo.queue.clear()
     for moment in tally.done:
         if moment.problems:
-            print(f"BAD {moment.kind} {moment.after_s:.3f} s, {moment.phase}: {'; '.join(moment.problems)}")
+            print(
+                f"BAD {moment.kind} {moment.after_s:.3f} s, {moment.phase}: "
+                f"{'; '.join(moment.problems)}"
+            )
     print("\n".join(distribution(tally.done)))
     bad = sum(bool(moment.problems) for moment in tally.done)
     print(
-        f"{len(tally.done)} of {len(plans)} moments in {(time.monotonic() - began) / 60:.1f} min; {bad} bad; "
+        f"{len(tally.done)} of {len(plans)} moments in {(time.monotonic() - began) / 60:.1f} min; "
+        f"{bad} bad; "
         f"done again: {tally.missed} whose run ended before, {tally.busy} on a computer too busy"
     )
     return 1 if bad or len(tally.done) < len(plans) else 0

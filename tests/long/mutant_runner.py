@@ -1,8 +1,9 @@
 """Runs the tests of a module on every mutant of it, each in a forked child that starts warm.
 
-A mutant of a function's body takes the place of the function's code where the module, its users and the tests are
-imported already, and meets only the tests that reach its statement, the quickest first. One of anything else (a table,
-a default, a class body) needs every user of the module to be imported again.
+A mutant of a function's body takes the place of the function's code where the module, its users and
+the tests are imported already, and meets only the tests that reach its statement, the quickest
+first. One of anything else (a table, a default, a class body) needs every user of the module to be
+imported again.
 """
 
 from __future__ import annotations
@@ -31,7 +32,9 @@ from .mutation import Mutant, mutants, mutate
 
 PACKAGES = ("rig", "drivers", "identification", "tests")
 _CPU_FACTOR, _CPU_S, _WALL_S = 5.0, 5.0, 120.0
-"""A mutant may take so many times the tests' own processor time, and so much more; or this long in all."""
+"""A mutant may take so many times the tests' own processor time, and so much more; or this long in
+all.
+"""
 _LOOK_S = 0.002
 _LIVES, _KILLED, _BROKEN = 0, 1, 99
 Function = tuple[str, int]
@@ -47,7 +50,8 @@ class Verdict:
     Attributes:
         total: How many there are.
         slow: How many were ended by their time limit, which counts as noticed.
-        living: Those with which all tests pass: first line, words, and whether any test reaches them.
+        living: Those with which all tests pass: first line, words, and whether any test reaches
+        them.
         trouble: Why nothing can be said; empty where it can.
         seconds: How long it took.
     """
@@ -94,7 +98,13 @@ def _judged(name: str, tests: Sequence[str], root: Path, jobs: int, only: str) -
     source = path.read_text(encoding="utf-8")
     everything = [mutant for mutant in mutants(source) if only in mutant.words]
     verdict = Verdict(len(everything))
-    warm = _Warm(name, str(path), source, [mutant for mutant in everything if mutant.function is not None], jobs)
+    warm = _Warm(
+        name,
+        str(path),
+        source,
+        [mutant for mutant in everything if mutant.function is not None],
+        jobs,
+    )
     with tempfile.TemporaryDirectory() as scratch:
         ended = pytest.main(_arguments(scratch, tests), plugins=[warm])
         if warm.trouble or ended == pytest.ExitCode.INTERNAL_ERROR or not warm.times_s:
@@ -103,9 +113,16 @@ def _judged(name: str, tests: Sequence[str], root: Path, jobs: int, only: str) -
 
         def cold(mutant: Mutant | None) -> _Task:
             tree = ast.parse(source) if mutant is None else mutate(source, mutant)
-            return _Task(lambda: _cold(name, path, tree, scratch, tests, warm.times_s), sum(warm.times_s.values()))
+            return _Task(
+                lambda: _cold(name, path, tree, scratch, tests, warm.times_s),
+                sum(warm.times_s.values()),
+            )
 
-        results |= {mutant: cold(mutant) for mutant in everything if mutant.function is None or mutant in warm.left}
+        results |= {
+            mutant: cold(mutant)
+            for mutant in everything
+            if mutant.function is None or mutant in warm.left
+        }
         unchanged = cold(None)
         _run([unchanged], 1)
         if unchanged.status != _LIVES:
@@ -116,7 +133,9 @@ def _judged(name: str, tests: Sequence[str], root: Path, jobs: int, only: str) -
         return Verdict(trouble=f"the runner itself failed on {broken}")
     verdict.slow = sum(task.slow for task in results.values())
     verdict.living = sorted(
-        (mutant.first, mutant.words, task.reached) for mutant, task in results.items() if task.status == _LIVES
+        (mutant.first, mutant.words, task.reached)
+        for mutant, task in results.items()
+        if task.status == _LIVES
     )
     return verdict
 
@@ -185,7 +204,8 @@ def _end_group(child: int) -> None:
 
 
 class _Warm:
-    """A plugin: runs the collected tests once, notes which statements each reaches, then runs them on the mutants.
+    """A plugin: runs the collected tests once, notes which statements each reaches, then runs them
+    on the mutants.
 
     Attributes:
         results: What came of each mutant; empty where the tests fail without any change.
@@ -194,7 +214,9 @@ class _Warm:
         times_s: Processor time of each test.
     """
 
-    def __init__(self, name: str, path: str, source: str, everything: Sequence[Mutant], jobs: int) -> None:
+    def __init__(
+        self, name: str, path: str, source: str, everything: Sequence[Mutant], jobs: int
+    ) -> None:
         self._name, self._path, self._source = name, path, source
         self._everything, self._jobs = everything, jobs
         self._failed: list[str] = []
@@ -212,9 +234,13 @@ class _Warm:
             return True
         reach = [self._reach(item, following) for item, following in _with_next(session.items)]
         if self._failed:
-            self.trouble = f"its tests fail without any change; mend them first: {'; '.join(self._failed)}"
+            self.trouble = (
+                f"its tests fail without any change; mend them first: {'; '.join(self._failed)}"
+            )
             return True
-        self.times_s = {item.nodeid: cpu_s for item, (cpu_s, _, _) in zip(session.items, reach, strict=True)}
+        self.times_s = {
+            item.nodeid: cpu_s for item, (cpu_s, _, _) in zip(session.items, reach, strict=True)
+        }
         functions = _functions(self._path)
         gc.freeze()
         quick = sorted(zip(session.items, reach, strict=True), key=lambda pair: pair[1][0])
@@ -224,10 +250,18 @@ class _Warm:
             met = [(item, cpu_s) for item, (cpu_s, seen, _) in quick if lines & seen]
             if not met:
                 # The interpreter tells nothing of some statements, such as `while True`.
-                met = [(item, cpu_s) for item, (cpu_s, _, entered) in quick if mutant.function in entered]
+                met = [
+                    (item, cpu_s)
+                    for item, (cpu_s, _, entered) in quick
+                    if mutant.function in entered
+                ]
             code = _code(compile(mutate(self._source, mutant), self._path, "exec"), mutant.function)
             places = functions.get(mutant.function)
-            if code is None or not places or any(code.co_freevars != place.__code__.co_freevars for place in places):
+            if (
+                code is None
+                or not places
+                or any(code.co_freevars != place.__code__.co_freevars for place in places)
+            ):
                 self.left.append(mutant)
                 continue
             items = [item for item, _ in met]
@@ -241,7 +275,9 @@ class _Warm:
         self._failed = []
         original = compile(self._source, self._path, "exec")
         same = {key: code for key in functions if (code := _code(original, key)) is not None}
-        control = _Task(lambda: self._test(functions, same, session.items), sum(self.times_s.values()))
+        control = _Task(
+            lambda: self._test(functions, same, session.items), sum(self.times_s.values())
+        )
         _run([control], 1)
         if control.status != _LIVES:
             self.trouble = "its tests fail where its functions' code is replaced by the same"
@@ -250,8 +286,12 @@ class _Warm:
         _run(list(self.results.values()), self._jobs)
         return True
 
-    def _reach(self, item: pytest.Item, following: pytest.Item | None) -> tuple[float, set[int], set[Function]]:
-        """Run a test; returns its processor time, and which lines and functions of the module it reaches."""
+    def _reach(
+        self, item: pytest.Item, following: pytest.Item | None
+    ) -> tuple[float, set[int], set[Function]]:
+        """Run a test; returns its processor time, and which lines and functions of the module it
+        reaches.
+        """
         lines: set[int] = set()
         entered: set[Function] = set()
         path = self._path
@@ -278,7 +318,12 @@ class _Warm:
             threading.settrace(None)  # type: ignore[arg-type]
         return time.process_time() - began, lines, entered
 
-    def _test(self, functions: Functions, changed: Mapping[Function, CodeType], items: Sequence[pytest.Item]) -> int:
+    def _test(
+        self,
+        functions: Functions,
+        changed: Mapping[Function, CodeType],
+        items: Sequence[pytest.Item],
+    ) -> int:
         """Put changed code into the place of functions' and run tests until one fails."""
         for key, code in changed.items():
             for function in functions[key]:
@@ -300,7 +345,9 @@ def _functions(path: str) -> Functions:
     for thing in gc.get_objects():
         # Not isinstance(), which asks the thing itself.
         if type(thing) is FunctionType and thing.__code__.co_filename == path:
-            found.setdefault((thing.__code__.co_qualname, thing.__code__.co_firstlineno), []).append(thing)
+            found.setdefault(
+                (thing.__code__.co_qualname, thing.__code__.co_firstlineno), []
+            ).append(thing)
     return found
 
 
@@ -317,9 +364,16 @@ def _code(code: CodeType, function: Function) -> CodeType | None:
 
 
 def _cold(
-    name: str, path: Path, tree: ast.Module, scratch: str, tests: Sequence[str], times_s: Mapping[str, float]
+    name: str,
+    path: Path,
+    tree: ast.Module,
+    scratch: str,
+    tests: Sequence[str],
+    times_s: Mapping[str, float],
 ) -> int:
-    """Import a changed module and, again, everything that uses it; run the tests, the quickest first."""
+    """Import a changed module and, again, everything that uses it; run the tests, the quickest
+    first.
+    """
     for user in _users(name):
         del sys.modules[user]
     specification = importlib.util.spec_from_file_location(name, path)
@@ -346,11 +400,15 @@ class _QuickFirst:
 
 
 def _users(name: str) -> set[str]:
-    """Return the loaded modules of the project that use a module, directly or not, with itself and all tests."""
+    """Return the loaded modules of the project that use a module, directly or not, with itself and
+    all tests.
+    """
     packages = {name.partition(".")[0], *PACKAGES}
     ours = {module for module in sys.modules if module.partition(".")[0] in packages}
     uses = {module: _imports(module, ours) for module in ours}
-    found = {name} | {module for module in ours if module.startswith("tests.") and "long" not in module}
+    found = {name} | {
+        module for module in ours if module.startswith("tests.") and "long" not in module
+    }
     while True:
         more = {module for module in ours - found if uses[module] & found}
         if not more:
@@ -375,7 +433,9 @@ def _arguments(scratch: str, tests: Sequence[str]) -> list[str]:
     """Return pytest's arguments; each process has its own folder for temporary files."""
     # No shrinking: that a test fails is enough.
     phases = (Phase.explicit, Phase.generate)
-    settings.register_profile("mutants", deadline=None, derandomize=True, phases=phases, database=None)
+    settings.register_profile(
+        "mutants", deadline=None, derandomize=True, phases=phases, database=None
+    )
     return [
         *("-q", "-p", "no:cacheprovider", "--capture=sys", "--hypothesis-profile=mutants"),
         *("-W", "ignore::pytest.PytestAssertRewriteWarning"),

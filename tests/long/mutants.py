@@ -45,7 +45,10 @@ ARGUED: Mapping[tuple[str, str], str] = {
         for other in (1, -1)
     },
     **{
-        ("drivers.canopen.cia402_servo", f"Cia402Servo.sample: {value} * scales.sign -> {value} / scales.sign"): _SIGN
+        (
+            "drivers.canopen.cia402_servo",
+            f"Cia402Servo.sample: {value} * scales.sign -> {value} / scales.sign",
+        ): _SIGN
         for value in (
             "current * scales.current_unit_A",
             "velocity * scales.joint_speed_unit_rad_s",
@@ -58,13 +61,22 @@ ARGUED: Mapping[tuple[str, str], str] = {
     ): "the later of two times counts, and no cycle starts before its time",
     ("rig.wiring.guard", "_CHUNK: 4096 -> 4095"): _READ_ON,
     ("rig.wiring.guard", "_CHUNK: 4096 -> 4097"): _READ_ON,
-    ("rig.wiring.guard", "Guard.__init__: b'' -> b'x'"): "what was heard before `ready` is dropped with it",
+    (
+        "rig.wiring.guard",
+        "Guard.__init__: b'' -> b'x'",
+    ): "what was heard before `ready` is dropped with it",
     ("rig.wiring.guard", "Guard.feed: 0.0 -> -1.0"): _NO_WAIT,
     ("rig.wiring.guard", "Guard.feed: 0.0 -> -1.0 (2)"): _NO_WAIT,
     ("rig.wiring.guardian", "_CHUNK: 4096 -> 4095"): _READ_ON,
     ("rig.wiring.guardian", "_CHUNK: 4096 -> 4097"): _READ_ON,
-    ("rig.control.safety", "check: angle < limits.angle_min -> angle <= limits.angle_min"): _OUTSIDE,
-    ("rig.control.safety", "check: supply < limits.supply_min -> supply <= limits.supply_min"): _OUTSIDE,
+    (
+        "rig.control.safety",
+        "check: angle < limits.angle_min -> angle <= limits.angle_min",
+    ): _OUTSIDE,
+    (
+        "rig.control.safety",
+        "check: supply < limits.supply_min -> supply <= limits.supply_min",
+    ): _OUTSIDE,
 }
 """Living mutants that change nothing: (module, words) to why."""
 
@@ -81,7 +93,8 @@ def told(name: str, verdict: Verdict, whole: bool) -> int:
     argued = {words for module, words in ARGUED if module == name}
     unargued = [mutant for mutant in verdict.living if mutant[1] not in argued]
     print(
-        f"{name}: {verdict.total} mutants, {verdict.total - len(living)} killed ({verdict.slow} by the time limit), "
+        f"{name}: {verdict.total} mutants, {verdict.total - len(living)} killed ({verdict.slow} "
+        f"by the time limit), "
         f"{len(living & argued)} argued, {len(unargued)} alive; {verdict.seconds:.0f} s",
         flush=True,
     )
@@ -99,11 +112,14 @@ def main() -> int:
     parser.add_argument("modules", nargs="*", help=f"of {', '.join(TARGETS)}; all by default")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--only", default="", help="only mutants whose words contain this")
-    parser.add_argument("--coverage", action="store_true", help="print what to tell pytest-cov instead")
+    parser.add_argument(
+        "--coverage", action="store_true", help="print what to tell pytest-cov instead"
+    )
     options = parser.parse_args()
     if options.coverage:
         print(
-            *(f"--cov={name}" for name in TARGETS), *dict.fromkeys(test for tests in TARGETS.values() for test in tests)
+            *(f"--cov={name}" for name in TARGETS),
+            *dict.fromkeys(test for tests in TARGETS.values() for test in tests),
         )
         return 0
     os.chdir(ROOT)

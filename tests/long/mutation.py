@@ -1,4 +1,6 @@
-"""Small changes of a module, for mutation testing: which there are, where, and what they do in words."""
+"""Small changes of a module, for mutation testing: which there are, where, and what they do in
+words.
+"""
 
 from __future__ import annotations
 
@@ -46,7 +48,8 @@ class Mutant:
     """One change.
 
     Attributes:
-        function: The outermost function it is in: qualified name and first line; None outside of functions.
+        function: The outermost function it is in: qualified name and first line; None outside of
+        functions.
         first: First line of its statement.
         last: Last line of its statement, without that of statements inside.
         words: Where and what, unique in its module.
@@ -99,7 +102,9 @@ def mutate(source: str, mutant: Mutant) -> ast.Module:
 
 
 def _walk(tree: ast.Module) -> Iterator[tuple[ast.AST, _Spot]]:
-    """Yield every node that may be changed, parents first: neither documentation nor annotations."""
+    """Yield every node that may be changed, parents first: neither documentation nor
+    annotations.
+    """
     for statement in tree.body:
         yield from _inside(statement, _Spot())
 
@@ -139,10 +144,14 @@ def _untouched(node: ast.AST) -> bool:
     if isinstance(node, ast.Import | ast.ImportFrom | ast.Assert):
         return True
     if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant):
-        # Any bare string is documentation, that after an assignment too; an ellipsis is an abstract body.
+        # Any bare string is documentation, that after an assignment too; an ellipsis is an abstract
+        # body.
         return True
     # What only a process of its own runs, or only a type checker sees.
-    return isinstance(node, ast.If) and _text(node.test) in ("__name__ == '__main__'", "TYPE_CHECKING")
+    return isinstance(node, ast.If) and _text(node.test) in (
+        "__name__ == '__main__'",
+        "TYPE_CHECKING",
+    )
 
 
 def _lines(node: ast.stmt | ast.ExceptHandler) -> tuple[int, int]:
@@ -157,16 +166,25 @@ def _text(node: ast.AST) -> str:
     if isinstance(node, Statements):
         return node.name
     text = ast.unparse(node)
-    if isinstance(node, ast.stmt | ast.ExceptHandler) and isinstance(getattr(node, "body", None), list):
+    if isinstance(node, ast.stmt | ast.ExceptHandler) and isinstance(
+        getattr(node, "body", None), list
+    ):
         text = text.partition("\n")[0]
     return " ".join(text.split())[:100]
 
 
 def _changes(node: ast.AST, spot: _Spot) -> list[Change]:
     """Return the changes that can be made to a node in place."""
-    changes = [*_of_operators(node), *_of_values(node), *_of_calls(node), *_of_conditions(node), *_of_blocks(node)]
+    changes = [
+        *_of_operators(node),
+        *_of_values(node),
+        *_of_calls(node),
+        *_of_conditions(node),
+        *_of_blocks(node),
+    ]
     if spot.function is not None:
-        # A statement of a class or of the module can't be dropped without an error that says nothing.
+        # A statement of a class or of the module can't be dropped without an error that says
+        # nothing.
         changes += _of_statements(node)
     return changes
 
@@ -187,7 +205,10 @@ def _of_operators(node: ast.AST) -> Iterator[Change]:
         for other in _SWAPS.get(type(node.op), ()):
             yield "", _attribute(node, "op", other())
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not | ast.USub):
-        yield f"without {'not' if isinstance(node.op, ast.Not) else 'minus'}", _becomes(node, node.operand)
+        yield (
+            f"without {'not' if isinstance(node.op, ast.Not) else 'minus'}",
+            _becomes(node, node.operand),
+        )
 
 
 def _of_values(node: ast.AST) -> Iterator[Change]:
@@ -209,9 +230,16 @@ def _of_values(node: ast.AST) -> Iterator[Change]:
             key = node.keys[at]
             name = f"**{_text(value)}" if key is None else _text(key)
             yield f"without {name}", _dropper([node.keys, node.values], at)
-            if at and key is not None and node.keys[at - 1] is not None and _differ(value, node.values[at - 1]):
+            if (
+                at
+                and key is not None
+                and node.keys[at - 1] is not None
+                and _differ(value, node.values[at - 1])
+            ):
                 yield f"value of {name} with that before it", _swapper(node.values, at)
-    elif isinstance(node, ast.Set | ast.List) and isinstance(getattr(node, "ctx", ast.Load()), ast.Load):
+    elif isinstance(node, ast.Set | ast.List) and isinstance(
+        getattr(node, "ctx", ast.Load()), ast.Load
+    ):
         for at, value in enumerate(node.elts):
             yield f"without {_text(value)}", _dropper([node.elts], at)
 
@@ -226,7 +254,11 @@ def _of_calls(node: ast.AST) -> Iterator[Change]:
         yield "", _attribute(node.func, "id", _TWINS[name])
     for at in range(1, len(node.args)) if name not in _TWINS else ():
         first, second = node.args[at - 1 : at + 1]
-        if _differ(first, second) and not isinstance(first, ast.Starred) and not isinstance(second, ast.Starred):
+        if (
+            _differ(first, second)
+            and not isinstance(first, ast.Starred)
+            and not isinstance(second, ast.Starred)
+        ):
             yield f"{_text(first)} and {_text(second)} swapped", _swapper(node.args, at)
 
 
@@ -255,7 +287,9 @@ def _of_conditions(node: ast.AST) -> Iterator[Change]:
 
 
 def _of_blocks(node: ast.AST) -> Iterator[Change]:
-    if isinstance(node, ast.ExceptHandler) and not (len(node.body) == 1 and isinstance(node.body[0], ast.Raise)):
+    if isinstance(node, ast.ExceptHandler) and not (
+        len(node.body) == 1 and isinstance(node.body[0], ast.Raise)
+    ):
         yield "raise", _attribute(node, "body", [ast.Raise()])
     elif isinstance(node, ast.With) and all(item.optional_vars is None for item in node.items):
         yield "without with", _becomes(node, ast.If(ast.Constant(True), node.body, []))
@@ -263,7 +297,8 @@ def _of_blocks(node: ast.AST) -> Iterator[Change]:
 
 def _of_statements(node: ast.AST) -> Iterator[Change]:
     droppable = isinstance(
-        node, ast.Assign | ast.AugAssign | ast.Raise | ast.Break | ast.Continue | ast.Delete | ast.Expr
+        node,
+        ast.Assign | ast.AugAssign | ast.Raise | ast.Break | ast.Continue | ast.Delete | ast.Expr,
     )
     if isinstance(node, ast.AnnAssign | ast.Return):
         # A declaration does nothing; the end of a value's way is "return None".

@@ -1,8 +1,10 @@
-"""Two programs on one bench, or on one run folder, in all ordered pairs of commands, on every transport.
+"""Two programs on one bench, or on one run folder, in all ordered pairs of commands, on every
+transport.
 
-`python -m tests.long.pairs [--times N] [--only FIRST,SECOND,TRANSPORT]`. The second must be refused with status 4 and
-the name of the first, and the first must end as it would alone. A bench and a run folder are two things: `recover` uses
-a folder and no bench, so that it and a `jog` or `check` do not meet, and both must be done.
+`python -m tests.long.pairs [--times N] [--only FIRST,SECOND,TRANSPORT]`. The second must be refused
+with status 4 and the name of the first, and the first must end as it would alone. A bench and a run
+folder are two things: `recover` uses a folder and no bench, so that it and a `jog` or `check` do
+not meet, and both must be done.
 """
 
 from __future__ import annotations
@@ -79,7 +81,15 @@ class Stage:
         quick = ["--yes", "--no-first-pass"]
         match command:
             case "run":
-                return ["run", str(self.folder / "sequence.yaml"), "--bench", str(self.file), *quick, "--out", str(run)]
+                return [
+                    "run",
+                    str(self.folder / "sequence.yaml"),
+                    "--bench",
+                    str(self.file),
+                    *quick,
+                    "--out",
+                    str(run),
+                ]
             case "jog":
                 return ["jog", str(self.file), "--to", "4", "--to", "0", "--speed", "10"]
             case "check":
@@ -132,7 +142,9 @@ def folders(stage: Stage, first: str, second: str, number: int, place: Path) -> 
     return one, two
 
 
-def once(stage: Stage, first: str, second: str, number: int, place: Path, dice: random.Random) -> list[str]:
+def once(
+    stage: Stage, first: str, second: str, number: int, place: Path, dice: random.Random
+) -> list[str]:
     """Let two programs meet; returns what is not as it must be.
 
     Raises:
@@ -143,7 +155,11 @@ def once(stage: Stage, first: str, second: str, number: int, place: Path, dice: 
     held = HELD.get(first, "")
     a = Console(stage.words(first, one), place, stage.bench.env, Streams("closed"), held)
     b = Console(
-        stage.words(second, two), place, stage.bench.env | {"WITNESS_READY": "1"}, Streams("closed"), gate="ready"
+        stage.words(second, two),
+        place,
+        stage.bench.env | {"WITNESS_READY": "1"},
+        Streams("closed"),
+        gate="ready",
     )
     try:
         begins = held or _BEGINS[first]
@@ -189,7 +205,10 @@ def _last(console: Console) -> str:
 def _of_the_second(first: str, second: str, a: Console, b: Console) -> Iterator[str]:
     if not shared(first, second):
         if b.status != 0:
-            yield f"{second} ended with {b.status} beside a {first} that shares nothing with it: {_last(b)}"
+            yield (
+                f"{second} ended with {b.status} beside a {first} that shares nothing with it: "
+                f"{_last(b)}"
+            )
         return
     if b.status != 4:
         yield f"{second} ended with {b.status}, must be refused with 4: {_last(b)}"
@@ -252,7 +271,9 @@ def on_transport(transport: str, options: Any) -> Tally:
     return tally
 
 
-def _trial(stage: Stage, first: str, second: str, number: int, dice: random.Random, tally: Tally) -> None:
+def _trial(
+    stage: Stage, first: str, second: str, number: int, dice: random.Random, tally: Tally
+) -> None:
     words = "never met"
     for attempt in range(_REPEATS):
         place = stage.folder / f"{first}-{second}-{number}-{attempt}"
@@ -270,15 +291,21 @@ def _trial(stage: Stage, first: str, second: str, number: int, dice: random.Rand
         return
     else:
         problems = [words]
-    tally.bad.append(f"{stage.bench.transport}: {first}, then {second}, {number}: {'; '.join(problems)}")
+    tally.bad.append(
+        f"{stage.bench.transport}: {first}, then {second}, {number}: {'; '.join(problems)}"
+    )
     print(f"BAD {tally.bad[-1]}", flush=True)
 
 
 def main() -> int:
     """Do the pairs; 1 where one is bad."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--times", type=int, default=20, help="each pair on each transport")
-    parser.add_argument("--only", default="", help="a transport, a first and a second command, with commas between")
+    parser.add_argument(
+        "--only", default="", help="a transport, a first and a second command, with commas between"
+    )
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args()
     began = time.monotonic()
@@ -292,7 +319,8 @@ def main() -> int:
     bad = [words for tally in tallies for words in tally.bad]
     missed = sum(tally.missed for tally in tallies)
     print(
-        f"{good + len(bad)} meetings in {(time.monotonic() - began) / 60:.1f} min; {len(bad)} bad; done again, as "
+        f"{good + len(bad)} meetings in {(time.monotonic() - began) / 60:.1f} min; {len(bad)} "
+        f"bad; done again, as "
         f"they did not meet or the computer was too busy: {missed}"
     )
     return 1 if bad else 0

@@ -1,6 +1,8 @@
-"""What can befall the process of a run, its adapter, its terminal or its disk, and what must come of each.
+"""What can befall the process of a run, its adapter, its terminal or its disk, and what must come
+of each.
 
-All times in s of real time, with the benches of :mod:`tests.long.benches` at 100 Hz. A limit is stated once, here.
+All times in s of real time, with the benches of :mod:`tests.long.benches` at 100 Hz. A limit is
+stated once, here.
 """
 
 from __future__ import annotations
@@ -9,7 +11,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 CAN_WATCH_S = 0.25
-"""The drive's own watch of 0.1 s, a heartbeat or command up to 50 ms old, the ramp, and 20 ms to settle."""
+"""The drive's own watch of 0.1 s, a heartbeat or command up to 50 ms old, the ramp, and 20 ms to
+settle.
+"""
 GUARD_S = 0.25
 """The guardian sees the end of its pipe, brakes, and takes the power off."""
 GUARD_DEADLINE_S = 0.45
@@ -27,10 +31,14 @@ TOLD_S = 3.0
 SUSPENDED_S = 2.0
 LOG_GAP_S = 0.2
 LIMITS = (
-    f"Power off within {STOP_S:g} s of SIGHUP, SIGTERM, SIGTSTP, a terminal that is gone and an input that ends; "
-    f"{NOW_S:g} s of SIGQUIT; {GUARD_S:g} s of SIGKILL on the serial bench (its guardian), {CAN_WATCH_S:g} s on a CAN "
-    f"bus (the drive's own watch), as of a lost adapter there; {GUARD_DEADLINE_S:g} s of a suspension on the serial "
-    f"bench, {CAN_WATCH_S:g} s on a CAN bus; {LINE_S:g} s of garbage that ends a run; {STORAGE_S:g} s of a full "
+    f"Power off within {STOP_S:g} s of SIGHUP, SIGTERM, SIGTSTP, a terminal that is gone and an "
+    f"input that ends; "
+    f"{NOW_S:g} s of SIGQUIT; {GUARD_S:g} s of SIGKILL on the serial bench (its guardian), "
+    f"{CAN_WATCH_S:g} s on a CAN "
+    f"bus (the drive's own watch), as of a lost adapter there; {GUARD_DEADLINE_S:g} s of a "
+    f"suspension on the serial "
+    f"bench, {CAN_WATCH_S:g} s on a CAN bus; {LINE_S:g} s of garbage that ends a run; "
+    f"{STORAGE_S:g} s of a full "
     f"disk. Under power, the verdict is on the terminal {TOLD_S:g} s later."
 )
 
@@ -47,8 +55,9 @@ PHASES: Mapping[str, tuple[str, str, float]] = {
     "disable": ("one", "release", 0.0),
     "between": ("two", "load", 0.1),
 }
-"""Phase to stage and phase as the run calls them, and how long after its beginning it happens; 0 at the very
-beginning. At a prompt it happens once that is on the screen."""
+"""Phase to stage and phase as the run calls them, and how long after its beginning it happens; 0 at
+the very beginning. At a prompt it happens once that is on the screen.
+"""
 ASKING = ("prompt", "between")
 NO_POWER = ("prompt", "prepare", "enable", "between")
 """Where the drive has no power when it happens; ``enable`` may give it some right after."""
@@ -74,7 +83,8 @@ class Must:
         verified: Whether the state is read back; None where either may be, as long as it is said.
         words: What the terminal must show.
         told: Whether there is a terminal and a program left to tell.
-        stays_on: Whether nothing can reach the drive, so that it stays on and the operator must switch it off.
+        stays_on: Whether nothing can reach the drive, so that it stays on and the operator must
+        switch it off.
         record: States of run.json that are true.
     """
 
@@ -130,7 +140,12 @@ def _stdin(transport: str, phase: str) -> Must:
 
 
 def _disk(transport: str, phase: str) -> Must:
-    return Must((4,), STORAGE_S, words="storage error|cannot be written|No space left", record=("failed", "running"))
+    return Must(
+        (4,),
+        STORAGE_S,
+        words="storage error|cannot be written|No space left",
+        record=("failed", "running"),
+    )
 
 
 def _suspended(transport: str, phase: str) -> Must:
@@ -152,7 +167,8 @@ class Column:
     Attributes:
         must: Transport and phase to what must come of it.
         words: What it is, in a sentence of the page.
-        busy: Whether words on lateness then mean that the machine was too busy, rather than that it happened.
+        busy: Whether words on lateness then mean that the machine was too busy, rather than that it
+            happened.
     """
 
     must: Callable[[str, str], Must]
@@ -163,12 +179,14 @@ class Column:
 COLUMNS: Mapping[str, Column] = {
     "adapter gone": Column(
         _adapter_gone,
-        "the other end of the drive's terminal is closed, so that everything gives EIO; the server's connection ends",
+        "the other end of the drive's terminal is closed, so that everything gives EIO; the "
+        "server's connection ends",
         busy=False,
     ),
     "line garbage": Column(
         _garbage,
-        "some 200 bytes of noise and of broken lines of the adapter's own protocol come in on the drive's line",
+        "some 200 bytes of noise and of broken lines of the adapter's own protocol come in on the "
+        "drive's line",
         busy=False,
     ),
     "second program": Column(_ridden, "`rig jog` on the same bench"),
@@ -177,13 +195,19 @@ COLUMNS: Mapping[str, Column] = {
     "SIGTSTP": Column(_stopped, "the signal; Ctrl-Z"),
     "SIGQUIT": Column(_quit, "the signal; Ctrl and backslash"),
     "SIGKILL": Column(_killed, "the signal"),
-    "terminal stalled": Column(_ridden, "Ctrl-S; Ctrl-Q once the run is over, or after 1 s at a prompt"),
-    "terminal gone": Column(_hung_up, "the terminal is hung up, as by an ssh connection that drops"),
+    "terminal stalled": Column(
+        _ridden, "Ctrl-S; Ctrl-Q once the run is over, or after 1 s at a prompt"
+    ),
+    "terminal gone": Column(
+        _hung_up, "the terminal is hung up, as by an ssh connection that drops"
+    ),
     "stdout closed": Column(_unheard, "the pipe behind the standard output has no reader any more"),
     "stdin closed": Column(_stdin, "the pipe before the standard input ends"),
     "disk full": Column(_disk, "the file system of the run folder has no room left"),
     "HOME not writable": Column(
-        _ridden, "HOME is no folder any more; at the prompt: from the start, with a program that may not be written to"
+        _ridden,
+        "HOME is no folder any more; at the prompt: from the start, with a program that may not "
+        "be written to",
     ),
     "suspended 2 s": Column(_suspended, "SIGSTOP, and SIGCONT 2 s later", busy=False),
 }
@@ -192,7 +216,13 @@ START = "start"
 STARTS: Mapping[str, tuple[tuple[str, str], bool, Must]] = {
     "<&-": (("closed", "tty"), False, Must((2, 3), 0.0, verified=None)),
     "--yes <&-": (("closed", "tty"), True, DONE),
-    "--yes > /dev/full": (("tty", "/dev/full"), True, Must((0, 4), told=False, record=("done", "failed"))),
+    "--yes > /dev/full": (
+        ("tty", "/dev/full"),
+        True,
+        Must((0, 4), told=False, record=("done", "failed")),
+    ),
     "--yes >&-": (("tty", "closed"), True, Must((0, 4), told=False, record=("done", "failed"))),
 }
-"""What a run may be started with: standard input and output, whether with ``--yes``, and what must come of it."""
+"""What a run may be started with: standard input and output, whether with ``--yes``, and what must
+come of it.
+"""

@@ -23,7 +23,8 @@ from .process_cases import CYCLING, LOG_GAP_S, STATES, SUSPENDED_S, TOLD_S, Must
 
 VERDICT = r"the drive is de-energised \(read back|could NOT be verified"
 BUSY = re.compile(
-    "sample age|lateness of|heartbeat|no SDO response|no good answer|following error|8130h|did not start|"
+    "sample age|lateness of|heartbeat|no SDO response|no good answer|following error|8130h|did "
+    "not start|"
     "encoder against|tripped: "
 )
 """Words of a run on a computer that is too busy for it."""
@@ -143,7 +144,12 @@ def _told(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[str]:
         yield "it does not say what to do about a drive that may be on"
     told_ns = console.said_ns(VERDICT, ns)
     limit_s = TOLD_S + (SUSPENDED_S if scene.column == "suspended 2 s" else 0.0)
-    if scene.phase in CYCLING and console.status != 0 and told_ns is not None and told_ns - ns > limit_s * NS:
+    if (
+        scene.phase in CYCLING
+        and console.status != 0
+        and told_ns is not None
+        and told_ns - ns > limit_s * NS
+    ):
         yield f"it says so {(told_ns - ns) / NS:.2f} s later, limit {limit_s:g} s"
 
 
@@ -165,7 +171,9 @@ def _recording(scene: Scene, must: Must, ns: int, account: Account) -> Iterator[
         end = max((time_ns for time_ns in frames), default=0)
         last = max((heard for heard in account.heard_ns if heard <= ns), default=0)
         if (last - end) / NS > LOG_GAP_S:
-            yield f"the recording ends {(last - end) / NS:.3f} s before the last that was on the wire"
+            yield (
+                f"the recording ends {(last - end) / NS:.3f} s before the last that was on the wire"
+            )
     wrong = {"running"} | ({"done"} - set(must.record))
     if scene.console.status not in (0, None) and recovered.state in wrong:
         yield f"recovered, the run is {recovered.state}"
@@ -206,6 +214,9 @@ def _second(second: Console, holder: int) -> Iterator[str]:
     if second.status != 4:
         yield f"the second program ended with {second.status}, must be 4: {last_words(said)}"
     if not re.search(rf"\b{holder}\b", said) or "run" not in said:
-        yield f"the second program does not name the holder (run, process {holder}): {last_words(said)}"
+        yield (
+            f"the second program does not name the holder (run, process {holder}): "
+            f"{last_words(said)}"
+        )
     if "Traceback (most recent call last)" in said:
         yield "a traceback of the second program"

@@ -1,8 +1,10 @@
-"""What befalls the process of a run, in every phase, on every transport: what came of it, held against what must.
+"""What befalls the process of a run, in every phase, on every transport: what came of it, held
+against what must.
 
-`python -m tests.long.process_matrix` goes through all of it, the transports side by side, and writes tables and
-messages to docs/faults-processes.md. With `--only WORDS`, words with commas between, it goes through what matches all
-of them (a name of a column, transport or phase each) and only prints.
+`python -m tests.long.process_matrix` goes through all of it, the transports side by side, and
+writes tables and messages to docs/faults-processes.md. With `--only WORDS`, words with commas
+between, it goes through what matches all of them (a name of a column, transport or phase each) and
+only prints.
 """
 
 from __future__ import annotations
@@ -28,7 +30,18 @@ from rig.wiring.guardian import REPORT_FILE
 
 from .benches import TRANSPORTS, Account, Bench, bench_process
 from .console import RIG, ROOT, START_KEY, STOP_KEY, WITNESS, Console, Streams
-from .process_cases import ASKING, COLUMNS, CYCLING, PHASES, SECOND_STAGE, SEQUENCE, START, STARTS, SUSPENDED_S, Must
+from .process_cases import (
+    ASKING,
+    COLUMNS,
+    CYCLING,
+    PHASES,
+    SECOND_STAGE,
+    SEQUENCE,
+    START,
+    STARTS,
+    SUSPENDED_S,
+    Must,
+)
 from .process_checks import BUSY, VERDICT, MissedError, Scene, last_words, problems
 from .process_page import Cell, Cells, said, tables, write
 
@@ -36,11 +49,21 @@ PATIENCE_S = 15.0
 START_S = 40.0
 STALLED_S = 1.0
 SECOND_S = 0.15
-"""How long a run is held at its end for a second program to ask for its bench, s; less than any watchdog."""
+"""How long a run is held at its end for a second program to ask for its bench, s; less than any
+watchdog.
+"""
 REPEATS = 4
-_READ_ONLY = ("unshare", "-m", "sh", "-c", 'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"')
+_READ_ONLY = (
+    "unshare",
+    "-m",
+    "sh",
+    "-c",
+    'mount --bind "$0" "$0" && mount -o remount,ro,bind "$0" && exec "$@"',
+)
 _stopping = threading.Event()
-_SIGNALS = {name: getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGTSTP", "SIGQUIT", "SIGKILL")}
+_SIGNALS = {
+    name: getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGTSTP", "SIGQUIT", "SIGKILL")
+}
 
 
 def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> Scene:
@@ -57,9 +80,14 @@ def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> 
         words.append("--no-first-pass")
     if column in STARTS:
         (stdin, stdout), sure, _ = STARTS[column]
-        console = Console([*words, *(["--yes"] if sure else [])], folder, bench.env, Streams(stdin, stdout))
+        console = Console(
+            [*words, *(["--yes"] if sure else [])], folder, bench.env, Streams(stdin, stdout)
+        )
         return Scene(column, phase, bench, folder, disk, console)
-    streams = Streams("pipe" if column == "stdin closed" else "tty", "pipe" if column == "stdout closed" else "tty")
+    streams = Streams(
+        "pipe" if column == "stdin closed" else "tty",
+        "pipe" if column == "stdout closed" else "tty",
+    )
     stage, name, after_s = PHASES[phase]
     gate = "" if after_s else f"{stage}/{name}"
     env = bench.env | {"HOME": str(home)}
@@ -72,7 +100,11 @@ def started(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> 
     scene = Scene(column, phase, bench, folder, disk, console)
     if column == "second program":
         scene.second = Console(
-            ["jog", str(file), "--to", "3"], folder, bench.env | {"WITNESS_READY": "1"}, Streams("closed"), "ready"
+            ["jog", str(file), "--to", "3"],
+            folder,
+            bench.env | {"WITNESS_READY": "1"},
+            Streams("closed"),
+            "ready",
         )
     return scene
 
@@ -164,7 +196,8 @@ def aftermath(scene: Scene, ns: int) -> None:
     """Do what the operator does after that, until the run has ended or should have."""
     console, column = scene.console, scene.column
     if scene.second is not None and scene.phase == "disable":
-        # A run that is over gives its bench to whoever asks next: it must still be there when the second one asks.
+        # A run that is over gives its bench to whoever asks next: it must still be there when the
+        # second one asks.
         scene.second.until(lambda: scene.second is None or scene.second.ended, SECOND_S)
     if scene.phase != START and not PHASES[scene.phase][2]:
         console.open_gate()
@@ -196,7 +229,9 @@ def _stalled(scene: Scene) -> None:
         console.pause(STALLED_S)
     else:
         state = scene.run / "run.json"
-        over = console.until(lambda: console.ended or _state(state) not in ("", "running"), PATIENCE_S / 2)
+        over = console.until(
+            lambda: console.ended or _state(state) not in ("", "running"), PATIENCE_S / 2
+        )
         if not over:
             scene.also.append("the run does not go on while the terminal is stalled")
         if scene.bench.account().on:
@@ -242,7 +277,9 @@ def once(column: str, phase: str, bench: Bench, folder: Path, disk: Path) -> tup
         busy = bool((at_start or COLUMNS[column].busy) and BUSY.search(text)) or any(
             ns < when < ns + NS for when, _ in account.pauses
         )
-        return Cell(_cell_text(scene, must, ns, account, found), found, said, 0, account.off_after_s(ns)), busy
+        return Cell(
+            _cell_text(scene, must, ns, account, found), found, said, 0, account.off_after_s(ns)
+        ), busy
     finally:
         scene.console.close()
         if scene.second is not None:
@@ -270,7 +307,13 @@ def _cell_text(scene: Scene, must: Must, ns: int, account: Account, found: Seque
     text = "-" if status is None else f"{status}"
     off_s = account.off_after_s(ns)
     if status != 0 or scene.column == "SIGKILL":
-        text += ", ON" if off_s is None else f", {off_s:.2f} s" if account.ever_on(ns, ns + NS) else ", off"
+        text += (
+            ", ON"
+            if off_s is None
+            else f", {off_s:.2f} s"
+            if account.ever_on(ns, ns + NS)
+            else ", off"
+        )
         if must.verified is False or not must.told:
             text += "*"
     return text + (" !!" if found else "")
@@ -299,9 +342,14 @@ def small_disk(folder: Path) -> Iterator[Path]:
     """Make a file system of its own that can be filled; a mere folder where that is not allowed."""
     disk = folder / "disk"
     disk.mkdir(parents=True)
-    mounted = subprocess.run(["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)], capture_output=True)
+    mounted = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=8m", "tmpfs", str(disk)], capture_output=True
+    )
     if mounted.returncode:
-        print("no file system of its own can be mounted; a full disk is a limit on the size of files instead")
+        print(
+            "no file system of its own can be mounted; a full disk is a limit on the size of "
+            "files instead"
+        )
     try:
         yield disk
     finally:
@@ -315,7 +363,9 @@ Wanted = Callable[[str, str, str], bool]
 def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
     """Do all cells of a transport, one after another."""
     cells: Cells = {}
-    todo = [(column, phase) for column in COLUMNS for phase in PHASES] + [(start, START) for start in STARTS]
+    todo = [(column, phase) for column in COLUMNS for phase in PHASES] + [
+        (start, START) for start in STARTS
+    ]
     todo = [(column, phase) for column, phase in todo if wanted(column, transport, phase)]
     if not todo:
         return cells
@@ -326,7 +376,11 @@ def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
             began = time.monotonic()
             made = cells[column, transport, phase] = cell(column, phase, bench, folder, disk)
             again = f", {made.busy} repeats" if made.busy else ""
-            print(f"{transport}, {column}, {phase}: {made.text} ({time.monotonic() - began:.1f} s{again})", flush=True)
+            print(
+                f"{transport}, {column}, {phase}: {made.text} ({time.monotonic() - began:.1f} "
+                f"s{again})",
+                flush=True,
+            )
             for problem in made.problems:
                 print(f"    {problem}", flush=True)
     return cells
@@ -335,7 +389,9 @@ def on_transport(transport: str, wanted: Wanted, folder: Path) -> Cells:
 def main() -> int:
     """Do the cells; 1 where something is not as it must be."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", default="", help="words with commas between; several of one kind are alternatives")
+    parser.add_argument(
+        "--only", default="", help="words with commas between; several of one kind are alternatives"
+    )
     parser.add_argument("--json", type=Path, help="keep the cells here")
     options = parser.parse_args()
     words = [word.strip() for word in options.only.split(",") if word.strip()]
@@ -360,7 +416,8 @@ def main() -> int:
     again = sum(made.busy for made in cells.values())
     print("\n".join(lines))
     print(
-        f"{len(cells)} cells in {(time.monotonic() - began) / 60:.1f} min; {len(bad)} bad; repeated because the "
+        f"{len(cells)} cells in {(time.monotonic() - began) / 60:.1f} min; {len(bad)} bad; "
+        f"repeated because the "
         f"machine was too busy or the moment was missed: {again}, in "
         f"{sum(bool(made.busy) for made in cells.values())} cells"
     )

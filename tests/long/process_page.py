@@ -1,4 +1,6 @@
-"""The page on what befalls the process of a run: tables, and each message once as the operator sees it."""
+"""The page on what befalls the process of a run: tables, and each message once as the operator sees
+it.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +13,14 @@ from .console import ROOT
 from .process_cases import COLUMNS, LIMITS, PHASES, START, STARTS
 
 PAGE = ROOT / "docs" / "faults-processes.md"
-COLUMNS_BEGIN, COLUMNS_END = "<!-- columns: written by tests/long/process_matrix.py -->", "<!-- end of columns -->"
-BEGIN, END = "<!-- processes: written by tests/long/process_matrix.py -->", "<!-- end of processes -->"
+COLUMNS_BEGIN, COLUMNS_END = (
+    "<!-- columns: written by tests/long/process_matrix.py -->",
+    "<!-- end of columns -->",
+)
+BEGIN, END = (
+    "<!-- processes: written by tests/long/process_matrix.py -->",
+    "<!-- end of processes -->",
+)
 
 
 @dataclass(frozen=True)
@@ -42,7 +50,12 @@ def tables(cells: Cells) -> list[str]:
     """Return the tables of the page."""
     lines: list[str] = []
     for transport in TRANSPORTS:
-        lines += [f"### {TITLES[transport]}", "", f"| | {' | '.join(PHASES)} |", "|---" * (len(PHASES) + 1) + "|"]
+        lines += [
+            f"### {TITLES[transport]}",
+            "",
+            f"| | {' | '.join(PHASES)} |",
+            "|---" * (len(PHASES) + 1) + "|",
+        ]
         for column in COLUMNS:
             row = [cells.get((column, transport, phase), Cell("", ())).text for phase in PHASES]
             if any(row):
@@ -61,12 +74,20 @@ def said(cells: Cells) -> list[str]:
     seen: dict[str, tuple[str, tuple[str, str, str], int]] = {}
     for place, made in cells.items():
         for message in made.messages:
-            key = re.sub(r"[-+]?\d+(\.\d+)?", "#", re.sub(r"stage \w+, phase [\w ]+:|/\S+", "@", message))
+            key = re.sub(
+                r"[-+]?\d+(\.\d+)?", "#", re.sub(r"stage \w+, phase [\w ]+:|/\S+", "@", message)
+            )
             first = seen.get(key)
             seen[key] = (message, place, 1) if first is None else (first[0], first[1], first[2] + 1)
     lines = []
     for message, (column, transport, phase), count in seen.values():
-        lines += [f"- {column}, {phase}, {transport} ({count} in all):", "", "  ```text", f"  {message}", "  ```"]
+        lines += [
+            f"- {column}, {phase}, {transport} ({count} in all):",
+            "",
+            "  ```text",
+            f"  {message}",
+            "  ```",
+        ]
     return lines
 
 
@@ -74,9 +95,14 @@ def write(lines: Sequence[str], messages: Sequence[str], cells: Cells) -> None:
     """Put tables and messages into the page."""
     bad = sum(bool(made.problems) for made in cells.values())
     again = sum(made.busy for made in cells.values())
-    count = f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
+    count = (
+        f"{len(cells)} cells, {bad} of them bad; {again} repeats because the machine was too busy."
+    )
     body = [count, "", *lines, "## What the operator sees", "", *messages]
-    limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + ["", f"**Limits.** {LIMITS}"]
+    limits = [f"- **{name}**: {column.words}" for name, column in COLUMNS.items()] + [
+        "",
+        f"**Limits.** {LIMITS}",
+    ]
     text = between(PAGE.read_text(), COLUMNS_BEGIN, COLUMNS_END, limits)
     PAGE.write_text(between(text, BEGIN, END, body))
 

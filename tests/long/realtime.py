@@ -1,12 +1,14 @@
-"""The real-time path: Figure 10 over `slcan` on a pseudo-terminal with the machine's own clock, then identified.
+"""The real-time path: Figure 10 over `slcan` on a pseudo-terminal with the machine's own clock,
+then identified.
 
 python -m tests.long.realtime [--cycle HZ] [--out DIR]
 
-The simulated bench lives in a process of its own, as behind a real adapter; nothing is held to simulated time, and a
-run takes as long as on a bench; the operator's answers are typed into its console as the weights are hung. The limits
-on lateness and sample age are those of a desktop computer. Each 90 % interval must have a value in common with that of
-the same run in simulated time; what late cycles leave unidentifiable is shown as such. The machine should have nothing
-else to do.
+The simulated bench lives in a process of its own, as behind a real adapter; nothing is held to
+simulated time, and a run takes as long as on a bench; the operator's answers are typed into its
+console as the weights are hung. The limits on lateness and sample age are those of a desktop
+computer. Each 90 % interval must have a value in common with that of the same run in simulated
+time; what late cycles leave unidentifiable is shown as such. The machine should have nothing else
+to do.
 """
 
 from __future__ import annotations
@@ -86,7 +88,9 @@ def operate(controller: Any, bench: Bench) -> str:
 
 def main() -> int:
     """Run both ways, print the nine side by side; 1 where an interval misses the other's."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--cycle", type=int, default=250, help="cycles per second (default 250)")
     parser.add_argument("--out", type=Path, help="keep the runs here")
     options = parser.parse_args()
@@ -100,7 +104,13 @@ def main() -> int:
         print(summary(read_record(real).parts[-1].timing))
         simulated = folder / "simulated"
         quietly(
-            "run", "figure10", "--bench", str(on_simulated_bus(folder, options.cycle)), "--yes", "--out", str(simulated)
+            "run",
+            "figure10",
+            "--bench",
+            str(on_simulated_bus(folder, options.cycle)),
+            "--yes",
+            "--out",
+            str(simulated),
         )
         a, b = identified(real), identified(simulated)
     rows, missed = [], 0
@@ -109,19 +119,29 @@ def main() -> int:
         both = here["value"] is not None and there["value"] is not None
         apart = both and (here["low"] > there["high"] or there["low"] > here["high"])
         missed += apart
-        rows.append([parameter, number(true), _interval(here), _interval(there), "apart" if apart else ""])
+        rows.append(
+            [parameter, number(true), _interval(here), _interval(there), "apart" if apart else ""]
+        )
     print(table(["parameter", "true", "real time, slcan", "simulated time", ""], rows))
     return 1 if missed else 0
 
 
 def _interval(found: dict[str, Any]) -> str:
-    return "-" if found["value"] is None else f"{found['value']:.5g} [{found['low']:.5g}, {found['high']:.5g}]"
+    return (
+        "-"
+        if found["value"] is None
+        else f"{found['value']:.5g} [{found['low']:.5g}, {found['high']:.5g}]"
+    )
 
 
 def on_simulated_bus(folder: Path, cycle_Hz: int) -> Path:
     """Write the same bench with the bus in simulated time."""
     path = folder / "simulated.yaml"
-    path.write_text(resolve("practical", "benches").read_text().replace("cycle_Hz: 1000", f"cycle_Hz: {cycle_Hz}"))
+    path.write_text(
+        resolve("practical", "benches")
+        .read_text()
+        .replace("cycle_Hz: 1000", f"cycle_Hz: {cycle_Hz}")
+    )
     return path
 
 

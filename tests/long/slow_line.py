@@ -1,6 +1,7 @@
 """A command behind a terminal line of 9600 baud: `python -m tests.long.slow_line COMMAND...`.
 
-What it writes comes through at 960 bytes a second; behind that its own terminal fills, as a serial console's does.
+What it writes comes through at 960 bytes a second; behind that its own terminal fills, as a serial
+console's does.
 """
 
 from __future__ import annotations
@@ -48,7 +49,9 @@ def main() -> int:
 
 
 def relay(outside: int, inside: int) -> None:
-    """Pass keys on at once and what is written at the speed of the line, until the other side is closed."""
+    """Pass keys on at once and what is written at the speed of the line, until the other side is
+    closed.
+    """
     due = time.monotonic()
     while True:
         wait_s = due - time.monotonic()

@@ -1,7 +1,9 @@
-"""What is on the screen, tried as an operator in tmux: typing ahead, Ctrl-C, resizing, narrow and slow terminals.
+"""What is on the screen, tried as an operator in tmux: typing ahead, Ctrl-C, resizing, narrow and
+slow terminals.
 
-`python -m tests.long.terminal [--only WORDS] [--jobs N]`, on the serial bench unless `--transport` says another.
-Screens at the telling moments go to docs/operator-screens.md where everything is tried. It needs tmux.
+`python -m tests.long.terminal [--only WORDS] [--jobs N]`, on the serial bench unless `--transport`
+says another. Screens at the telling moments go to docs/operator-screens.md where everything is
+tried. It needs tmux.
 """
 
 from __future__ import annotations
@@ -36,7 +38,9 @@ _REPEATS = 4
 
 @dataclass(frozen=True)
 class Result:
-    """How a trial went: what is not as it must be or could be nicer, the screens, and how often it was repeated."""
+    """How a trial went: what is not as it must be or could be nicer, the screens, and how often it
+    was repeated.
+    """
 
     problems: tuple[str, ...]
     remarks: tuple[str, ...]
@@ -88,7 +92,9 @@ def worker(transport: str, todo: queue.Queue[str], results: dict[str, Result]) -
 
 def main() -> int:
     """Try everything; 1 where something is not as it must be."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--only", default="", help="what the name of a trial must hold")
     parser.add_argument("--transport", choices=TRANSPORTS, default="serial")
     parser.add_argument("--jobs", type=int, default=3, help="terminals side by side")
@@ -103,7 +109,10 @@ def main() -> int:
     results: dict[str, Result] = {}
     began = time.monotonic()
     jobs = min(options.jobs, len(names))
-    threads = [threading.Thread(target=worker, args=(options.transport, todo, results)) for _ in range(jobs)]
+    threads = [
+        threading.Thread(target=worker, args=(options.transport, todo, results))
+        for _ in range(jobs)
+    ]
     for thread in threads:
         thread.start()
     try:
@@ -114,7 +123,8 @@ def main() -> int:
     bad = sum(bool(result.problems) for result in results.values())
     again = sum(result.repeats for result in results.values())
     words = (
-        f"{len(results)} of {len(names)} trials in {(time.monotonic() - began) / 60:.1f} min, {bad} bad; done again on "
+        f"{len(results)} of {len(names)} trials in {(time.monotonic() - began) / 60:.1f} min, "
+        f"{bad} bad; done again on "
         f"a computer too busy: {again}"
     )
     print(words)

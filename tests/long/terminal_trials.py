@@ -23,7 +23,8 @@ name: weights
 stages:
   - {name: one, stage: unloaded, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 0.8,
      center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.3}
-  - {name: two, stage: loaded, weight_kg: 5, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}], duration_s: 0.8,
+  - {name: two, stage: loaded, weight_kg: 5, tones: [{amplitude_deg: 4, frequency_Hz: 1.5}],
+     duration_s: 0.8,
      center_deg: 8, ramp_in_s: 0.1, ramp_out_s: 0.2, settle_s: 0.3}
 """
 RUN = "rig run sequence.yaml --bench bench.yaml --out run"
@@ -57,7 +58,9 @@ def type_ahead(desk: Desk) -> None:
         time.sleep(0.2)
     desk.wait_for_prompt(1)
     time.sleep(_WATCHED_S)
-    desk.expect(not desk.answered("one"), "the first prompt was answered by what was typed before it")
+    desk.expect(
+        not desk.answered("one"), "the first prompt was answered by what was typed before it"
+    )
     desk.capture("Typed ahead of the first prompt: it waits")
     if not desk.answered("one"):
         answer(desk)
@@ -70,7 +73,9 @@ def type_ahead(desk: Desk) -> None:
         raise MissedError(f"there was no second prompt: {desk.tmux.everything()[-400:]}")
     time.sleep(_WATCHED_S)
     desk.capture("Typed ahead of the second prompt, under power: it waits")
-    desk.expect(not desk.answered("two"), "the second prompt was answered by what was typed under power")
+    desk.expect(
+        not desk.answered("two"), "the second prompt was answered by what was typed under power"
+    )
     if desk.status() is None and not desk.answered("two"):
         desk.wait_for_prompt(1)
         answer(desk)
@@ -125,7 +130,10 @@ def resized(desk: Desk) -> None:
     desk.tmux.resize(80)
     text = desk.tmux.everything()
     check_screen(desk, desk.status(), 0)
-    desk.expect(text.count("Mass on the lever") == 2, "prompts are on the screen more often than they were asked")
+    desk.expect(
+        text.count("Mass on the lever") == 2,
+        "prompts are on the screen more often than they were asked",
+    )
 
 
 def narrow(desk: Desk) -> None:
@@ -139,7 +147,10 @@ def narrow(desk: Desk) -> None:
     desk.capture("40 columns, in motion")
     screen = desk.tmux.screen()
     desk.problems += tidy(desk.tmux.everything(), 40)
-    desk.expect(len(re.findall(r"\d+ ?/ ?\d+ s", screen)) <= 1, f"more than one line of progress: {screen[-300:]}")
+    desk.expect(
+        len(re.findall(r"\d+ ?/ ?\d+ s", screen)) <= 1,
+        f"more than one line of progress: {screen[-300:]}",
+    )
     desk.wait_for_prompt(2)
     answer(desk)
     check_screen(desk, desk.wait_for_end(), 0)
@@ -231,7 +242,10 @@ def second_program(desk: Desk) -> None:
         status = desk.wait_for_end(START_S)
         desk.capture("A second program on a bench that a run holds")
         check_screen(desk, status, 4, verdict=False)
-        desk.expect(str(first.pid) in desk.tmux.everything(), "it does not name the process that holds the bench")
+        desk.expect(
+            str(first.pid) in desk.tmux.everything(),
+            "it does not name the process that holds the bench",
+        )
         account = desk.bench.account()
         desk.expect(not any(on for _, on in account.powered), "it has energised the drive")
         first.hold = False
@@ -280,14 +294,25 @@ def _check_stopped(desk: Desk, phase: str, ns: int) -> None:
     off_s = account.off_after_s(ns)
     desk.expect(off_s is not None and off_s < 0.5, f"off {off_s} s after the first Ctrl-C")
     if phase in ASKING:
-        desk.expect(not account.ever_on(ns, time.monotonic_ns()), "it was energised after Ctrl-C at the prompt")
+        desk.expect(
+            not account.ever_on(ns, time.monotonic_ns()),
+            "it was energised after Ctrl-C at the prompt",
+        )
     run = desk.folder / "run"
     desk.expect((run / "run.html").exists(), "there is no run.html")
     record = json.loads((run / "run.json").read_text())
     desk.expect(record["state"] == "stopped", f"run.json says {record['state']}")
-    desk.expect(record["de_energised"] is True, f"run.json says de_energised {record['de_energised']}")
-    desk.expect("read back" in unwrapped(desk.tmux.everything()), "it does not say that the state was read back")
-    desk.expect(re.search(r"^one +unloaded", desk.tmux.everything(), re.MULTILINE), "the table of stages is missing")
+    desk.expect(
+        record["de_energised"] is True, f"run.json says de_energised {record['de_energised']}"
+    )
+    desk.expect(
+        "read back" in unwrapped(desk.tmux.everything()),
+        "it does not say that the state was read back",
+    )
+    desk.expect(
+        re.search(r"^one +unloaded", desk.tmux.everything(), re.MULTILINE),
+        "the table of stages is missing",
+    )
 
 
 def jog_interrupted(count: int) -> Callable[[Desk], None]:
@@ -356,7 +381,9 @@ Trial = Callable[[Desk], None]
 
 
 def trials() -> Mapping[str, tuple[Trial, int, str]]:
-    """Return everything that is tried: name to what it is, the columns of its terminal, and its sequence."""
+    """Return everything that is tried: name to what it is, the columns of its terminal, and its
+    sequence.
+    """
     both = SEQUENCE + SECOND_STAGE
     found: dict[str, tuple[Trial, int, str]] = {
         "ordinary": (ordinary, 80, both),

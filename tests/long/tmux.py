@@ -1,4 +1,6 @@
-"""A terminal as an operator has it: tmux with one pane and a shell in it, keys to press, and the text on the screen."""
+"""A terminal as an operator has it: tmux with one pane and a shell in it, keys to press, and the
+text on the screen.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ renice -n -5 $$ >/dev/null 2>&1
 export PYTHONPATH={root} OPENBLAS_NUM_THREADS=1
 rig() {{ WITNESS=9 WITNESS_GATE="$GATE@8" {python} -m tests.long.witness "$@" 9>>notices 8<>gate; }}
 slow() {{
-  WITNESS=9 WITNESS_GATE="@8" {python} -m tests.long.slow_line {python} -m tests.long.witness "$@" 9>>notices 8<>gate
+  WITNESS=9 WITNESS_GATE="@8" {python} -m tests.long.slow_line \\
+    {python} -m tests.long.witness "$@" 9>>notices 8<>gate
 }}
 go() {{ clear; "$@"; echo "status $?"; }}
 """
@@ -37,13 +40,16 @@ class Tmux:
     """A server of its own with one session; a context manager.
 
     Args:
-        folder: In which the shell is started; its file of settings and its witness's notices go there.
+        folder: In which the shell is started; its file of settings and its witness's notices go
+        there.
         env: Additions to the environment.
         columns: Of the terminal.
         lines: Of the terminal.
     """
 
-    def __init__(self, folder: Path, env: Mapping[str, str], columns: int = 80, lines: int = 24) -> None:
+    def __init__(
+        self, folder: Path, env: Mapping[str, str], columns: int = 80, lines: int = 24
+    ) -> None:
         self.folder = folder
         self.columns = columns
         self._name = f"loadrig-{uuid.uuid4().hex[:8]}"
@@ -65,13 +71,18 @@ class Tmux:
         return self
 
     def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
     ) -> None:
         """End the server and what runs in it."""
         subprocess.run(["tmux", "-L", self._name, "kill-server"], capture_output=True)
 
     def _tmux(self, *words: str) -> str:
-        return subprocess.run(["tmux", "-L", self._name, *words], check=True, capture_output=True, text=True).stdout
+        return subprocess.run(
+            ["tmux", "-L", self._name, *words], check=True, capture_output=True, text=True
+        ).stdout
 
     def type(self, text: str) -> None:
         """Type text, without Enter."""

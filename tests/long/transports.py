@@ -2,10 +2,10 @@
 
 python tests/long/transports.py [--seeds N] [--seconds S]
 
-CANopen on the simulated bus is what the others are held against. Bytes of the EPOS4 and AMT21 lines and of the slcan
-adapter go through pseudo-terminals, those of socketcand through a loopback socket, in simulated time, so that a busy
-machine changes nothing. Two honest 90 % intervals of one value miss each other in 2 % of cases; this passes where at
-most 5 % of the pairs do.
+CANopen on the simulated bus is what the others are held against. Bytes of the EPOS4 and AMT21 lines
+and of the slcan adapter go through pseudo-terminals, those of socketcand through a loopback socket,
+in simulated time, so that a busy machine changes nothing. Two honest 90 % intervals of one value
+miss each other in 2 % of cases; this passes where at most 5 % of the pairs do.
 """
 
 from __future__ import annotations
@@ -58,7 +58,9 @@ _Twin = tuple[SimulatedBench, Any]
 
 @contextlib.contextmanager
 def wired(transport: str) -> Iterator[None]:
-    """Put real pseudo-terminals or sockets between the host and the simulated bench, where the transport has any."""
+    """Put real pseudo-terminals or sockets between the host and the simulated bench, where the
+    transport has any.
+    """
     ports = Ports()
     with contextlib.ExitStack() as stack:
         stack.callback(ports.close)
@@ -70,8 +72,12 @@ def wired(transport: str) -> Iterator[None]:
         yield
 
 
-def _over_ptys(ports: Ports) -> Callable[[SimulatedBench, str, int, Station], Callable[[], BytePort]]:
-    def line(twin: SimulatedBench, _name: str, baud: int, station: Station) -> Callable[[], BytePort]:
+def _over_ptys(
+    ports: Ports,
+) -> Callable[[SimulatedBench, str, int, Station], Callable[[], BytePort]]:
+    def line(
+        twin: SimulatedBench, _name: str, baud: int, station: Station
+    ) -> Callable[[], BytePort]:
         path = ports.open_pty(station)
         return lambda: LockStepSerial(path, baud, LockStep(twin.clock, ports, path))
 
@@ -79,7 +85,9 @@ def _over_ptys(ports: Ports) -> Callable[[SimulatedBench, str, int, Station], Ca
 
 
 def _over_slcan(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench]]:
-    def link(bench: Any, servo: Any, bus: Any, seed: int, attach: Any) -> tuple[CanopenLink, SimulatedBench]:
+    def link(
+        bench: Any, servo: Any, bus: Any, seed: int, attach: Any
+    ) -> tuple[CanopenLink, SimulatedBench]:
         twin, clock = connect._twin(bench, servo, bus.bitrate, seed, attach)
         assert twin is not None
         path = ports.open_pty(LawicelAdapter(twin.bus))
@@ -94,12 +102,20 @@ def _over_slcan(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench
 
 
 def _over_socketcand(ports: Ports) -> Callable[..., tuple[CanopenLink, SimulatedBench]]:
-    def link(bench: Any, servo: Any, bus: Any, seed: int, attach: Any) -> tuple[CanopenLink, SimulatedBench]:
+    def link(
+        bench: Any, servo: Any, bus: Any, seed: int, attach: Any
+    ) -> tuple[CanopenLink, SimulatedBench]:
         twin, clock = connect._twin(bench, servo, bus.bitrate, seed, attach)
         assert twin is not None
         port = ports.open_socket(SocketcandServer(twin.bus))
         step = LockStep(twin.clock, ports, port)
-        options = {"interface": "socketcand", "channel": "can0", "host": "127.0.0.1", "port": port, "tcp_tune": True}
+        options = {
+            "interface": "socketcand",
+            "channel": "can0",
+            "host": "127.0.0.1",
+            "port": port,
+            "tcp_tune": True,
+        }
 
         def client() -> LockStepCan:
             opened = served_meanwhile(ports, lambda: can.Bus(**options))
@@ -112,12 +128,24 @@ def _over_socketcand(ports: Ports) -> Callable[..., tuple[CanopenLink, Simulated
     return link
 
 
-def identified(transport: str, sequence: Path, seed: int, folder: Path) -> dict[str, dict[str, Any]]:
+def identified(
+    transport: str, sequence: Path, seed: int, folder: Path
+) -> dict[str, dict[str, Any]]:
     """Run and identify; return parameter name to its record."""
     name = f"{list(BENCHES).index(transport)}-{seed}"
     run, result = folder / name, folder / f"{name}.json"
     commands = (
-        ["run", str(sequence), "--yes", "--bench", BENCHES[transport], "--seed", str(seed), "--out", str(run)],
+        [
+            "run",
+            str(sequence),
+            "--yes",
+            "--bench",
+            BENCHES[transport],
+            "--seed",
+            str(seed),
+            "--out",
+            str(run),
+        ],
         ["identify", str(run), "--out", str(run / "identified"), "--json", str(result)],
     )
     for words in commands:
@@ -125,7 +153,9 @@ def identified(transport: str, sequence: Path, seed: int, folder: Path) -> dict[
         with wired(transport), contextlib.redirect_stdout(said), contextlib.redirect_stderr(said):
             code = status(words)
         if code:
-            raise SystemExit(f"{transport}: rig {' '.join(words)} ended with status {code}: {said.getvalue()}")
+            raise SystemExit(
+                f"{transport}: rig {' '.join(words)} ended with status {code}: {said.getvalue()}"
+            )
     parameters: dict[str, dict[str, Any]] = json.loads(result.read_text())["parameters"]
     return parameters
 
@@ -133,7 +163,11 @@ def identified(transport: str, sequence: Path, seed: int, folder: Path) -> dict[
 def figure10(folder: Path, seconds: float) -> Path:
     """Write the Figure 10 sequence with stages of that many seconds."""
     path = folder / "figure10.yaml"
-    path.write_text(resolve("figure10", "sequences").read_text().replace("duration_s: 20", f"duration_s: {seconds:g}"))
+    path.write_text(
+        resolve("figure10", "sequences")
+        .read_text()
+        .replace("duration_s: 20", f"duration_s: {seconds:g}")
+    )
     return path
 
 
@@ -149,7 +183,9 @@ def overlaps(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 def main(argv: list[str] | None = None) -> int:
     """Print the comparison; return 1 where too many pairs of intervals do not overlap."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=20.0, help="of each of the two stages")
     options = parser.parse_args(argv)
@@ -162,20 +198,33 @@ def main(argv: list[str] | None = None) -> int:
         sequence = figure10(folder, options.seconds)
         for transport in BENCHES:
             began = time.monotonic()
-            found[transport] = [identified(transport, sequence, seed, folder) for seed in range(options.seeds)]
-            print(f"{transport}: {(time.monotonic() - began) / options.seeds:.1f} s a run", flush=True)
+            found[transport] = [
+                identified(transport, sequence, seed, folder) for seed in range(options.seeds)
+            ]
+            print(
+                f"{transport}: {(time.monotonic() - began) / options.seeds:.1f} s a run", flush=True
+            )
     return report(found, truth, options.seeds)
 
 
 def report(found: Mapping[str, Found], truth: Mapping[str, float], seeds: int) -> int:
-    """Print values and intervals of the first seed, errors over all, and the count of pairs that miss each other."""
+    """Print values and intervals of the first seed, errors over all, and the count of pairs that
+    miss each other.
+    """
     first, *others = found
     head = ["parameter", "true", *found]
     rows = []
     for name, true in truth.items():
         cells = (found[transport][0][name] for transport in found)
         rows.append(
-            [name, number(true), *(f"{number(c['value'])} ({number(c['low'])} to {number(c['high'])})" for c in cells)]
+            [
+                name,
+                number(true),
+                *(
+                    f"{number(c['value'])} ({number(c['low'])} to {number(c['high'])})"
+                    for c in cells
+                ),
+            ]
         )
     print(table(head, rows))
     rows = []
@@ -185,16 +234,23 @@ def report(found: Mapping[str, Found], truth: Mapping[str, float], seeds: int) -
             known = [run[name] for run in runs if run[name]["value"] is not None]
             error = median(abs(item["value"] / true - 1.0) for item in known) if known else None
             held = sum(item["low"] <= true <= item["high"] for item in known)
-            cells.append(f"{number(None if error is None else 100 * error, 3)} ({held}/{len(known)})")
+            cells.append(
+                f"{number(None if error is None else 100 * error, 3)} ({held}/{len(known)})"
+            )
         rows.append([name, *cells])
     print(table(["error %, truth in interval", *found], rows, right=range(1, 1 + len(found))))
     bad = False
     for transport in others:
-        pairs = [(a[name], b[name]) for a, b in zip(found[first], found[transport], strict=True) for name in truth]
+        pairs = [
+            (a[name], b[name])
+            for a, b in zip(found[first], found[transport], strict=True)
+            for name in truth
+        ]
         apart = sum(not overlaps(*pair) for pair in pairs)
         bad |= apart > MISSES * len(pairs)
         print(
-            f"{transport}: {apart} of {len(pairs)} pairs of intervals do not overlap those of {first}, or are missing"
+            f"{transport}: {apart} of {len(pairs)} pairs of intervals do not overlap those of "
+            f"{first}, or are missing"
         )
     return 1 if bad else 0
 

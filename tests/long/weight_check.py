@@ -1,4 +1,5 @@
-"""How often the weight check is right: stages on the simulated bench with right and wrong masses, through `rig run`.
+"""How often the weight check is right: stages on the simulated bench with right and wrong masses,
+through `rig run`.
 
 Run from the root of the repository; takes some minutes.
 """
@@ -27,7 +28,8 @@ STAGE = """\
 sequence: 1
 name: weighing
 stages:
-  - {{name: loaded, stage: loaded, weight_kg: {mass:.3f}, tones: [{{amplitude_deg: 20, frequency_Hz: 0.2}}],
+  - {{name: loaded, stage: loaded, weight_kg: {mass:.3f}, tones: [{{amplitude_deg: 20,
+     frequency_Hz: 0.2}}],
      duration_s: 7, ramp_in_s: 1, ramp_out_s: 1}}
 """
 LEAST_ERROR, GREATEST_ERROR = 0.15, 0.5
@@ -53,12 +55,27 @@ def quietly(*arguments: str) -> int:
 def identification(folder: Path, bench: str) -> Path:
     """Identify the bench by the Figure 10 sequence; return the result file."""
     result = folder / "identification.json"
-    assert quietly("run", "figure10", "--bench", bench, "--yes", "--seed", "1000", "--out", str(folder / "first")) == 0
+    assert (
+        quietly(
+            "run",
+            "figure10",
+            "--bench",
+            bench,
+            "--yes",
+            "--seed",
+            "1000",
+            "--out",
+            str(folder / "first"),
+        )
+        == 0
+    )
     assert quietly("identify", str(folder / "first"), "--json", str(result)) == 0
     return result
 
 
-def verdict(folder: Path, bench: str, known: Path, label_kg: float, hung_kg: float, seed: int) -> dict[str, object]:
+def verdict(
+    folder: Path, bench: str, known: Path, label_kg: float, hung_kg: float, seed: int
+) -> dict[str, object]:
     """Run one stage; return what its weight check found."""
     sequence, out = folder / "stage.yaml", folder / f"run{seed}"
     sequence.write_text(STAGE.format(mass=label_kg))
@@ -72,24 +89,31 @@ def verdict(folder: Path, bench: str, known: Path, label_kg: float, hung_kg: flo
         return dict(record.weights[0])
     if record.trip is None or "phase first pass" not in record.message:
         raise SystemExit(f"the run ended before its weight check: {record.message}")
-    # So much too heavy that a limit of the first pass trips: it never gets to full amplitude either.
+    # So much too heavy that a limit of the first pass trips: it never gets to full amplitude
+    # either.
     return {"verdict": "wrong", "measured_kg": None, "message": record.message}
 
 
 def draw(kind: str, number: int, rng: np.random.Generator) -> tuple[float, float]:
-    """Return label and hung mass of one stage, kg; every other wrong one is wrong by no more than must be found."""
+    """Return label and hung mass of one stage, kg; every other wrong one is wrong by no more than
+    must be found.
+    """
     label = round(float(rng.uniform(LIGHTEST_KG, HEAVIEST_KG)), 3)
     wrong_by = LEAST_ERROR if number % 2 else float(rng.uniform(LEAST_ERROR, GREATEST_ERROR))
     return label, label * (1.0 + SIGNS[kind] * wrong_by)
 
 
-def judged(kind: str, stages: int, folder: Path, bench: str, known: Path, rng: np.random.Generator) -> Kind:
+def judged(
+    kind: str, stages: int, folder: Path, bench: str, known: Path, rng: np.random.Generator
+) -> Kind:
     """Run all stages of one kind; says each that was misjudged."""
     hits, errors, tripped = 0, [], 0
     wanted = "wrong" if SIGNS[kind] else "right"
     for number in range(stages):
         label, hung = draw(kind, number, rng)
-        found = verdict(folder, bench, known, label, hung, 10_000 * (1 + list(SIGNS).index(kind)) + number)
+        found = verdict(
+            folder, bench, known, label, hung, 10_000 * (1 + list(SIGNS).index(kind)) + number
+        )
         hits += found["verdict"] == wanted
         measured = found["measured_kg"]
         errors += [] if measured is None else [float(str(measured)) / hung - 1.0]
@@ -101,7 +125,9 @@ def judged(kind: str, stages: int, folder: Path, bench: str, known: Path, rng: n
 
 @dataclass(frozen=True)
 class Kind:
-    """Stages of one kind: how many were judged rightly, how many of those by a limit, and the errors of the masses."""
+    """Stages of one kind: how many were judged rightly, how many of those by a limit, and the
+    errors of the masses.
+    """
 
     name: str
     hits: int
@@ -112,7 +138,11 @@ class Kind:
         """Return it as a row of the table."""
         word = "refused" if SIGNS[self.name] else "accepted"
         e = self.errors
-        figures = [f"{e.mean():+.2%}", f"{e.std():.2%}", f"{np.abs(e).max():.2%}"] if e.size else ["-"] * 3
+        figures = (
+            [f"{e.mean():+.2%}", f"{e.std():.2%}", f"{np.abs(e).max():.2%}"]
+            if e.size
+            else ["-"] * 3
+        )
         return [self.name, f"{self.hits} of {stages} {word}", str(self.tripped), *figures]
 
     def good(self, stages: int) -> bool:

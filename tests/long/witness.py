@@ -1,8 +1,10 @@
-"""`rig` with a witness, for harnesses: `python -m tests.long.witness ARGUMENTS` is the command, told on from within.
+"""`rig` with a witness, for harnesses: `python -m tests.long.witness ARGUMENTS` is the command,
+told on from within.
 
-Each phase of a run, as it begins, goes as a line of JSON to the file descriptor in ``WITNESS``. In the phase named in
-``WITNESS_GATE`` the run then waits, for a moment at most, for a byte on the descriptor behind it, so that a harness can
-do its deed at the very beginning of a phase that takes milliseconds.
+Each phase of a run, as it begins, goes as a line of JSON to the file descriptor in ``WITNESS``. In
+the phase named in ``WITNESS_GATE`` the run then waits, for a moment at most, for a byte on the
+descriptor behind it, so that a harness can do its deed at the very beginning of a phase that takes
+milliseconds.
 """
 
 from __future__ import annotations
@@ -89,7 +91,9 @@ WATCHED: Mapping[str, Callable[[], None]] = {
 
 
 def main() -> None:
-    """Be `rig`; where asked to, only once the harness says so, with everything imported beforehand."""
+    """Be `rig`; where asked to, only once the harness says so, with everything imported
+    beforehand.
+    """
     from rig.cli import entry as cli
 
     WATCHED.get(sys.argv[1], lambda: None)()

@@ -29,7 +29,16 @@ def rig(
     """
     added = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path)), **(environment or {})}
     return subprocess.run(
-        ["bash", "-c", f'set -o pipefail; "$@" {shell}', "bash", sys.executable, "-c", entry, *arguments],
+        [
+            "bash",
+            "-c",
+            f'set -o pipefail; "$@" {shell}',
+            "bash",
+            sys.executable,
+            "-c",
+            entry,
+            *arguments,
+        ],
         cwd=folder,
         env={**os.environ, **added},
         stdin=subprocess.DEVNULL,
@@ -41,7 +50,15 @@ def rig(
 
 
 def assert_in_words(ended: subprocess.CompletedProcess[str]) -> None:
-    """Check that what is shown is no traceback, and nothing that the interpreter says on its own."""
+    """Check that what is shown is no traceback, and nothing that the interpreter says on its
+    own.
+    """
     shown = ended.stdout + ended.stderr
-    for unwanted in ("Traceback", "Exception ignored", "Error in sys.excepthook", "--- Logging error", 'File "'):
+    for unwanted in (
+        "Traceback",
+        "Exception ignored",
+        "Error in sys.excepthook",
+        "--- Logging error",
+        'File "',
+    ):
         assert unwanted not in shown, shown

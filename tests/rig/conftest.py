@@ -1,4 +1,6 @@
-"""A bench of fakes: the driver interfaces in simulated time, with an ideal joint and faults on demand."""
+"""A bench of fakes: the driver interfaces in simulated time, with an ideal joint and faults on
+demand.
+"""
 
 from __future__ import annotations
 
@@ -175,7 +177,9 @@ class FakeEncoder(Encoder):
 
     def sample(self) -> EncoderSample:
         bench = self.bench
-        return EncoderSample(bench.clock.now_ns() * 1e-9, bench.joint + bench.angle_error, bench.fresh)
+        return EncoderSample(
+            bench.clock.now_ns() * 1e-9, bench.joint + bench.angle_error, bench.fresh
+        )
 
 
 SHORT = """\
@@ -184,7 +188,8 @@ name: short
 stages:
   - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
      ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05, repeats: 2}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2, phase_deg: 90}],
+  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2,
+     phase_deg: 90}],
      duration_s: 0.5, ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
 """
 

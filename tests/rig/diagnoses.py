@@ -32,11 +32,15 @@ TIME = np.arange(0.0, 10.0, 0.02)
 SQUARE = np.sign(np.sin(1.3 * TIME))
 
 
-def effect(name: str, parameters: dict[str, Estimate], rivals: tuple[Rival, ...], group: tuple[str, ...]) -> Effect:
+def effect(
+    name: str, parameters: dict[str, Estimate], rivals: tuple[Rival, ...], group: tuple[str, ...]
+) -> Effect:
     entry = ENTRIES[name]
     where = Location("travel since reversal", "rad", ((0.0, 0.0073),), 0.71, ("free", "heavy"))
     said = finding(entry, parameters, where.recordings)
-    return Effect(name, group, 0.96, said, entry.assumption, where, parameters, rivals, entry.experiment)
+    return Effect(
+        name, group, 0.96, said, entry.assumption, where, parameters, rivals, entry.experiment
+    )
 
 
 GAP = Estimate(math.radians(0.42), math.radians(0.39), math.radians(0.45), "rad")
@@ -50,12 +54,18 @@ BACKLASH = effect(
     ("backlash",),
 )
 DRAG = effect(
-    "quadratic_drag", {"coefficient_Nms2_rad2": Estimate(1.9, 1.6, 2.2, "N m s^2/rad^2")}, (), ("quadratic_drag",)
+    "quadratic_drag",
+    {"coefficient_Nms2_rad2": Estimate(1.9, 1.6, 2.2, "N m s^2/rad^2")},
+    (),
+    ("quadratic_drag",),
 )
 OFFSET = effect(
     "current_offset",
     {"current_A": Estimate(-0.21, -0.24, -0.18, "A")},
-    (Rival("asymmetric_coulomb", 0.45, ""), Rival("gravity_imbalance", 0.02, "it does not change with the angle")),
+    (
+        Rival("asymmetric_coulomb", 0.45, ""),
+        Rival("gravity_imbalance", 0.02, "it does not change with the angle"),
+    ),
     ("current_offset", "asymmetric_coulomb"),
 )
 
@@ -65,14 +75,26 @@ def map_of(coordinate: str, unit: str, share: float, equation: str) -> Map:
     mean = share * 0.004 * np.tanh(9.0 * x)
     spread = 0.0006 * np.ones_like(x)
     residual_unit = "rad" if equation == "transmission" else "N m"
-    return Map(equation, coordinate, unit, residual_unit, x, mean, mean - spread, mean + spread, 0.1 * mean, share)
+    return Map(
+        equation,
+        coordinate,
+        unit,
+        residual_unit,
+        x,
+        mean,
+        mean - spread,
+        mean + spread,
+        0.1 * mean,
+        share,
+    )
 
 
 MAPS = tuple(
     map_of(coordinate, unit, share, equation)
     for equation in ("transmission", "torque")
     for coordinate, unit, share in (
-        ("angle", "rad", 0.12), ("speed", "rad/s", 0.31), ("travel since reversal", "rad", 0.71), ("time", "s", 0.02),
+        ("angle", "rad", 0.12), ("speed", "rad/s", 0.31), ("travel since reversal", "rad", 0.71),
+         ("time", "s", 0.02),
     )
 )  # fmt: skip
 TRACES = tuple(
@@ -89,7 +111,8 @@ STEPS = (
 )
 NAMED = Diagnosis(
     verdict=Verdict.NAMED,
-    statement=f"{BACKLASH.statement}. Torque error on unseen recordings 0.62 -> 0.09 N m; noise floor 0.08.",
+    statement=f"{BACKLASH.statement}. Torque error on unseen recordings 0.62 -> 0.09 N m; noise "
+    f"floor 0.08.",
     effects=(BACKLASH, DRAG),
     fit=FIT,
     fits=(FIT, TORQUE_FIT),
@@ -120,7 +143,14 @@ OUTSIDE = dataclasses.replace(
     effects=(),
     fit=TORQUE_FIT,
     location=Location("angle", "rad", ((-0.2, 0.1),), 0.6, ("free",)),
-    curve=Curve("torque", "angle", "rad", "N m", np.linspace(-0.4, 0.4, 33), 0.4 * np.cos(np.linspace(-9, 9, 33))),
+    curve=Curve(
+        "torque",
+        "angle",
+        "rad",
+        "N m",
+        np.linspace(-0.4, 0.4, 33),
+        0.4 * np.cos(np.linspace(-9, 9, 33)),
+    ),
 )
 NOTHING = dataclasses.replace(
     NAMED,

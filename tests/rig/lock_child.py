@@ -1,9 +1,10 @@
-"""A second program that holds a lock, run by the tests of locks: ``python lock_child.py KIND FOLDER NAME``.
+"""A second program that holds a lock, run by the tests of locks:
+``python lock_child.py KIND FOLDER NAME``.
 
-KIND is ``bench``, whose lock files are in FOLDER, or ``folder``. The program says ``held``, and obeys the
-lines of its input: ``release``, ``guard``. After ``guard`` a child that has inherited the lock obeys them in its
-place: ``note NAME``, ``release``; SIGUSR1 then makes the first program release. Each answers in a line what it
-has done.
+KIND is ``bench``, whose lock files are in FOLDER, or ``folder``. The program says ``held``, and
+obeys the lines of its input: ``release``, ``guard``. After ``guard`` a child that has inherited the
+lock obeys them in its place: ``note NAME``, ``release``; SIGUSR1 then makes the first program
+release. Each answers in a line what it has done.
 """
 
 from __future__ import annotations
@@ -25,7 +26,11 @@ def say(words: str) -> None:
 
 def owner(kind: str, folder: Path, command: str) -> None:
     """Hold a lock and do as told."""
-    lock = hold_bench("wired", [PART], command, folder) if kind == "bench" else hold_folder(folder, command)
+    lock = (
+        hold_bench("wired", [PART], command, folder)
+        if kind == "bench"
+        else hold_folder(folder, command)
+    )
     say("held")
     for line in sys.stdin:
         if line == "guard\n":
@@ -43,7 +48,10 @@ def stand_by(kind: str, folder: Path, lock: Lock) -> None:
 
     signal.signal(signal.SIGUSR1, release)
     numbers = [str(number) for number in lock.descriptors]
-    subprocess.Popen([sys.executable, __file__, "guardian", kind, str(folder), *numbers], pass_fds=lock.descriptors)
+    subprocess.Popen(
+        [sys.executable, __file__, "guardian", kind, str(folder), *numbers],
+        pass_fds=lock.descriptors,
+    )
     while True:
         signal.pause()
 

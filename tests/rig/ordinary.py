@@ -18,12 +18,18 @@ class _Header(ctypes.Structure):
 
 
 class _Data(ctypes.Structure):
-    _fields_ = (("effective", ctypes.c_uint32), ("permitted", ctypes.c_uint32), ("inheritable", ctypes.c_uint32))
+    _fields_ = (
+        ("effective", ctypes.c_uint32),
+        ("permitted", ctypes.c_uint32),
+        ("inheritable", ctypes.c_uint32),
+    )
 
 
 @contextmanager
 def ordinary_user() -> Iterator[None]:
-    """Hold file permissions against this thread as they hold against their owner; an ordinary user is left alone."""
+    """Hold file permissions against this thread as they hold against their owner; an ordinary user
+    is left alone.
+    """
     if sys.platform != "linux" or os.geteuid() != 0:
         yield
         return

@@ -1,4 +1,6 @@
-"""A parent whose workers hang, run by ``test_pool`` in a process of its own: ``python orphans.py FIFO``."""
+"""A parent whose workers hang, run by ``test_pool`` in a process of its own:
+``python orphans.py FIFO``.
+"""
 
 from __future__ import annotations
 

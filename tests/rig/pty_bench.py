@@ -1,7 +1,7 @@
 """A simulated bench behind pseudo-terminals, in real time: ``python pty_bench.py serial|slcan``.
 
-It lives in a process of its own, writes its paths as JSON in one line, then answers each line of its input with
-how many bytes it has been sent.
+It lives in a process of its own, writes its paths as JSON in one line, then answers each line of
+its input with how many bytes it has been sent.
 """
 
 from __future__ import annotations
@@ -67,7 +67,9 @@ class PtyBench:
 def pty_bench(kind: str, folder: Path) -> Iterator[PtyBench]:
     """Start a bench, and end it."""
     words = [sys.executable, __file__, kind]
-    with subprocess.Popen(words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+    with subprocess.Popen(
+        words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as process:
         assert process.stdin is not None
         try:
             yield PtyBench(process, kind, folder)
@@ -84,7 +86,10 @@ def main(kind: str) -> None:
     bench = simulated_bench(machine, 0)
     ports = RealTimeBench(bench.clock)
     if kind == "serial":
-        stations = [SimulatedEposPort(bench.bus, bench.clock, bench.drive), SimulatedAmt21(bench.clock, bench.sampler)]
+        stations = [
+            SimulatedEposPort(bench.bus, bench.clock, bench.drive),
+            SimulatedAmt21(bench.clock, bench.sampler),
+        ]
     else:
         stations = [LawicelAdapter(bench.bus)]
     paths = [ports.open_pty(station) for station in stations]

@@ -1,4 +1,6 @@
-"""Two clocks on one time base: what is recovered, what is left alone, and what it does to an estimate."""
+"""Two clocks on one time base: what is recovered, what is left alone, and what it does to an
+estimate.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ MEANS = frozenset({"current"})
 
 
 def free_running(samples: int, ppm: float, start: float = 0.3) -> tuple[Array, Array, Array]:
-    """Rows every ms; an encoder that samples by its own ms: (row times, its stamps in them, when they were taken)."""
+    """Rows every ms; an encoder that samples by its own ms: (row times, its stamps in them, when
+    they were taken).
+    """
     rows = 1e-3 * np.arange(1, samples + 1)
     period = 1e-3 / (1.0 + 1e-6 * ppm)
     ticks = np.floor((rows - start * 1e-3) / period)
@@ -63,7 +67,11 @@ def test_stamps_that_jump_back_are_not_believed() -> None:
 
 def test_the_finer_motor_encoder_keeps_the_drives_time() -> None:
     rows, stamps, true = free_running(5000, 300.0)
-    channels = {"time": rows, "angle": np.sin(true), "motor_angle": np.floor(1e5 * np.sin(rows)) * 1e-3}
+    channels = {
+        "time": rows,
+        "angle": np.sin(true),
+        "motor_angle": np.floor(1e5 * np.sin(rows)) * 1e-3,
+    }
     found, words = aligned(channels, stamps, MEANS, 100.0)
     assert "brought onto the drive's time" in words
     assert found["motor_angle"] is channels["motor_angle"]
@@ -85,11 +93,15 @@ def test_means_stay_means_and_overwritten_samples_are_filled() -> None:
 
 
 def logged(weight: float, seed: int) -> tuple[dict[str, Array], Array]:
-    """Rows of the practical bench with a joint encoder on its own clock, +300 ppm, and no other encoder."""
+    """Rows of the practical bench with a joint encoder on its own clock, +300 ppm, and no other
+    encoder.
+    """
     rng = np.random.default_rng(seed)
     fine = simulate(Machine(), command, DURATION_S, 1000.0 * FINE, weight, rng=rng)
     rows, stamps, true = free_running(round(1000.0 * DURATION_S) - 1, 300.0)
-    current = np.convolve(fine["mean_current"], np.ones(FINE) / FINE, mode="full")[FINE * np.arange(1, len(rows) + 1)]
+    current = np.convolve(fine["mean_current"], np.ones(FINE) / FINE, mode="full")[
+        FINE * np.arange(1, len(rows) + 1)
+    ]
     angle = np.interp(true, fine["time"], fine["angle"])
     return {
         "time": rows,
@@ -104,7 +116,9 @@ def test_the_inertia_is_biased_before_and_not_after() -> None:
     before = prepare(Recording("before", channels, bench, averaged=MEANS), 40.0)
     biased, _ = solve_stages([before], [], Model(), lambda _stage, _share: None)
     assert biased["J"] < 0.9 * TRUTH["J"]
-    on_one_clock = Recording("after", aligned(channels, stamps, MEANS, 100.0)[0], bench, averaged=MEANS)
+    on_one_clock = Recording(
+        "after", aligned(channels, stamps, MEANS, 100.0)[0], bench, averaged=MEANS
+    )
     result = identify(Dataset((on_one_clock,)))
     assert result.warnings == ()
     for name, value in result.values().items():
@@ -122,7 +136,13 @@ recordings:
 
 def test_a_campaign_may_have_the_encoders_stamps(tmp_path: Path) -> None:
     rows, stamps, true = free_running(5000, 300.0)
-    np.savez(tmp_path / "log.npz", t=rows, q=np.round(np.sin(true) / 1e-5) * 1e-5, stamp=stamps, i=np.cos(rows))
+    np.savez(
+        tmp_path / "log.npz",
+        t=rows,
+        q=np.round(np.sin(true) / 1e-5) * 1e-5,
+        stamp=stamps,
+        i=np.cos(rows),
+    )
     (tmp_path / "campaign.yaml").write_text(CAMPAIGN)
     (found,) = load_source(tmp_path / "campaign.yaml").recordings
     assert "angle_time" not in found.channels

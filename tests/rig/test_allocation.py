@@ -24,7 +24,10 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 
 def faults(keep: bool) -> int:
     found = subprocess.run(
-        [sys.executable, "-c", COUNT_FAULTS.format(keep=keep)], check=True, capture_output=True, text=True
+        [sys.executable, "-c", COUNT_FAULTS.format(keep=keep)],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     return int(found.stdout)
 

@@ -1,4 +1,6 @@
-"""Every command, given every kind of file that it cannot use: `file: message`, status 2, and nothing else."""
+"""Every command, given every kind of file that it cannot use: `file: message`, status 2, and
+nothing else.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,8 @@ CAMPAIGN = """\
 campaign: 1
 bench: {{torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, lever_ratio: 10}}
 recordings:
-  - {{file: {file}, stage: unloaded, channels: {{time: time, current: current, motor_angle: motor_angle}}}}
+  - {{file: {file}, stage: unloaded, channels: {{time: time, current: current,
+     motor_angle: motor_angle}}}}
 """
 FAULTS = """\
 faults: 1
@@ -47,25 +50,61 @@ PATIENCE_S = 30
 Arguments = Callable[[str], list[str]]
 COMMANDS: Mapping[str, tuple[str, Arguments]] = {
     "run": ("sequence.yaml", lambda file: ["run", file, "--yes", "--out", "out"]),
-    "run --bench": ("bench.yaml", lambda file: ["run", "sequence.yaml", "--bench", file, "--yes", "--out", "out"]),
-    "run --faults": ("faults.yaml", lambda file: ["run", "sequence.yaml", "--faults", file, "--yes", "--out", "out"]),
-    "run --faults csv": ("faults.csv", lambda file: ["run", "sequence.yaml", "--faults", file, "--out", "out"]),
-    "run --identification": ("found.json", lambda file: ["run", "sequence.yaml", "--identification", file]),
-    "run --feedforward": ("found.json", lambda file: ["run", "sequence.yaml", "--feedforward", file]),
+    "run --bench": (
+        "bench.yaml",
+        lambda file: ["run", "sequence.yaml", "--bench", file, "--yes", "--out", "out"],
+    ),
+    "run --faults": (
+        "faults.yaml",
+        lambda file: ["run", "sequence.yaml", "--faults", file, "--yes", "--out", "out"],
+    ),
+    "run --faults csv": (
+        "faults.csv",
+        lambda file: ["run", "sequence.yaml", "--faults", file, "--out", "out"],
+    ),
+    "run --identification": (
+        "found.json",
+        lambda file: ["run", "sequence.yaml", "--identification", file],
+    ),
+    "run --feedforward": (
+        "found.json",
+        lambda file: ["run", "sequence.yaml", "--feedforward", file],
+    ),
     "resume": ("sequence.yaml", lambda file: ["resume", file, "--yes"]),
     "recover": ("sequence.yaml", lambda file: ["recover", file]),
     "jog": ("bench.yaml", lambda file: ["jog", file, "--to", "1"]),
     "check": ("bench.yaml", lambda file: ["check", file]),
     "identify": ("campaign.yaml", lambda file: ["identify", file, "--out", "out"]),
-    "identify --score": ("campaign.yaml", lambda file: ["identify", "campaign.yaml", "--score", file, "--out", "out"]),
-    "identify --plan": ("sequence.yaml", lambda file: ["identify", "--plan", file, "--nominal", "nothing.json"]),
-    "identify --bench": ("bench.yaml", lambda file: ["identify", "--plan", "sequence.yaml", "--bench", file]),
-    "identify --nominal": ("found.json", lambda file: ["identify", "--plan", "sequence.yaml", "--nominal", file]),
+    "identify --score": (
+        "campaign.yaml",
+        lambda file: ["identify", "campaign.yaml", "--score", file, "--out", "out"],
+    ),
+    "identify --plan": (
+        "sequence.yaml",
+        lambda file: ["identify", "--plan", file, "--nominal", "nothing.json"],
+    ),
+    "identify --bench": (
+        "bench.yaml",
+        lambda file: ["identify", "--plan", "sequence.yaml", "--bench", file],
+    ),
+    "identify --nominal": (
+        "found.json",
+        lambda file: ["identify", "--plan", "sequence.yaml", "--nominal", file],
+    ),
     "diagnose": ("campaign.yaml", lambda file: ["diagnose", file, "--out", "out"]),
-    "simulate": ("campaign.yaml", lambda file: ["simulate", file, "--result", "found.json", "--out", "out"]),
-    "simulate --result": ("found.json", lambda file: ["simulate", "campaign.yaml", "--result", file, "--out", "out"]),
+    "simulate": (
+        "campaign.yaml",
+        lambda file: ["simulate", file, "--result", "found.json", "--out", "out"],
+    ),
+    "simulate --result": (
+        "found.json",
+        lambda file: ["simulate", "campaign.yaml", "--result", file, "--out", "out"],
+    ),
     "export": ("campaign.yaml", lambda file: ["export", file, "--out", "out.csv"]),
-    "prove --from": ("sequence.yaml", lambda file: ["prove", "--from", file, "--out", "out", "--rigs", "1"]),
+    "prove --from": (
+        "sequence.yaml",
+        lambda file: ["prove", "--from", file, "--out", "out", "--rigs", "1"],
+    ),
     "effects": ("sequence.yaml", lambda file: ["effects", file]),
 }
 """Name to an example of the file that is asked for, and the command line."""
@@ -125,7 +164,8 @@ def a_loop_of_links(path: Path, content: bytes) -> None:
 
 
 KINDS = (
-    missing, a_folder, unreadable, empty, binary, zeros, truncated, latin_1, nested, a_list, a_pipe, a_device,
+    missing, a_folder, unreadable, empty, binary, zeros, truncated, latin_1, nested, a_list,
+    a_pipe, a_device,
     a_loop_of_links,
 )  # fmt: skip
 
@@ -148,7 +188,9 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("files")
     time = np.arange(2000) / 1000.0
     rows = np.column_stack((time, np.cos(6.0 * time), 50.0 * np.sin(6.0 * time)))
-    np.savetxt(folder / "data.csv", rows, delimiter=",", header="time,current,motor_angle", comments="")
+    np.savetxt(
+        folder / "data.csv", rows, delimiter=",", header="time,current,motor_angle", comments=""
+    )
     (folder / "data.csv.gz").write_bytes(gzip.compress((folder / "data.csv").read_bytes()))
     np.savez(folder / "data.npz", time=time, current=rows[:, 1], motor_angle=rows[:, 2])
     texts = {
@@ -161,9 +203,24 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
     }
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")
-    assert status(["run", str(folder / "sequence.yaml"), "--yes", "--out", str(folder / "run")]) == DONE
+    assert (
+        status(["run", str(folder / "sequence.yaml"), "--yes", "--out", str(folder / "run")])
+        == DONE
+    )
     for kind in ("mat", "parquet"):
-        assert status(["export", str(folder / "run"), "--format", kind, "--out", str(folder / f"data.{kind}")]) == DONE
+        assert (
+            status(
+                [
+                    "export",
+                    str(folder / "run"),
+                    "--format",
+                    kind,
+                    "--out",
+                    str(folder / f"data.{kind}"),
+                ]
+            )
+            == DONE
+        )
     return folder
 
 
@@ -171,14 +228,26 @@ def result() -> dict[str, object]:
     """Return a result of `rig identify`, as far as other commands read it."""
     values = {"J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3}
     values |= {"mu_c": 0.052, "mu_s": 0.086, "omega_sL": 0.033, "mu_2": 0.032}
-    parameters = {name: {"value": v, "low": 0.99 * v, "high": 1.01 * v, "unit": ""} for name, v in values.items()}
-    return {"schema": "loadrig.identify/1", "motion": "rotary", "alpha": 2.0, "parameters": parameters, "inputs": []}
+    parameters = {
+        name: {"value": v, "low": 0.99 * v, "high": 1.01 * v, "unit": ""}
+        for name, v in values.items()
+    }
+    return {
+        "schema": "loadrig.identify/1",
+        "motion": "rotary",
+        "alpha": 2.0,
+        "parameters": parameters,
+        "inputs": [],
+    }
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_file_that_cannot_be_used_is_bad_input(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, kind: Callable[[Path, bytes], None]
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    kind: Callable[[Path, bytes], None],
 ) -> None:
     example, arguments = COMMANDS[command]
     name = f"bad{Path(example).suffix}"
@@ -202,15 +271,23 @@ def test_a_file_in_a_folder_that_may_not_be_searched(
     assert_in_words(capsys.readouterr().err, place)
 
 
-@pytest.mark.parametrize("name", ["x" * 300 + ".yaml", "campaign.yaml/inside.yaml"], ids=["too long", "through a file"])
+@pytest.mark.parametrize(
+    "name", ["x" * 300 + ".yaml", "campaign.yaml/inside.yaml"], ids=["too long", "through a file"]
+)
 @pytest.mark.parametrize("command", COMMANDS)
-def test_a_name_that_no_file_can_have(place: Path, capsys: pytest.CaptureFixture[str], command: str, name: str) -> None:
+def test_a_name_that_no_file_can_have(
+    place: Path, capsys: pytest.CaptureFixture[str], command: str, name: str
+) -> None:
     assert call(COMMANDS[command][1](name)) == BAD_INPUT
     assert_in_words(capsys.readouterr().err, place)
 
 
-@pytest.mark.parametrize("command", ["identify", "diagnose", "export", "simulate", "recover", "resume"])
-def test_a_run_folder_that_may_not_be_read(place: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+@pytest.mark.parametrize(
+    "command", ["identify", "diagnose", "export", "simulate", "recover", "resume"]
+)
+def test_a_run_folder_that_may_not_be_read(
+    place: Path, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
     (place / "run").chmod(0)
     # What works on the folder locks it first, and that is a failure of storage.
     locks = command in ("recover", "resume")
@@ -224,7 +301,11 @@ def test_a_run_folder_that_may_not_be_read(place: Path, capsys: pytest.CaptureFi
 @pytest.mark.parametrize("file", ["run.json", "recording.mcap"])
 @pytest.mark.parametrize("command", ["identify", "diagnose", "export", "recover", "resume"])
 def test_a_run_folder_with_a_damaged_file(
-    place: Path, capsys: pytest.CaptureFixture[str], command: str, file: str, kind: Callable[[Path, bytes], None]
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    file: str,
+    kind: Callable[[Path, bytes], None],
 ) -> None:
     content = (place / "run" / file).read_bytes()
     (place / "run" / file).unlink()
@@ -239,7 +320,10 @@ def test_a_run_folder_with_a_damaged_file(
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
 @pytest.mark.parametrize("ending", ["csv", "csv.gz", "npz", "mat", "parquet"])
 def test_a_recording_that_cannot_be_used(
-    place: Path, capsys: pytest.CaptureFixture[str], ending: str, kind: Callable[[Path, bytes], None]
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    ending: str,
+    kind: Callable[[Path, bytes], None],
 ) -> None:
     kind(place / f"bad.{ending}", (place / f"data.{ending}").read_bytes())
     (place / "bad.yaml").write_text(CAMPAIGN.format(file=f"bad.{ending}"), encoding="utf-8")
@@ -259,7 +343,9 @@ def test_a_dbc_file_that_cannot_be_used(
     kind(place / "bad.dbc", DRIVE_DBC.read_bytes())
     bench = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
     assert "  file: null " in bench
-    (place / "dbc.yaml").write_text(bench.replace("  file: null ", "  file: bad.dbc "), encoding="utf-8")
+    (place / "dbc.yaml").write_text(
+        bench.replace("  file: null ", "  file: bad.dbc "), encoding="utf-8"
+    )
     code = call(["check", "dbc.yaml"])
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
@@ -268,7 +354,14 @@ def test_a_dbc_file_that_cannot_be_used(
 
 NUMBERS = ("1e999", "9" * 400, ".nan", "-.inf", "-1e300", "1e300", "1e-300", "0", '"x"', "null")
 PLACES: Mapping[str, tuple[str, ...]] = {
-    "run": ("amplitude_deg: ", "frequency_Hz: ", "duration_s: ", "ramp_in_s: ", "settle_s: ", "sequence: "),
+    "run": (
+        "amplitude_deg: ",
+        "frequency_Hz: ",
+        "duration_s: ",
+        "ramp_in_s: ",
+        "settle_s: ",
+        "sequence: ",
+    ),
     "run --bench": (
         "gear_ratio: ",
         "cycle_Hz: ",
@@ -287,7 +380,9 @@ PLACES: Mapping[str, tuple[str, ...]] = {
 
 
 @pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize(("command", "key"), [(command, key) for command, keys in PLACES.items() for key in keys])
+@pytest.mark.parametrize(
+    ("command", "key"), [(command, key) for command, keys in PLACES.items() for key in keys]
+)
 def test_numbers_that_no_bench_has(
     place: Path, capsys: pytest.CaptureFixture[str], command: str, key: str, number: str
 ) -> None:
@@ -302,7 +397,9 @@ def test_numbers_that_no_bench_has(
     assert code in (DONE, BAD_VERDICT, BAD_INPUT, DEVICE_FAILED)
 
 
-@pytest.mark.parametrize("number", ["NaN", "Infinity", "-Infinity", "1e999", "9" * 400, "-1e300", "1e-300", '"x"'])
+@pytest.mark.parametrize(
+    "number", ["NaN", "Infinity", "-Infinity", "1e999", "9" * 400, "-1e300", "1e-300", '"x"']
+)
 @pytest.mark.parametrize(
     ("command", "key"),
     [

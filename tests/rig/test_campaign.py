@@ -60,7 +60,12 @@ def test_the_example_of_the_contract(tmp_path: Path) -> None:
     (recording,) = campaign.recordings
     assert recording.read.skip_rows == 14
     current = recording.channels["current"]
-    assert (current.column, current.scale, current.offset, current.average) == ("i_meas", 0.001, 0.0, True)
+    assert (current.column, current.scale, current.offset, current.average) == (
+        "i_meas",
+        0.001,
+        0.0,
+        True,
+    )
 
 
 def test_defaults_reach_every_recording_and_yield_to_it(tmp_path: Path) -> None:
@@ -98,7 +103,10 @@ def test_an_error_in_the_defaults_is_reported_once_where_it_stands(tmp_path: Pat
 
 def test_negative_weight(tmp_path: Path) -> None:
     (line,) = problems(tmp_path, SHORT.replace("file: a.csv", "file: a.csv\n    weight_mass: -1"))
-    assert line == "5:18: recordings[0].weight_mass: input should be greater than or equal to 0 (got -1)"
+    assert (
+        line
+        == "5:18: recordings[0].weight_mass: input should be greater than or equal to 0 (got -1)"
+    )
 
 
 @pytest.mark.parametrize(
@@ -108,17 +116,32 @@ def test_negative_weight(tmp_path: Path) -> None:
             "terms: [cogging_torque]",
             "17: model.terms[0]: unknown effect; did you mean 'cogging'? (got \"cogging_torque\")",
         ),
-        ("terms: [offset, backlash]", "model.terms[1]: this version cannot fit the effect 'backlash', only offset"),
+        (
+            "terms: [offset, backlash]",
+            "model.terms[1]: this version cannot fit the effect 'backlash', only offset",
+        ),
         ("terms: [gravity_imbalance]", "a known weight is declared by `gravity:` of a recording"),
         ("terms: [offset, offset]", "model.terms: offset listed more than once"),
         ("friction: stribek", "unknown friction; did you mean 'stribeck'? (got \"stribek\")"),
-        ("friction: load_dependent", "grows with a pendulum's torque, and no recording to fit has `gravity`"),
-        ("friction: stribeck_load_dependent", "friction stribeck_load_dependent grows with a pendulum's torque"),
-        ("friction: coulomb_viscous, fixed: {Ms: 1}", "model.fixed.Ms: friction coulomb_viscous does not rise"),
+        (
+            "friction: load_dependent",
+            "grows with a pendulum's torque, and no recording to fit has `gravity`",
+        ),
+        (
+            "friction: stribeck_load_dependent",
+            "friction stribeck_load_dependent grows with a pendulum's torque",
+        ),
+        (
+            "friction: coulomb_viscous, fixed: {Ms: 1}",
+            "model.fixed.Ms: friction coulomb_viscous does not rise",
+        ),
         ("fixed: {Jm: 1}", "17: model.fixed.Jm: unknown parameter; did you mean 'J'?"),
         ("fixed: {mu_C: 1}", "unknown parameter; did you mean 'mu_c'"),
         ("fixed: {J: -1}", "model.fixed: must not be negative: J = -1"),
-        ("fixed: {Mc: 2, Ms: 1}", "model.fixed.Ms: static friction below Coulomb friction Mc = 2; Ms >= Mc (got 1)"),
+        (
+            "fixed: {Mc: 2, Ms: 1}",
+            "model.fixed.Ms: static friction below Coulomb friction Mc = 2; Ms >= Mc (got 1)",
+        ),
     ],
 )
 def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
@@ -130,12 +153,20 @@ def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "expected"),
     [
-        ("{time: 0, current: 1, angle: 2}", "{current: 1, angle: 2}", "no `time` channel and no `rate`"),
+        (
+            "{time: 0, current: 1, angle: 2}",
+            "{current: 1, angle: 2}",
+            "no `time` channel and no `rate`",
+        ),
         ("file: a.csv", "file: a.csv\n    rate: 100", "`rate` is only for files without time"),
         ("angle: 2", "command: 2", "no `angle`, `velocity` or `motor_angle`"),
         ("current: 1", "command: 1", "no `torque`, `current` or `voltage`"),
         ("current: 1", "voltage: 1", "needs bench resistance and back_emf_constant (got 1)"),
-        ("file: a.csv", "file: a.csv\n    stage: loaded", "weight_mass is 0 kg and there is no `load_force`"),
+        (
+            "file: a.csv",
+            "file: a.csv\n    stage: loaded",
+            "weight_mass is 0 kg and there is no `load_force`",
+        ),
         ("file: a.csv", "file: a.csv\n    weight_mass: 30.6", "a weight in an unloaded stage"),
         ("bench: {", "bench: {motion: linear, ", None),
         ("file: a.csv", "file: a.csv\n    role: validate", "at least one must have role fit"),
@@ -146,7 +177,11 @@ def test_model_section(tmp_path: Path, model: str, expected: str) -> None:
         ("angle: 2", "angle: {column: 2, sclae: 1}", "unknown key; did you mean 'scale'?"),
         ("angle: 2", "angle: true", "angle"),
         ("0.095,", "0.095, gear_ratio: 0,", "bench.gear_ratio: input should be greater than 0"),
-        ("0.095,", "0.095, gear_ratio: 1e300,", "bench.gear_ratio: outside of 1e-9 to 1e9; no machine is built so"),
+        (
+            "0.095,",
+            "0.095, gear_ratio: 1e300,",
+            "bench.gear_ratio: outside of 1e-9 to 1e9; no machine is built so",
+        ),
         (
             "file: a.csv",
             "file: a.csv\n    read: {delimiter: ',', decimal: ','}",
@@ -178,8 +213,12 @@ def test_a_weight_needs_the_lever_ratio_and_its_absence_does_not(tmp_path: Path)
     assert load_campaign(tmp_path / "c.yaml").value.bench.lever_ratio is None
     loaded = bare.replace("file: a.csv", "file: a.csv\n    stage: loaded\n    weight_mass: 5")
     (line,) = problems(tmp_path, loaded)
-    assert line.startswith("6:18: recordings[0].weight_mass: a weight on the lever needs bench.lever_ratio")
-    (line,) = problems(tmp_path, loaded.replace("moment_arm: 0.095", "moment_arm: 0.095, lever_ratio: null"))
+    assert line.startswith(
+        "6:18: recordings[0].weight_mass: a weight on the lever needs bench.lever_ratio"
+    )
+    (line,) = problems(
+        tmp_path, loaded.replace("moment_arm: 0.095", "moment_arm: 0.095, lever_ratio: null")
+    )
     assert "bench.lever_ratio" in line
 
 

@@ -17,14 +17,19 @@ PAGE = Path(__file__).parents[2] / "docs" / "completion.md"
 
 def shell(**environment: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-c", CODE], capture_output=True, text=True, env={**os.environ, **environment}
+        [sys.executable, "-c", CODE],
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
     )
     assert done.returncode in (0, 1), done.stderr
     return done.stdout
 
 
 def completed(*words: str) -> list[str]:
-    text = shell(_RIG_COMPLETE="bash_complete", COMP_WORDS=" ".join(words), COMP_CWORD=str(len(words) - 1))
+    text = shell(
+        _RIG_COMPLETE="bash_complete", COMP_WORDS=" ".join(words), COMP_CWORD=str(len(words) - 1)
+    )
     return [line.partition(",")[2] for line in text.splitlines()]
 
 

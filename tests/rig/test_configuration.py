@@ -49,7 +49,8 @@ def problems(folder: Path, text: str | bytes) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("written", "value"), [("1e3", 1000.0), ("1E-4", 1e-4), ("-2.5e+1", -25.0), (".5", 0.5), ("7", 7.0), ("0x10", 16.0)]
+    ("written", "value"),
+    [("1e3", 1000.0), ("1E-4", 1e-4), ("-2.5e+1", -25.0), (".5", 0.5), ("7", 7.0), ("0x10", 16.0)],
 )
 def test_numbers_are_numbers(tmp_path: Path, written: str, value: float) -> None:
     assert load(write(tmp_path, f"gain: {written}\n"), Plan).gain == value
@@ -82,7 +83,8 @@ def test_every_error_at_once_with_its_place(tmp_path: Path) -> None:
         "2:25: stages[0].speed: input should be greater than 0 (got -1)",
         "2:29: stages[0].tgas: unknown key; did you mean 'tags'?",
         "3:5: stages[1].time: missing; this key is required",
-        "4:12: stages[2].kind: input tag 'jump' found using 'kind' does not match any of the expected tags: 'move',"
+        "4:12: stages[2].kind: input tag 'jump' found using 'kind' does not match any of the "
+        "expected tags: 'move',"
         " 'wait' (got \"jump\")",
         "5:5: stages[3].kind: missing; this key is required",
         "6:8: count: input should be a valid integer (got 1.5)",
@@ -93,7 +95,9 @@ def test_every_error_at_once_with_its_place(tmp_path: Path) -> None:
 
 
 def test_a_far_off_key_lists_the_known_ones(tmp_path: Path) -> None:
-    assert problems(tmp_path, "zzz: 1\n") == ["1:1: zzz: unknown key; known are count, file, gain, name, stages"]
+    assert problems(tmp_path, "zzz: 1\n") == [
+        "1:1: zzz: unknown key; known are count, file, gain, name, stages"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -125,7 +129,9 @@ def test_documents_that_are_none(tmp_path: Path, text: str | bytes, place: str, 
 def test_aliases_work_until_they_explode(tmp_path: Path) -> None:
     plan = load(write(tmp_path, "stages: [&a {kind: wait, time: 1}, *a]\n"), Plan)
     assert plan.stages[0] == plan.stages[1]
-    bomb = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9))
+    bomb = "a0: &a0 [x, x]\n" + "".join(
+        f"a{i}: &a{i} [{', '.join([f'*a{i - 1}'] * 10)}]\n" for i in range(1, 9)
+    )
     (line,) = problems(tmp_path, bomb)
     assert "use fewer aliases" in line
 
@@ -142,7 +148,9 @@ def test_byte_order_mark_and_windows_lines(tmp_path: Path) -> None:
 
 def test_missing_file_names_its_neighbours(tmp_path: Path) -> None:
     write(tmp_path, "name: x\n")
-    with pytest.raises(InputError, match=r"paln\.yaml:1:1: document: no such file; beside it: plan\.yaml"):
+    with pytest.raises(
+        InputError, match=r"paln\.yaml:1:1: document: no such file; beside it: plan\.yaml"
+    ):
         load(tmp_path / "paln.yaml", Plan)
     with pytest.raises(InputError, match="is a folder"):
         load(tmp_path, Plan)
@@ -170,11 +178,14 @@ def test_long_values_are_shortened(tmp_path: Path) -> None:
     assert line.endswith("...)")
 
 
-# Digits are left out of text: PyYAML writes "1e3" unquoted because YAML 1.1 reads it as text, and here it is a number.
+# Digits are left out of text: PyYAML writes "1e3" unquoted because YAML 1.1 reads it as text, and
+# here it is a number.
 words = st.text(st.characters(exclude_categories=["Nd", "Cs"]), max_size=8)
 plain = st.recursive(
     st.none() | st.booleans() | st.integers(-(10**12), 10**12) | st.floats(allow_nan=False) | words,
-    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=6), inner, max_size=3)
+    ),
     max_leaves=8,
 )
 

@@ -1,4 +1,6 @@
-"""The program itself breaks down: words, a file with the traceback, how the drive was left, and status 5."""
+"""The program itself breaks down: words, a file with the traceback, how the drive was left, and
+status 5.
+"""
 
 from __future__ import annotations
 
@@ -108,7 +110,8 @@ def test_what_is_not_foreseen_ends_in_words(
         (
             OSError(errno.ENOSPC, "No space left on device", "runs/demo/run.json"),
             DEVICE_FAILED,
-            "storage error: runs/demo/run.json: No space left on device; free disk space, or write to another place\n",
+            "storage error: runs/demo/run.json: No space left on device; free disk space, or "
+            "write to another place\n",
         ),
         (
             OSError(errno.EDQUOT, "Disk quota exceeded"),
@@ -222,7 +225,9 @@ def test_where_the_folder_cannot_be_written_it_is_a_temporary_file(
     assert len(list(place.glob("crash-*.txt"))) == 1
 
 
-def test_where_nothing_can_be_written_the_traceback_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_where_nothing_can_be_written_the_traceback_is_shown(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def full(file: Path, content: bytes) -> int:
         raise OSError(errno.ENOSPC, "No space left on device")
 
@@ -239,7 +244,8 @@ def test_where_nothing_can_be_written_the_traceback_is_shown(monkeypatch: pytest
         "raise ValueError('unforeseen')",
         "return broken(shown)",
         "return 'x' * (1 << 62)",
-        "import threading; thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join(); return ''",
+        "import threading; thread = threading.Thread(target=lambda: 1 / 0); thread.start(); "
+        "thread.join(); return ''",
         "raise BrokenPipeError(32, 'Broken pipe')",
     ],
     ids=["exception", "recursion", "memory", "thread", "pipe"],
@@ -279,6 +285,8 @@ def refuse_to_write_in(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
 def test_the_documents_list_every_status() -> None:
     root = Path(cli.__file__).parents[2]
     page = (root / "docs" / "errors.md").read_text(encoding="utf-8")
-    assert [line[2] for line in page.splitlines() if line.startswith("| ") and line[2].isdigit()] == list("012345")
+    assert [
+        line[2] for line in page.splitlines() if line.startswith("| ") and line[2].isdigit()
+    ] == list("012345")
     readme = (root / "README.md").read_text(encoding="utf-8")
     assert "5 the program itself broke down" in readme

@@ -81,7 +81,13 @@ class Bench:
     def sample(self, *recording: Any) -> Any:
         """Be asked for the drive's sample, or, as the recorder, take one."""
         if not recording:
-            values = dict(zip(ServoSample._fields, (2.5, 10.0, 0.7, 1.5, 3.0, 60.0, 25.0, 0.03, 0x0637), strict=False))
+            values = dict(
+                zip(
+                    ServoSample._fields,
+                    (2.5, 10.0, 0.7, 1.5, 3.0, 60.0, 25.0, 0.03, 0x0637),
+                    strict=False,
+                )
+            )
             return ServoSample(**(values | {"fresh": True} | self.changes))
         if self.full:
             raise StorageError("no space left")
@@ -101,9 +107,13 @@ class Part:
 
 def devices(bench: Bench, pacer: Any = None) -> Devices:
     whole: Any = bench
-    encoder: Any = Part(bench, "encoder", lambda: EncoderSample(4.5, bench.angle, bench.encoder_fresh))
+    encoder: Any = Part(
+        bench, "encoder", lambda: EncoderSample(4.5, bench.angle, bench.encoder_fresh)
+    )
     pressure: Any = Part(bench, "pressure", lambda: PressureSample(3e5, bench.pressure_fresh))
-    return Devices(whole, whole, encoder, pacer=pacer, pressure=pressure if bench.has_pressure else None)
+    return Devices(
+        whole, whole, encoder, pacer=pacer, pressure=pressure if bench.has_pressure else None
+    )
 
 
 def make(
@@ -185,7 +195,12 @@ def test_a_new_cycle_has_done_nothing() -> None:
     after(0.25, bench)()
     assert cycle.now_ns == 250_000_000
     timing = cycle.timing
-    assert (timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s) == (0, 0, 0, 0.0)
+    assert (timing.missed_syncs, timing.lost_servo, timing.lost_encoder, timing.oldest_s) == (
+        0,
+        0,
+        0,
+        0.0,
+    )
     assert sum(timing.lateness.counts) == sum(timing.answer.counts) == 0
 
 
@@ -283,7 +298,10 @@ def test_each_sample_is_judged_before_the_next_command() -> None:
     with pytest.raises(TripError) as caught:
         cycle.follow([0.1, 0.2, 0.3, 0.4], 1, "empty", keep=kept.append)
     assert caught.value.trip == Trip(Check.SPEED, 2.1, 2.0, "rad/s", 0.002)
-    assert [told for told in bench.told if told[0] == "target"] == [("target", 0.1), ("target", 0.2)]
+    assert [told for told in bench.told if told[0] == "target"] == [
+        ("target", 0.1),
+        ("target", 0.2),
+    ]
     # What tripped is recorded, and not handed on.
     assert [sample.command for sample in kept] == [0.1]
     assert bench.recorded[-1][1].velocity == 2.1
@@ -366,7 +384,11 @@ def test_a_stage_may_be_under_power_for_its_time_and_no_longer() -> None:
     assert len(bench.exchanged) == 4
     trip = caught.value.trip
     assert (trip.check, trip.unit) == (Check.STAGE_TIME, "s")
-    assert (trip.value, trip.limit, trip.time) == (pytest.approx(0.004), pytest.approx(0.0034), pytest.approx(1.004))
+    assert (trip.value, trip.limit, trip.time) == (
+        pytest.approx(0.004),
+        pytest.approx(0.0034),
+        pytest.approx(1.004),
+    )
 
 
 def test_a_cycle_at_the_very_end_of_the_time_is_sent() -> None:
@@ -402,7 +424,9 @@ def test_watching_commands_nothing_and_judges_nothing() -> None:
     assert bench.told == [("exchange", 2), ("exchange", 3)]
     # After a pause the grid starts again; within it the period is kept.
     assert bench.exchanged[2:] == [501_400_000, 502_400_000]
-    assert [(s.command, s.segment, s.current) for _, s, _ in bench.recorded[2:]] == [(0.2, 0, 99.0)] * 2
+    assert [(s.command, s.segment, s.current) for _, s, _ in bench.recorded[2:]] == [
+        (0.2, 0, 99.0)
+    ] * 2
     assert cycle.timing.lateness.worst_ns == 0
 
 
@@ -451,7 +475,9 @@ def test_a_full_disk_does_not_end_the_watching() -> None:
 @pytest.mark.parametrize(
     ("late_ns", "overruns", "missed"), [(PERIOD_NS, 0, 0), (PERIOD_NS + 1, 1, 1), (3_700_000, 1, 3)]
 )
-def test_a_cycle_more_than_a_period_late_moves_the_grid(late_ns: int, overruns: int, missed: int) -> None:
+def test_a_cycle_more_than_a_period_late_moves_the_grid(
+    late_ns: int, overruns: int, missed: int
+) -> None:
     bench = Bench()
     cycle = begun(bench)
     bench.actions[2] = lambda: bench.clock.sleep_until_ns(START_NS + 2_000_000 + late_ns)
@@ -505,13 +531,22 @@ def test_a_pause_for_other_work_is_no_lateness() -> None:
         ({"pressure": False}, 0, 0),
     ],
 )
-def test_a_part_of_the_answer_that_is_missing_is_counted(lost: dict[str, bool], servo: int, encoder: int) -> None:
+def test_a_part_of_the_answer_that_is_missing_is_counted(
+    lost: dict[str, bool], servo: int, encoder: int
+) -> None:
     bench = Bench(pressure=True)
     cycle = begun(bench)
     for exchange, parts in ((2, lost), (3, {}), (4, lost), (6, {})):
         bench.actions[exchange] = losing(bench, **parts)
     cycle.follow([0.1] * 5, 1, "empty")
-    assert [sample.fresh for _, sample, _ in bench.recorded] == [True, False, True, False, False, True]
+    assert [sample.fresh for _, sample, _ in bench.recorded] == [
+        True,
+        False,
+        True,
+        False,
+        False,
+        True,
+    ]
     assert cycle.stale == 3
     assert (cycle.timing.lost_servo, cycle.timing.lost_encoder) == (3 * servo, 3 * encoder)
     assert cycle.timing.oldest_s == pytest.approx(0.002)
@@ -527,7 +562,9 @@ def test_the_greatest_age_is_kept_and_the_present_one_judged() -> None:
     # The last fresh sample is that of 4 ms; at 8 ms it is as old as it may be, at 9 ms older.
     with pytest.raises(TripError) as caught:
         cycle.follow([0.1] * 10, 1, "empty")
-    assert caught.value.trip == Trip(Check.SAMPLE_AGE, pytest.approx(0.005), 0.004, "s", pytest.approx(0.009))
+    assert caught.value.trip == Trip(
+        Check.SAMPLE_AGE, pytest.approx(0.005), 0.004, "s", pytest.approx(0.009)
+    )
 
 
 class Pacer:
@@ -563,7 +600,9 @@ def test_simulated_time_is_held_back_to_real_time() -> None:
 @pytest.mark.parametrize(
     ("late_ns", "overruns", "missed"), [(PERIOD_NS, 0, 0), (PERIOD_NS + 1, 1, 1), (5_500_000, 1, 5)]
 )
-def test_this_computers_lateness_is_counted_and_moves_the_real_grid(late_ns: int, overruns: int, missed: int) -> None:
+def test_this_computers_lateness_is_counted_and_moves_the_real_grid(
+    late_ns: int, overruns: int, missed: int
+) -> None:
     bench, pacer = Bench(), Pacer()
     cycle = begun(bench, pacer=pacer)
 
@@ -575,7 +614,12 @@ def test_this_computers_lateness_is_counted_and_moves_the_real_grid(late_ns: int
     assert (cycle.overruns, cycle.timing.missed_syncs) == (overruns, missed)
     assert cycle.timing.lateness.worst_ns == late_ns
     moved = late_ns if overruns else 0
-    assert pacer.deadlines == [90_000_000_000, 90_001_000_000, 90_002_000_000, 90_003_000_000 + moved]
+    assert pacer.deadlines == [
+        90_000_000_000,
+        90_001_000_000,
+        90_002_000_000,
+        90_003_000_000 + moved,
+    ]
     # The simulated bench waits: it is never late.
     assert bench.exchanged == [0, 1_000_000, 2_000_000, 3_000_000]
 

@@ -26,7 +26,8 @@ limits: {torque_N_m: 60, following_error_deg: 1.5, angle_max_deg: 25}
 stages:
   - {name: empty, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.6,
      ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.6,
+  - {name: heavy, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
+     duration_s: 0.6,
      ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
 """
 TEXT = resolve("practical_dbc", "benches").read_text(encoding="utf-8")
@@ -53,17 +54,25 @@ def line_of(path: Path, words: str) -> int:
     return next(number for number, line in enumerate(lines, 1) if words in line)
 
 
-def test_a_sequence_runs_ends_safe_and_keeps_every_frame(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_sequence_runs_ends_safe_and_keeps_every_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     sequence, run = tmp_path / "short.yaml", tmp_path / "run"
     sequence.write_text(SHORT)
-    assert status(["run", str(sequence), "--yes", "--bench", "practical_dbc", "--out", str(run)]) == 0
+    assert (
+        status(["run", str(sequence), "--yes", "--bench", "practical_dbc", "--out", str(run)]) == 0
+    )
     record = json.loads((run / "run.json").read_text())
     assert record["de_energised"] is True
     assert (record["stale"], record["overruns"]) == (0, 0)
     log = read_run(run / "recording.mcap")
     assert json.loads(log.attachments["devices.json"])["servo"]["serial_number"] == SERIAL_NUMBER
-    identifiers = {frame.identifier for message in log.messages["/frames"] for frame in decode_frames(message.data)}
+    identifiers = {
+        frame.identifier
+        for message in log.messages["/frames"]
+        for frame in decode_frames(message.data)
+    }
     assert {0x010, 0x080, 0x110, 0x120, 0x190, 0x191, 0x1A0, 0x1B1, 0x182} <= identifiers
     truth = truth_of(run)
     assert truth is not None
@@ -77,7 +86,11 @@ def test_checking_a_bench_sends_nothing_to_the_drive(capsys: pytest.CaptureFixtu
         devices.servo.state()
         devices.servo.read_limits()
         link = devices.link
-    assert not [frame for frame in link.take_frames() if frame.sent and frame.identifier in (0x010, 0x110, 0x120)]
+    assert not [
+        frame
+        for frame in link.take_frames()
+        if frame.sent and frame.identifier in (0x010, 0x110, 0x120)
+    ]
 
 
 def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) -> None:
@@ -88,9 +101,14 @@ def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) 
     )
     with pytest.raises(InputError) as caught:
         load_bench(path)
-    position, stop, counter = sorted(caught.value.problems, key=lambda text: int(text.split(":")[1]))
+    position, stop, counter = sorted(
+        caught.value.problems, key=lambda text: int(text.split(":")[1])
+    )
     assert position.startswith(f"{path}:{line_of(path, 'Postion')}:")
-    assert "servo.inputs.position.signal: message 'DRV_Motion' has no signal 'Postion'; did you mean 'Pos" in position
+    assert (
+        "servo.inputs.position.signal: message 'DRV_Motion' has no signal 'Postion'; did you mean "
+        "'Pos" in position
+    )
     assert stop.startswith(f"{path}:{line_of(path, 'DRV_Halt')}:")
     assert "the DBC has no message 'DRV_Halt'" in stop
     assert counter.startswith(f"{path}:{line_of(path, 'Live')}:")
@@ -100,16 +118,30 @@ def test_the_map_is_checked_when_the_file_is_read(written: Callable[..., Path]) 
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("kind: dbc", "kind: dbx", "servo: kind is unknown; known are canopen (the default) and dbc"),
-        ("watchdog_ms: 100", "watchdog_ms: 0", "servo.watchdog_ms: input should be greater than 0 (got 0)"),
-        ("scale: 6.283185307179586}\n  orders", "scle: 2}\n  orders", "unknown key; did you mean 'scale'?"),
+        (
+            "kind: dbc",
+            "kind: dbx",
+            "servo: kind is unknown; known are canopen (the default) and dbc",
+        ),
+        (
+            "watchdog_ms: 100",
+            "watchdog_ms: 0",
+            "servo.watchdog_ms: input should be greater than 0 (got 0)",
+        ),
+        (
+            "scale: 6.283185307179586}\n  orders",
+            "scle: 2}\n  orders",
+            "unknown key; did you mean 'scale'?",
+        ),
         ("disabled: [OFF]", "disbled: [OFF]", "servo.status.states.disbled: "),
         ("fault: [FAULT]", "fault: [FALT]", "no value 'FALT'; did you mean 'FAULT'?"),
         ("vendor_id: 0x10ad", "vendor: 1", "unknown key; did you mean 'vendor_id'?"),
         ("algorithm: crc8_j1850", "algorithm: crc9", "servo.messages.DRV_Command.algorithm: "),
     ],
 )
-def test_one_mistake_is_one_line_at_its_place(written: Callable[..., Path], old: str, new: str, words: str) -> None:
+def test_one_mistake_is_one_line_at_its_place(
+    written: Callable[..., Path], old: str, new: str, words: str
+) -> None:
     path = written((old, new))
     with pytest.raises(InputError) as caught:
         load_bench(path)
@@ -136,7 +168,9 @@ def test_a_real_drive_needs_its_own_dbc(written: Callable[..., Path], tmp_path: 
 
 
 def test_a_bus_too_slow_for_its_frames_is_refused(written: Callable[..., Path]) -> None:
-    with pytest.raises(InputError, match=r"bus\.bitrate: too slow: a cycle of 1 ms takes up to \d+ bits"):
+    with pytest.raises(
+        InputError, match=r"bus\.bitrate: too slow: a cycle of 1 ms takes up to \d+ bits"
+    ):
         load_bench(written(("bitrate: 1000000", "bitrate: 500000")))
 
 

@@ -40,7 +40,9 @@ def test_the_unit_is_the_end_of_the_first_sentence_or_of_the_name() -> None:
 
 def test_a_child_says_more_and_keeps_the_rest() -> None:
     found = meanings(Child)
-    assert found["length"] == Meaning("Length at rest, mm in fact. Kept in `metres` of 9.80665 steps: two lines.", "m")
+    assert found["length"] == Meaning(
+        "Length at rest, mm in fact. Kept in `metres` of 9.80665 steps: two lines.", "m"
+    )
     assert set(found) == {"length", "speed_deg_s", "share", "pause"}
     assert found["pause"].unit == "s"
 
@@ -50,5 +52,12 @@ def test_a_summary_ends_where_the_fields_begin() -> None:
 
 
 def test_the_longest_ending_of_a_name_is_its_unit() -> None:
-    names = ("torque_constant_N_m_A", "back_emf_V_s_rad", "sigma_2_N_m_s_rad", "torque_N_m", "cycle_Hz", "kind")
+    names = (
+        "torque_constant_N_m_A",
+        "back_emf_V_s_rad",
+        "sigma_2_N_m_s_rad",
+        "torque_N_m",
+        "cycle_Hz",
+        "kind",
+    )
     assert [unit_of(name) for name in names] == ["N m/A", "V s/rad", "N m s/rad", "N m", "Hz", ""]

@@ -41,14 +41,18 @@ def campaign(tmp_path: Path) -> Path:
     time = np.arange(400) / 100.0
     for name in ("free", "heavy", "later"):
         rows = np.column_stack([time, 0.3 * np.sin(2.0 * time), 2.0 + np.cos(2.0 * time)])
-        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q,i", comments="", fmt="%.9g")
+        np.savetxt(
+            tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q,i", comments="", fmt="%.9g"
+        )
     path = tmp_path / "bench.yaml"
     path.write_text(CAMPAIGN)
     return path
 
 
 @pytest.fixture
-def found(monkeypatch: pytest.MonkeyPatch) -> Callable[[Diagnosis], list[tuple[float | None, float]]]:
+def found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> Callable[[Diagnosis], list[tuple[float | None, float]]]:
     """Make the numerics return a given diagnosis; returns what they are called with."""
 
     def arrange(diagnosis: Diagnosis) -> list[tuple[float | None, float]]:
@@ -108,7 +112,8 @@ def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arra
     }  # fmt: skip
     effect = record["effects"][0]
     assert set(effect) == {
-        "name", "alias_group", "confidence", "statement", "assumption_broken", "where", "parameters", "rivals",
+        "name", "alias_group", "confidence", "statement", "assumption_broken", "where",
+        "parameters", "rivals",
         "separating_experiment",
     }  # fmt: skip
     assert effect["where"]["ranges"] == [[0.0, 0.0073]]
@@ -120,7 +125,8 @@ def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arra
     assert effect["parameters"]["gap_rad"]["unit"] == "rad"
     assert [r["name"] for r in effect["rivals"]] == ["compliance", "transport_delay"]
     assert {
-        "unit", "bandwidth_Hz", "baseline_rms", "final_rms", "noise_floor_rms", "validate_baseline_rms",
+        "unit", "bandwidth_Hz", "baseline_rms", "final_rms", "noise_floor_rms",
+        "validate_baseline_rms",
         "validate_final_rms",
     } <= set(record["fit"])  # fmt: skip
     assert record["parameter_shift"]["J"] == {"before": None, "after": 0.204, "unit": "kg m^2"}
@@ -153,7 +159,10 @@ def test_an_alias_group_comes_with_the_experiment_that_splits_it(
     assert "these recordings cannot reject it" in printed
     assert "to split current_offset, asymmetric_coulomb: " in printed
     assert AMBIGUOUS.effects[0].separating_experiment in printed
-    assert "These recordings cannot tell it from asymmetric_coulomb." in (out / "report.html").read_text()
+    assert (
+        "These recordings cannot tell it from asymmetric_coulomb."
+        in (out / "report.html").read_text()
+    )
 
 
 def test_the_sequence_that_splits_the_group_lies_beside_the_report(
@@ -162,7 +171,10 @@ def test_the_sequence_that_splits_the_group_lies_beside_the_report(
     found(dataclasses.replace(AMBIGUOUS, maps=(), traces=()))
     out = tmp_path / "out"
     assert status(["diagnose", str(campaign), "--out", str(out)]) == 0
-    assert "<code>split.yaml</code>: splits current_offset, asymmetric_coulomb" in (out / "report.html").read_text()
+    assert (
+        "<code>split.yaml</code>: splits current_offset, asymmetric_coulomb"
+        in (out / "report.html").read_text()
+    )
     capsys.readouterr()
     assert status(["run", str(out / "split.yaml"), "--dry-run"]) == 0
     assert "held-from-below" in capsys.readouterr().out
@@ -197,11 +209,25 @@ def test_text_is_escaped(campaign: Path, tmp_path: Path, found: Arrange) -> None
     assert "<unused>" not in page
 
 
-def test_seed_and_bandwidth_reach_the_numerics(campaign: Path, tmp_path: Path, found: Arrange) -> None:
+def test_seed_and_bandwidth_reach_the_numerics(
+    campaign: Path, tmp_path: Path, found: Arrange
+) -> None:
     calls = found(PLAIN)
     for _ in range(2):
         assert (
-            status(["diagnose", str(campaign), "--seed", "5", "--bandwidth", "12", "--out", str(tmp_path / "o")]) == 0
+            status(
+                [
+                    "diagnose",
+                    str(campaign),
+                    "--seed",
+                    "5",
+                    "--bandwidth",
+                    "12",
+                    "--out",
+                    str(tmp_path / "o"),
+                ]
+            )
+            == 0
         )
     assert calls[0] == calls[1] == (12.0, np.random.default_rng(5).random())
 
@@ -211,7 +237,9 @@ def test_no_such_source(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert "nothing" in capsys.readouterr().err
 
 
-def test_places_are_judged_before_the_work(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_places_are_judged_before_the_work(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     missing = tmp_path / "missing" / "r.json"
     assert status(["diagnose", str(campaign), "--json", str(missing)]) == 2
     assert f"{missing}: the folder {missing.parent} does not exist" in capsys.readouterr().err
@@ -233,7 +261,9 @@ def test_refined_values_take_the_place_of_the_search_s(
 
     def refit(dataset: Dataset, model: CorrectedModel, bandwidth_Hz: float) -> Identification:
         taken_out.append(tuple(model.effects))
-        return Identification("default", "rotary", 2.0, parameters, Fit("N m", bandwidth_Hz, 0.1, 0.01), (), ("hm",))
+        return Identification(
+            "default", "rotary", 2.0, parameters, Fit("N m", bandwidth_Hz, 0.1, 0.01), (), ("hm",)
+        )
 
     monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
     file = tmp_path / "found.json"
@@ -250,12 +280,26 @@ def test_refined_values_take_the_place_of_the_search_s(
     ]
 
 
-def test_static_friction_that_nothing_pins_is_not_exported(campaign: Path, tmp_path: Path, found: Arrange) -> None:
-    shift = {**PLAIN.parameter_shift, "mu_s": Shift(None, None, "1"), "Ms": Shift(12.1, 12.0, "N m")}
+def test_static_friction_that_nothing_pins_is_not_exported(
+    campaign: Path, tmp_path: Path, found: Arrange
+) -> None:
+    shift = {
+        **PLAIN.parameter_shift,
+        "mu_s": Shift(None, None, "1"),
+        "Ms": Shift(12.1, 12.0, "N m"),
+    }
     wild = {**PLAIN.parameters, "mu_c": 0.052, "mu_s": 1.1, "Mc": 6.8, "Ms": 12.0}
     found(dataclasses.replace(PLAIN, parameters=wild, parameter_shift=shift))
     file = tmp_path / "found.json"
-    arguments = ["diagnose", str(campaign), "--no-refine", "--out", str(tmp_path / "out"), "--json", str(file)]
+    arguments = [
+        "diagnose",
+        str(campaign),
+        "--no-refine",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+        str(file),
+    ]
     assert status(arguments) == 0
     record = json.loads(file.read_text())
     assert (record["parameters"]["mu_s"], record["parameters"]["Ms"]) == (0.052, 12.0)
@@ -281,7 +325,20 @@ def test_many_samples_are_refined_only_where_asked(
     monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
     monkeypatch.setattr(rig.results.diagnose.diagnose, "REFINED_SAMPLES", 10)
     file = tmp_path / "found.json"
-    assert status(["diagnose", str(campaign), *option, "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
+    assert (
+        status(
+            [
+                "diagnose",
+                str(campaign),
+                *option,
+                "--out",
+                str(tmp_path / "out"),
+                "--json",
+                str(file),
+            ]
+        )
+        == 0
+    )
     assert bool(asked) == refined
     warnings = json.loads(file.read_text())["warnings"]
     assert any("--refine does it" in w for w in warnings) != refined
@@ -296,7 +353,10 @@ def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
     found(PLAIN)
     monkeypatch.setattr(rig.results.diagnose.diagnose, "refit", refit)
     file = tmp_path / "found.json"
-    assert status(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
+    assert (
+        status(["diagnose", str(campaign), "--out", str(tmp_path / "out"), "--json", str(file)])
+        == 0
+    )
     record = json.loads(file.read_text())
     assert "not refined: no motion" in record["warnings"]
     assert record["parameters"]["Mc"] == PLAIN.parameters["Mc"]

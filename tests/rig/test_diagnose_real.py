@@ -1,4 +1,6 @@
-"""The diagnosis on recordings of real machines: what their owners know and the tool was not told."""
+"""The diagnosis on recordings of real machines: what their owners know and the tool was not
+told.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,9 @@ from rig.results.diagnose.diagnose import as_json, diagnose_source
 from rig.sources import load_source
 
 PERIOD_SAMPLES = 6240
-"""Of the motion of emps, which repeats to within a micrometre: what one period reads later than another is noise."""
+"""Of the motion of emps, which repeats to within a micrometre: what one period reads later than
+another is noise.
+"""
 NEWTONS_PER_UNIT = 35.15065188248547
 CAMPAIGNS = Path(__file__).parents[1] / "campaigns"
 pytestmark = pytest.mark.usefixtures("recordings")
@@ -29,7 +33,9 @@ def diagnosed(name: str) -> dict[str, Any]:
 
 
 def test_asymmetric_viscous_friction_of_emps() -> None:
-    """The authors of the data say so; the record with pulses takes no part and is predicted better."""
+    """The authors of the data say so; the record with pulses takes no part and is predicted
+    better.
+    """
     found = diagnosed("emps")
     first = found["effects"][0]
     assert first["name"] == "asymmetric_viscous"
@@ -39,7 +45,9 @@ def test_asymmetric_viscous_friction_of_emps() -> None:
 
 
 def test_seven_periods_a_turn_of_a_motor_turned_slowly_once() -> None:
-    """0.79 A by the notes beside the data; one turn at one speed cannot tell cogging from a ripple of the constant."""
+    """0.79 A by the notes beside the data; one turn at one speed cannot tell cogging from a ripple
+    of the constant.
+    """
     found = diagnosed("odrive_cogging")
     assert found["verdict"] == "ambiguous"
     first = found["effects"][0]
@@ -70,9 +78,11 @@ def test_a_delay_laid_into_real_channels_comes_back() -> None:
 
 @pytest.mark.parametrize(("drive", "least", "most"), [(1, 0.25e-3, 0.40e-3), (2, 0.06e-3, 0.18e-3)])
 def test_a_constant_load_on_a_screw(drive: int, least: float, most: float) -> None:
-    """Half the sum of the mean torques both ways is -0.26 to -0.40 mN m on drive 1 and -0.01 to -0.18 on drive 2.
+    """Half the sum of the mean torques both ways is -0.26 to -0.40 mN m on drive 1 and -0.01 to
+    -0.18 on drive 2.
 
-    The second swings once a turn by more than that. Only speeds were recorded: no two recordings share an angle.
+    The second swings once a turn by more than that. Only speeds were recorded: no two recordings
+    share an angle.
     """
     found = diagnosed(f"screw_drive_{drive}_untold")
     effect = next(e for e in found["effects"] if e["name"] == "asymmetric_coulomb")
@@ -80,20 +90,36 @@ def test_a_constant_load_on_a_screw(drive: int, least: float, most: float) -> No
     assert -most < effect["parameters"]["torque_Nm"]["value"] < -least
     others = {e["name"] for e in found["effects"]} - {"asymmetric_coulomb"}
     assert others <= ({"torque_ripple", "cogging"} if drive == 2 else set())
-    # The swing's phase in a recording set aside is not known, so that of drive 2's there is nothing to gain.
-    assert found["fit"]["validate_final_rms"] < (0.5, 1.02)[drive - 1] * found["fit"]["validate_baseline_rms"]
+    # The swing's phase in a recording set aside is not known, so that of drive 2's there is nothing
+    # to gain.
+    assert (
+        found["fit"]["validate_final_rms"]
+        < (0.5, 1.02)[drive - 1] * found["fit"]["validate_baseline_rms"]
+    )
 
 
-def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> None:
-    """Where its unexplained half volt comes from: they fall at 4.6 s and stay, while the firmware asks for 5.4 V up."""
+def test_two_recordings_of_the_heavy_mass_stand_under_a_torque_that_did_not_reach_the_motor() -> (
+    None
+):
+    """Where its unexplained half volt comes from: they fall at 4.6 s and stay, while the firmware
+    asks for 5.4 V up.
+    """
     said = [w for w in diagnosed("sts3032_to_light")["warnings"] if "the joint stands" in w]
-    assert [w.split(":")[0] for w in said] == [f"m457g_l100mm_kp{gain}_up_and_down" for gain in (16, 32)]
+    assert [w.split(":")[0] for w in said] == [
+        f"m457g_l100mm_kp{gain}_up_and_down" for gain in (16, 32)
+    ]
     assert all("to 6.00 s the joint stands at 4" in w for w in said)
 
 
 def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_path: Path) -> None:
-    """They say 5 to 10 ms; the voltage was computed from the late angle, so that only its command is early."""
-    text = (CAMPAIGNS / "sts3032_to_heavy.yaml").read_text().replace("terms: []", "terms: [load_dependent_friction]")
+    """They say 5 to 10 ms; the voltage was computed from the late angle, so that only its command
+    is early.
+    """
+    text = (
+        (CAMPAIGNS / "sts3032_to_heavy.yaml")
+        .read_text()
+        .replace("terms: []", "terms: [load_dependent_friction]")
+    )
     path = tmp_path / "campaign.yaml"
     path.write_text(text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared")))
     found = as_json(diagnose_source(path, 0, bandwidth_Hz=25.0))
@@ -107,8 +133,14 @@ def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_p
 
 
 def test_what_explains_too_little_for_a_name_is_told(tmp_path: Path) -> None:
-    """Without the controller's law nobody knows that the voltage was computed: shifted whole, 18 ms show of it."""
-    text = (CAMPAIGNS / "sts3032_to_heavy.yaml").read_text().replace("terms: []", "terms: [load_dependent_friction]")
+    """Without the controller's law nobody knows that the voltage was computed: shifted whole, 18 ms
+    show of it.
+    """
+    text = (
+        (CAMPAIGNS / "sts3032_to_heavy.yaml")
+        .read_text()
+        .replace("terms: []", "terms: [load_dependent_friction]")
+    )
     text = re.sub(r"^ +controller:.*\n", "", text, flags=re.MULTILINE)
     path = tmp_path / "campaign.yaml"
     path.write_text(text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared")))
@@ -116,7 +148,9 @@ def test_what_explains_too_little_for_a_name_is_told(tmp_path: Path) -> None:
     assert found["verdict"] == "outside_catalogue"
     assert found["effects"] == []
     (line,) = [w for w in found["warnings"] if "too little for a name" in w]
-    late = re.search(r"^(\d+) % of what .* the current is sampled ([\d.]+) ms .* after the angles", line)
+    late = re.search(
+        r"^(\d+) % of what .* the current is sampled ([\d.]+) ms .* after the angles", line
+    )
     assert late is not None
     assert 15 < float(late[1]) < 40
     assert 15.0 < float(late[2]) < 22.0
@@ -124,10 +158,11 @@ def test_what_explains_too_little_for_a_name_is_told(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("mass", "length"), [(259, 50), (259, 70), (259, 100), (457, 50)])
 def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_path: Path) -> None:
-    """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not (docs/diagnosis.md).
+    """With m g l, though the gear rubs in proportion to it; 457 g on longer levers are not
+    (docs/diagnosis.md).
 
-    What is left on unseen recordings is held against the weight's own torque too: how well the constants alone do there
-    hangs on a static friction that few rows tell.
+    What is left on unseen recordings is held against the weight's own torque too: how well the
+    constants alone do there hangs on a static friction that few rows tell.
     """
     text = (CAMPAIGNS / "sts3032_no_weight.yaml").read_text()
     path = tmp_path / "campaign.yaml"
@@ -139,12 +174,16 @@ def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_pat
     assert set(first["alias_group"]) <= {"gravity_imbalance", "return_spring"}
     weight = 9.80665e-6 * mass * length
     assert first["parameters"]["torque_Nm"]["value"] == pytest.approx(weight, rel=0.15)
-    assert found["fit"]["validate_final_rms"] < min(0.2 * weight, 0.5 * found["fit"]["validate_baseline_rms"])
+    assert found["fit"]["validate_final_rms"] < min(
+        0.2 * weight, 0.5 * found["fit"]["validate_baseline_rms"]
+    )
 
 
 @pytest.mark.parametrize("amperes", [0.3, -0.3])
 def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) -> None:
-    """Beside the machine's own constant force; no motion at one load tells it from asymmetric friction."""
+    """Beside the machine's own constant force; no motion at one load tells it from asymmetric
+    friction.
+    """
     dataset = load_source(CAMPAIGNS / "emps.yaml")
     own = diagnosed_in_amperes(dataset, 0.0, declared=True).parameter_shift["offset"]
     found = diagnosed_in_amperes(dataset, amperes, declared=False)
@@ -155,7 +194,8 @@ def test_a_constant_current_added_to_real_channels_comes_back(amperes: float) ->
     else:
         size = effect.parameters["torque_Nm"].value
     added = NEWTONS_PER_UNIT * amperes
-    # What of the machine's own constant counts as asymmetric viscous friction depends on whether that was named.
+    # What of the machine's own constant counts as asymmetric viscous friction depends on whether
+    # that was named.
     asymmetric = any(e.name == "asymmetric_viscous" for e in found.effects)
     beside = own.after if asymmetric else own.before
     assert beside is not None
@@ -174,17 +214,25 @@ def diagnosed_in_amperes(dataset: Dataset, added: float, declared: bool) -> Diag
 def with_current(recording: Recording, added: float) -> Recording:
     channels = dict(recording.channels)
     channels["current"] = channels.pop("torque") / NEWTONS_PER_UNIT + added
-    return replace(recording, channels=channels, bench=replace(recording.bench, torque_constant=NEWTONS_PER_UNIT))
+    return replace(
+        recording,
+        channels=channels,
+        bench=replace(recording.bench, torque_constant=NEWTONS_PER_UNIT),
+    )
 
 
 @pytest.mark.parametrize("gap_m", [2e-5, 1e-4])
 def test_a_dead_zone_laid_between_real_channels_comes_back(gap_m: float) -> None:
-    """The second encoder is the first one a period later, behind a gap; the last period takes no part."""
+    """The second encoder is the first one a period later, behind a gap; the last period takes no
+    part.
+    """
     record = load_source(CAMPAIGNS / "emps.yaml").recordings[0]
     twice = behind_a_gap(record, gap_m)
     half = len(twice.time) - PERIOD_SAMPLES
     parts = (portion(twice, slice(0, half), "fit"), portion(twice, slice(half, None), "validate"))
-    found = diagnose(Dataset(parts, load_source(CAMPAIGNS / "emps.yaml").model), rng=np.random.default_rng(0))
+    found = diagnose(
+        Dataset(parts, load_source(CAMPAIGNS / "emps.yaml").model), rng=np.random.default_rng(0)
+    )
     effect = next(e for e in found.effects if e.name == "backlash")
     assert set(effect.alias_group) <= {"backlash", "coupling_hysteresis"}
     assert effect.parameters["gap_rad"].unit == "m"

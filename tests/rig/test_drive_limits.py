@@ -1,4 +1,6 @@
-"""The bench's limits beside the drive's own: both sides of every one, and what a run does about it."""
+"""The bench's limits beside the drive's own: both sides of every one, and what a run does about
+it.
+"""
 
 from __future__ import annotations
 
@@ -47,7 +49,9 @@ def test_both_sides_of_each_limit(field: str, tighter: float, looser: float | No
     require_within_own(changed(**{field: tighter}), WANTED)
     with pytest.raises(ConfigurationError, match="looser than the drive's own limits"):
         require_within_own(changed(**{field: looser}), WANTED)
-    assert [row.field for row in compare(changed(**{field: looser}), WANTED) if row.looser] == [field]
+    assert [row.field for row in compare(changed(**{field: looser}), WANTED) if row.looser] == [
+        field
+    ]
 
 
 def test_a_thousandth_is_rounding() -> None:
@@ -69,7 +73,9 @@ COARSE = (
 
 @pytest.mark.parametrize(("field", "step"), COARSE)
 @pytest.mark.parametrize(("share", "same"), [(0.5, True), (1.0, True), (1.01, False), (2.0, False)])
-def test_limits_within_one_step_of_the_drive_are_the_same(field: str, step: float, share: float, same: bool) -> None:
+def test_limits_within_one_step_of_the_drive_are_the_same(
+    field: str, step: float, share: float, same: bool
+) -> None:
     other = changed(**{field: getattr(WANTED, field) + share * step})
     assert [row.looser for row in compare(other, WANTED, STEPS) if row.field == field] == [not same]
     if same:
@@ -85,7 +91,9 @@ def test_limits_within_one_step_of_the_drive_are_the_same(field: str, step: floa
 @pytest.mark.parametrize(("share", "same"), [(1.0, True), (1.01, False)])
 def test_a_ramp_within_one_step_is_the_same(share: float, same: bool) -> None:
     slower = changed(quick_stop_deceleration_rad_s2=35.0 - share * 0.3)
-    row = next(r for r in compare(slower, WANTED, STEPS) if r.field == "quick_stop_deceleration_rad_s2")
+    row = next(
+        r for r in compare(slower, WANTED, STEPS) if r.field == "quick_stop_deceleration_rad_s2"
+    )
     assert row.looser is not same
 
 
@@ -98,7 +106,11 @@ def test_a_step_finer_than_a_thousandth_leaves_the_thousandth() -> None:
 
 @pytest.mark.parametrize(
     ("rated_A", "rated_N_m", "gear", "current", "torque"),
-    [(15.0, 0.45, 100.0, 5.0, 12.0), (3.21, 0.0302, 51.0, 5.0, 3.885), (1.0, 0.388, 1.0, 0.4995, 0.3885)],
+    [
+        (15.0, 0.45, 100.0, 5.0, 12.0),
+        (3.21, 0.0302, 51.0, 5.0, 3.885),
+        (1.0, 0.388, 1.0, 0.4995, 0.3885),
+    ],
 )
 def test_what_a_run_wrote_does_not_refuse_the_next(
     rated_A: float, rated_N_m: float, gear: float, current: float, torque: float
@@ -111,7 +123,8 @@ def test_what_a_run_wrote_does_not_refuse_the_next(
     require_within_own(asked, left, steps(scales))
     more = changed(
         current_A=left.current_A + max(1.1 * scales.current_unit_A, 1.1e-3 * left.current_A),
-        torque_N_m=left.torque_N_m + max(1.1 * scales.joint_torque_unit_N_m, 1.1e-3 * left.torque_N_m),
+        torque_N_m=left.torque_N_m
+        + max(1.1 * scales.joint_torque_unit_N_m, 1.1e-3 * left.torque_N_m),
     )
     rows = [row.field for row in loosened(more, left, steps(scales))]
     assert rows == ["torque_N_m", "current_A"]
@@ -128,7 +141,10 @@ def test_a_window_that_is_off_in_both_is_no_limit() -> None:
 
 def test_the_drive_must_brake_as_asked() -> None:
     require_held(changed(quick_stop_deceleration_rad_s2=40.0), WANTED)
-    with pytest.raises(ConfigurationError, match=r"quick stop deceleration .6085h.: drive 1719 deg/s.2, wanted 2005"):
+    with pytest.raises(
+        ConfigurationError,
+        match=r"quick stop deceleration .6085h.: drive 1719 deg/s.2, wanted 2005",
+    ):
         require_held(changed(quick_stop_deceleration_rad_s2=30.0), WANTED)
     with pytest.raises(ConfigurationError, match=r"quick stop option .605Ah.: drive 6, wanted 2"):
         require_held(changed(quick_stop_option=6), WANTED)
@@ -138,7 +154,9 @@ def test_the_bench_file_sets_how_to_brake_but_may_not_keep_the_power_on() -> Non
     require_within_own(changed(quick_stop_deceleration_rad_s2=1.0), WANTED)
     require_within_own(WANTED, changed(quick_stop_option=6))
     require_within_own(changed(quick_stop_option=6), changed(quick_stop_option=5))
-    assert [row.field for row in loosened(changed(quick_stop_option=6), WANTED)] == ["quick_stop_option"]
+    assert [row.field for row in loosened(changed(quick_stop_option=6), WANTED)] == [
+        "quick_stop_option"
+    ]
 
 
 def test_every_limit_is_named_at_once() -> None:
@@ -168,7 +186,10 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
     loose = ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, 0.04, 6, 10.0)
     with pytest.raises(ConfigurationError) as caught:
         require_held(loose, WANTED)
-    rows = "; ".join(f"{name}: drive {first}, wanted {second}" for name, first, second in (*EVERY_LIMIT, *BRAKING))
+    rows = "; ".join(
+        f"{name}: drive {first}, wanted {second}"
+        for name, first, second in (*EVERY_LIMIT, *BRAKING)
+    )
     assert str(caught.value) == (
         f"the drive does not hold the limits written into it: {rows}; it is not enabled; check "
         "in its manual the range of these objects and whether they are locked"
@@ -176,17 +197,23 @@ def test_what_the_operator_reads_when_nothing_holds() -> None:
     with pytest.raises(ConfigurationError) as caught:
         require_within_own(loose, WANTED)
     rows = "; ".join(
-        f"{name}: bench file {first}, drive {second}" for name, first, second in (*EVERY_LIMIT, BRAKING[0])
+        f"{name}: bench file {first}, drive {second}"
+        for name, first, second in (*EVERY_LIMIT, BRAKING[0])
     )
     assert str(caught.value) == (
-        f"the bench file is looser than the drive's own limits: {rows}; tighten the bench file, or change the drive "
-        "with its maker's tool; limits left by a run that died go when the drive's supply is switched off and on"
+        f"the bench file is looser than the drive's own limits: {rows}; tighten the bench file, "
+        f"or change the drive "
+        "with its maker's tool; limits left by a run that died go when the drive's supply is "
+        "switched off and on"
     )
 
 
 @pytest.mark.parametrize("option", range(10))
 def test_the_bench_file_may_not_keep_the_power_on_after_a_quick_stop(option: int) -> None:
-    rows = [row.field for row in loosened(changed(quick_stop_option=option), changed(quick_stop_option=2))]
+    rows = [
+        row.field
+        for row in loosened(changed(quick_stop_option=option), changed(quick_stop_option=2))
+    ]
     assert rows == (["quick_stop_option"] if 5 <= option <= 8 else [])
 
 

@@ -23,9 +23,11 @@ SEQUENCE = """\
 sequence: 1
 name: one
 stages:
-  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 5, frequency_Hz: 2}}], duration_s: 0.5, ramp_in_s: 0.1,
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 5, frequency_Hz: 2}}],
+     duration_s: 0.5, ramp_in_s: 0.1,
      ramp_out_s: 0.1, settle_s: 0.05}}
-  - {{name: heavy, stage: loaded, weight_kg: 10, tones: [{{amplitude_deg: 5, frequency_Hz: 2}}], duration_s: 0.5,
+  - {{name: heavy, stage: loaded, weight_kg: 10, tones: [{{amplitude_deg: 5, frequency_Hz: 2}}],
+     duration_s: 0.5,
      ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}}
 limits: {{torque_N_m: {torque}}}
 """
@@ -48,7 +50,8 @@ def result(path: Path, **changes: Any) -> Path:
         "motion": "rotary",
         "alpha": 2.0,
         "parameters": {
-            name: {"value": value, "low": value, "high": value} for name, value in {**NOMINAL, **changes}.items()
+            name: {"value": value, "low": value, "high": value}
+            for name, value in {**NOMINAL, **changes}.items()
         },
     }
     path.write_text(json.dumps(raw))
@@ -60,7 +63,8 @@ def heavy(record: dict[str, Any]) -> float:
 
 
 @pytest.mark.parametrize(
-    ("share", "code", "words"), [(1.01, 0, "warning"), (0.99, 1, "problem"), (1.26, 0, None), (1.24, 0, "warning")]
+    ("share", "code", "words"),
+    [(1.01, 0, "warning"), (0.99, 1, "problem"), (1.26, 0, None), (1.24, 0, "warning")],
 )
 def test_both_sides_of_a_limit_and_of_its_warning(
     share: float, code: int, words: str | None, capsys: pytest.CaptureFixture[str]
@@ -88,7 +92,10 @@ def test_a_current_beyond_its_limit_is_a_problem_of_its_own() -> None:
     Path("one.yaml").write_text(text)
     code, record = dry()
     assert code == 1
-    assert [text.split("predicted peak ")[1].split()[0] for text in record["problems"]] == ["current", "current"]
+    assert [text.split("predicted peak ")[1].split()[0] for text in record["problems"]] == [
+        "current",
+        "current",
+    ]
 
 
 def test_the_table_is_aligned_and_the_bench_comes_first(capsys: pytest.CaptureFixture[str]) -> None:
@@ -97,12 +104,17 @@ def test_the_table_is_aligned_and_the_bench_comes_first(capsys: pytest.CaptureFi
     assert lines[0] == f"simulated bench practical ({load_bench('practical').path})"
     start = next(k for k, line in enumerate(lines) if line.startswith("stage  part"))
     assert len({len(line) for line in lines[start : start + 4]}) == 1
-    assert "watched by: the drive itself: it stops when it hears nothing of this program for 100 ms" in lines
+    assert (
+        "watched by: the drive itself: it stops when it hears nothing of this program for 100 ms"
+        in lines
+    )
     assert not Path("runs").exists()
 
 
 @pytest.mark.parametrize(("arguments", "prompts"), [((), 2), (("--yes",), 0)])
-def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(arguments: tuple[str, ...], prompts: int) -> None:
+def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(
+    arguments: tuple[str, ...], prompts: int
+) -> None:
     record = dry(*arguments)[1]
     assert record["prompts"] == prompts
     assert record["under_power_s"] == pytest.approx(2 * (0.5 + 0.05 + 0.1))
@@ -113,14 +125,21 @@ def test_the_duration_counts_the_prompts_that_somebody_has_to_answer(arguments: 
 
 def test_moves_to_the_start_take_time() -> None:
     assert dry()[1]["moves_s"] == 0.0
-    Path("one.yaml").write_text(SEQUENCE.format(torque=75).replace("settle_s: 0.05", "settle_s: 0.05, center_deg: 10"))
+    Path("one.yaml").write_text(
+        SEQUENCE.format(torque=75).replace("settle_s: 0.05", "settle_s: 0.05, center_deg: 10")
+    )
     assert dry()[1]["moves_s"] == pytest.approx(2 * 3.14159 / 2 * 10 / 30, abs=0.01)
 
 
-def test_the_paper_s_values_stand_in_for_an_identification(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_paper_s_values_stand_in_for_an_identification(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     record = dry()[1]
     assert record["identified"] is False
-    assert "Predicted from the paper's friction and the inertia 0.204 kg m^2" in capsys.readouterr().out
+    assert (
+        "Predicted from the paper's friction and the inertia 0.204 kg m^2"
+        in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize("option", ["--identification", "--feedforward"])
@@ -142,17 +161,24 @@ def test_what_an_identification_leaves_open_is_said() -> None:
     del raw["parameters"]["mu_2"]
     path.write_text(json.dumps(raw))
     model = friction_model(bench, path)
-    assert model.source == "the identification open.json; J, mu_2, which it leaves open, from the paper"
+    assert (
+        model.source
+        == "the identification open.json; J, mu_2, which it leaves open, from the paper"
+    )
     assert dict(model.values) == dict(NOMINAL)
 
 
 @pytest.mark.parametrize("option", ["--identification", "--feedforward", "--faults"])
-def test_a_file_that_is_not_there_is_bad_input(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_file_that_is_not_there_is_bad_input(
+    option: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert dry(option, "none.json")[0] == 2
     assert "none.json" in capsys.readouterr().err
 
 
-def test_an_identification_without_a_load_does_not_fit_the_weight_check(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_identification_without_a_load_does_not_fit_the_weight_check(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     path = Path("open.json")
     raw = json.loads(result(path).read_text())
     raw["parameters"]["mu_c"]["value"] = None

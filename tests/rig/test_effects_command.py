@@ -13,9 +13,10 @@ from rig.config.catalogue import CATALOGUE, EFFECTS
 def test_every_effect_has_a_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["effects"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.removeprefix(e.group).split()[0] for line, e in zip(lines[2:], ENTRIES.values(), strict=True)] == list(
-        ENTRIES
-    )
+    assert [
+        line.removeprefix(e.group).split()[0]
+        for line, e in zip(lines[2:], ENTRIES.values(), strict=True)
+    ] == list(ENTRIES)
     assert max(map(len, lines)) <= 130
 
 
@@ -23,12 +24,20 @@ def test_one_entry_is_shown_whole(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["effects", "backlash"]) == 0
     words = " ".join(capsys.readouterr().out.split())
     entry = ENTRIES["backlash"]
-    for part in (entry.equation, entry.assumption, entry.coordinate, entry.experiment, *entry.look_alikes):
+    for part in (
+        entry.equation,
+        entry.assumption,
+        entry.coordinate,
+        entry.experiment,
+        *entry.look_alikes,
+    ):
         assert part in words
     assert "gap_rad: plausible from 0 to 0.1 rad" in words
 
 
-def test_the_record_holds_what_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_record_holds_what_is_printed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     file = tmp_path / "effects.json"
     assert status(["effects", "--json", str(file)]) == 0
     record = json.loads(file.read_text())
@@ -45,4 +54,11 @@ def test_a_misspelt_name_gets_a_suggestion(capsys: pytest.CaptureFixture[str]) -
 
 def test_the_groups_hold_every_effect() -> None:
     assert tuple(ENTRIES) == EFFECTS
-    assert list(CATALOGUE) == ["motor", "transmission", "friction", "device", "sensing", "gas generator"]
+    assert list(CATALOGUE) == [
+        "motor",
+        "transmission",
+        "friction",
+        "device",
+        "sensing",
+        "gas generator",
+    ]

@@ -24,7 +24,8 @@ SEQUENCE = """\
 sequence: 1
 name: short
 stages:
-  - {name: free, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.4, phase_deg: 0}], duration_s: 8}
+  - {name: free, stage: unloaded, tones: [{amplitude_deg: 15, frequency_Hz: 0.4, phase_deg: 0}],
+     duration_s: 8}
 """
 
 
@@ -48,7 +49,9 @@ def sequence(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_proposal_runs(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_proposal_runs(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "planned"
     assert status(["identify", "--plan", str(sequence), "--out", str(out)]) == 0
     printed = capsys.readouterr().out
@@ -57,7 +60,13 @@ def test_the_proposal_runs(sequence: Path, tmp_path: Path, capsys: pytest.Captur
     record = json.loads((out / "plan.json").read_text())
     assert record["schema"] == "loadrig.plan/1"
     assert record["current_noise_A"] == pytest.approx(0.025)
-    assert set(record["present"]["relative_half_widths"]) == {"Mc", "Ms", "omega_sf", "sigma_2", "J"}
+    assert set(record["present"]["relative_half_widths"]) == {
+        "Mc",
+        "Ms",
+        "omega_sf",
+        "sigma_2",
+        "J",
+    }
     proposed = yaml.safe_load((out / "proposal.yaml").read_text())
     times = [stage["duration_s"] + stage.get("settle_s", 0.2) for stage in proposed["stages"]]
     assert 5.0 < sum(times) <= 8.2 + 1e-6
@@ -78,7 +87,9 @@ def test_ramps_are_written_so_that_they_read_back(speed: float, away: int, times
         ramp_in_s=0.5,
     )
     written = _with(stage, ramps, "s-1")
-    again = StageSection.model_validate(yaml.safe_load(yaml.safe_dump(written.model_dump(exclude_defaults=True))))
+    again = StageSection.model_validate(
+        yaml.safe_load(yaml.safe_dump(written.model_dump(exclude_defaults=True)))
+    )
     assert again == written
     assert again.duration_s == pytest.approx(ramps.seconds) == pytest.approx(times * away / 50.0)
     assert f"{times} times" in excitation_words(again)
@@ -105,20 +116,38 @@ def test_a_sequence_beyond_the_bench_is_refused(
 
 @pytest.mark.parametrize(
     ("content", "words"),
-    [(None, "cannot be read"), ("{", "not JSON"), ('{"schema": "x"}', "a result of `rig identify`")],
+    [
+        (None, "cannot be read"),
+        ("{", "not JSON"),
+        ('{"schema": "x"}', "a result of `rig identify`"),
+    ],
 )
 def test_a_nominal_that_cannot_be_used(
-    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str | None, words: str
+    sequence: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    content: str | None,
+    words: str,
 ) -> None:
     path = tmp_path / "nominal.json"
     if content is not None:
         path.write_text(content)
-    arguments = ["identify", "--plan", str(sequence), "--nominal", str(path), "--out", str(tmp_path / "o")]
+    arguments = [
+        "identify",
+        "--plan",
+        str(sequence),
+        "--nominal",
+        str(path),
+        "--out",
+        str(tmp_path / "o"),
+    ]
     assert status(arguments) == 2
     assert words in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("tighter", "words"), [(0.5, "run both"), (1.0, "the sequence is proposed as it is")])
+@pytest.mark.parametrize(
+    ("tighter", "words"), [(0.5, "run both"), (1.0, "the sequence is proposed as it is")]
+)
 def test_a_proposal_that_is_the_sequence_itself_is_told(tighter: float, words: str) -> None:
     now, then = Pinned({"omega_sL": 0.01}), Pinned({"omega_sL": 0.01 * tighter})
     proposal = Proposal("omega_sL", now, (), then, then, judged=3, rehearsed=2)

@@ -55,7 +55,9 @@ def schedule(*rows: str) -> Path:
 
 def run(*rows: str, options: tuple[str, ...] = ("--yes",)) -> tuple[int, list[dict[str, Any]]]:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
-    code = status(["run", "sequence.yaml", *options, "--out", "out", "--faults", str(schedule(*rows))])
+    code = status(
+        ["run", "sequence.yaml", *options, "--out", "out", "--faults", str(schedule(*rows))]
+    )
     return code, json.loads(Path("out/faults.json").read_text())["faults"]
 
 
@@ -69,16 +71,25 @@ def test_yaml_and_csv_say_the_same() -> None:
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ("target: bus, fault: lost", "exactly one of time_s, phase and state to say when the fault comes, found none"),
+        (
+            "target: bus, fault: lost",
+            "exactly one of time_s, phase and state to say when the fault comes, found none",
+        ),
         ("time_s: 1, phase: hold, target: bus, fault: lost", "found time_s and phase"),
         ("phase: hold, target: bus, fault: lots", "'bus' has no fault 'lots'; did you mean 'lost'"),
         ("phase: hold, target: drive, fault: restart, value: 1", "takes no value"),
-        ("phase: hold, target: encoder, fault: bit, value: 1.5", "takes a whole number (bit), found 1.5"),
+        (
+            "phase: hold, target: encoder, fault: bit, value: 1.5",
+            "takes a whole number (bit), found 1.5",
+        ),
         (
             "phase: hold, target: drive, fault: fault, frames: {device: drive}",
             "'frames' is for faults of a bus or line",
         ),
-        ("phase: hold, target: bus, fault: lost, frames: {function: motoin}", "did you mean 'motion'"),
+        (
+            "phase: hold, target: bus, fault: lost, frames: {function: motoin}",
+            "did you mean 'motion'",
+        ),
         ("phase: hold, target: bus, fault: lost, expect: {words: '('}", "not a regular expression"),
         ("phase: never, target: bus, fault: lost", "phase: input should be 'prompt'"),
         ("phase: hold, target: bus, fault: lost, cuont: 3", "unknown key; did you mean 'count'"),
@@ -124,14 +135,22 @@ def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None
     assert not set(ACTIONS) & set(BENCH_ACTIONS)
     used: set[tuple[str, str]] = set()
     for transport in fault_matrix.TRANSPORTS.values():
-        rows = [FaultRow(phase="hold", **row) for case in transport.cases.values() for row in case.rows]
+        rows = [
+            FaultRow(phase="hold", **row) for case in transport.cases.values() for row in case.rows
+        ]
         used |= {(row.target, row.fault) for row in rows}
         bench = load_bench(transport.bench).value
         possible = {
             fault
             for fault in FAULTS
             if impossible(
-                FaultRow(phase="hold", target=fault[0], fault=fault[1], value=2 if FAULTS[fault].unit else None), bench
+                FaultRow(
+                    phase="hold",
+                    target=fault[0],
+                    fault=fault[1],
+                    value=2 if FAULTS[fault].unit else None,
+                ),
+                bench,
             )
             is None
         }
@@ -142,12 +161,32 @@ def test_every_kind_of_fault_can_be_brought_about_and_is_in_the_matrix() -> None
 @pytest.mark.parametrize(
     ("bench", "row", "words"),
     [
-        ("practical", "phase: hold, target: line, fault: cut", "this bench has no line; it has bus"),
-        ("practical_serial", "phase: hold, target: bus, fault: lost", "has no bus; it has line and encoder_line"),
-        ("practical_serial", "phase: hold, target: drive, fault: emcy", "is for CANopen drives on CAN"),
-        ("practical", "phase: hold, target: drive, fault: counter_stuck", "is for drives of kind dbc"),
+        (
+            "practical",
+            "phase: hold, target: line, fault: cut",
+            "this bench has no line; it has bus",
+        ),
+        (
+            "practical_serial",
+            "phase: hold, target: bus, fault: lost",
+            "has no bus; it has line and encoder_line",
+        ),
+        (
+            "practical_serial",
+            "phase: hold, target: drive, fault: emcy",
+            "is for CANopen drives on CAN",
+        ),
+        (
+            "practical",
+            "phase: hold, target: drive, fault: counter_stuck",
+            "is for drives of kind dbc",
+        ),
         ("practical_dbc", "phase: hold, target: drive, fault: quick_stop_option", "has no 605Ah"),
-        ("practical_dbc", "phase: hold, target: drive, fault: fault", "go up to FFh; give a lower value (got 29472)"),
+        (
+            "practical_dbc",
+            "phase: hold, target: drive, fault: fault",
+            "go up to FFh; give a lower value (got 29472)",
+        ),
         ("practical_dbc", "state: switched_on, target: bus, fault: lost", "no state switched_on"),
     ],
 )
@@ -156,7 +195,22 @@ def test_a_fault_that_a_bench_cannot_have_is_refused(
 ) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     path = schedule("phase: hold, target: operator, fault: stop", row)
-    assert status(["run", "sequence.yaml", "--bench", bench, "--yes", "--out", "out", "--faults", str(path)]) == 2
+    assert (
+        status(
+            [
+                "run",
+                "sequence.yaml",
+                "--bench",
+                bench,
+                "--yes",
+                "--out",
+                "out",
+                "--faults",
+                str(path),
+            ]
+        )
+        == 2
+    )
     told = capsys.readouterr().err
     assert f"{path}:4:" in told
     assert words in told
@@ -175,7 +229,11 @@ def test_the_reaction_is_judged_and_told(capsys: pytest.CaptureFixture[str]) -> 
     assert good["as_expected"] is True
     assert 0 < good["off_after_s"] < 0.1
     assert bad["as_expected"] is False
-    assert [remark.split(":")[0] for remark in bad["remarks"]] == ["de-energised after", "exit status", "words"]
+    assert [remark.split(":")[0] for remark in bad["remarks"]] == [
+        "de-energised after",
+        "exit status",
+        "words",
+    ]
     assert (never["applied_s"], never["as_expected"]) == (None, False)
     told = capsys.readouterr().out
     assert "row 2: exit status: expected 0, found 1" in told
@@ -192,30 +250,48 @@ def test_a_fault_of_another_stage_is_refused(capsys: pytest.CaptureFixture[str])
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     path = schedule("phase: hold, stage: emtpy, target: bus, fault: lost")
     assert status(["run", "sequence.yaml", "--yes", "--out", "out", "--faults", str(path)]) == 2
-    assert "rows[0].stage: the sequence has no such stage; did you mean 'empty'" in capsys.readouterr().err
+    assert (
+        "rows[0].stage: the sequence has no such stage; did you mean 'empty'"
+        in capsys.readouterr().err
+    )
     assert not Path("out").exists()
 
 
 def test_faults_are_for_simulated_benches_only(capsys: pytest.CaptureFixture[str]) -> None:
     Path("sequence.yaml").write_text(fault_matrix.SEQUENCE)
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
-    Path("bench.yaml").write_text(text.replace("interface: mock", "interface: virtual, channel: nobody"))
+    Path("bench.yaml").write_text(
+        text.replace("interface: mock", "interface: virtual, channel: nobody")
+    )
     path = schedule("phase: hold, target: bus, fault: lost")
-    arguments = ["run", "sequence.yaml", "--bench", "bench.yaml", "--yes", "--out", "out", "--faults", str(path)]
+    arguments = [
+        "run",
+        "sequence.yaml",
+        "--bench",
+        "bench.yaml",
+        "--yes",
+        "--out",
+        "out",
+        "--faults",
+        str(path),
+    ]
     assert status(arguments) == 2
     assert "only be brought about on a simulated bench" in capsys.readouterr().err
 
 
 def test_a_prompt_that_nobody_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("0\n"))
-    code, (finding,) = run("phase: prompt, target: operator, fault: unanswered, value: 60", options=())
+    code, (finding,) = run(
+        "phase: prompt, target: operator, fault: unanswered, value: 60", options=()
+    )
     assert (code, finding["off_after_s"]) == (3, 0.0)
     assert "without an answer" in read_record(Path("out")).message
 
 
 def test_a_prompt_that_nobody_answers_in_time() -> None:
     code, (finding,) = run(
-        "phase: prompt, target: operator, fault: unanswered, value: 3600", options=("--yes", "--prompt-timeout", "60")
+        "phase: prompt, target: operator, fault: unanswered, value: 3600",
+        options=("--yes", "--prompt-timeout", "60"),
     )
     assert (code, finding["off_after_s"]) == (3, 0.0)
     record = read_record(Path("out"))
@@ -229,23 +305,36 @@ def test_a_step_of_the_wall_clock_does_nothing(monkeypatch: pytest.MonkeyPatch) 
     wall, calls = time.time, itertools.count()
     monkeypatch.setattr(time, "time", lambda: wall() + 3600 * (-1) ** next(calls))
     assert status(["run", "sequence.yaml", "--yes", "--out", "stepped"]) == 0
-    calm, stepped = (read_run(Path(folder) / "recording.mcap").messages["/sample"] for folder in ("calm", "stepped"))
+    calm, stepped = (
+        read_run(Path(folder) / "recording.mcap").messages["/sample"]
+        for folder in ("calm", "stepped")
+    )
     assert calm == stepped
 
 
 def _reduced() -> list[tuple[str, str, str]]:
     phases = itertools.cycle(fault_matrix.PHASES)
-    return [(line, name, next(phases)) for line, t in fault_matrix.TRANSPORTS.items() for name in t.cases]
+    return [
+        (line, name, next(phases))
+        for line, t in fault_matrix.TRANSPORTS.items()
+        for name in t.cases
+    ]
 
 
 @pytest.mark.parametrize(("line", "name", "phase"), _reduced())
 def test_reduced_matrix(line: str, name: str, phase: str, tmp_path: Path) -> None:
     transport = fault_matrix.TRANSPORTS[line]
-    assert fault_matrix.run_case(transport.cases[name], phase, transport.bench, tmp_path / "case").problems == ()
+    assert (
+        fault_matrix.run_case(
+            transport.cases[name], phase, transport.bench, tmp_path / "case"
+        ).problems
+        == ()
+    )
 
 
 @pytest.mark.parametrize(
-    ("line", "state"), [(line, state) for line, t in fault_matrix.TRANSPORTS.items() for state in t.states]
+    ("line", "state"),
+    [(line, state) for line, t in fault_matrix.TRANSPORTS.items() for state in t.states],
 )
 def test_a_drive_fault_in_every_state(line: str, state: str, tmp_path: Path) -> None:
     transport = fault_matrix.TRANSPORTS[line]
@@ -280,4 +369,7 @@ def test_what_is_left_out_has_its_default() -> None:
     row = FaultRow(phase="hold", target="bus", fault="late")
     assert (row.amount, row.count, row.when) == (0.003, 1, "hold")
     assert FaultRow(time_s=1.0, after_s=0.5, target="bus", fault="late").when == "1.5 s"
-    assert FaultRow(state="fault", after_s=0.5, target="bus", fault="late").when == "state fault + 0.5 s"
+    assert (
+        FaultRow(state="fault", after_s=0.5, target="bus", fault="late").when
+        == "state fault + 0.5 s"
+    )

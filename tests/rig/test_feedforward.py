@@ -1,4 +1,6 @@
-"""Friction feed-forward: what is read, what is sent in which cycle, what is refused, and what it does to a run."""
+"""Friction feed-forward: what is read, what is sent in which cycle, what is refused, and what it
+does to a run.
+"""
 
 from __future__ import annotations
 
@@ -40,8 +42,10 @@ RAMPS = """\
 sequence: 1
 name: ramps
 stages:
-  - {name: slow, stage: unloaded, ramp: {travel_deg: 2, speed_deg_s: 2, rest_s: 0.2}, duration_s: 2.4}
-  - {name: fast, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 4, speed_deg_s: 8, rest_s: 0.2}, duration_s: 1.4}
+  - {name: slow, stage: unloaded, ramp: {travel_deg: 2, speed_deg_s: 2, rest_s: 0.2},
+     duration_s: 2.4}
+  - {name: fast, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 4, speed_deg_s: 8,
+     rest_s: 0.2}, duration_s: 1.4}
 """
 
 
@@ -52,7 +56,9 @@ def _elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def result_file(name: str = "result.json", **changes: Any) -> Path:
-    """Write a result of ``rig identify`` with the true values of the packaged benches, but for ``changes``."""
+    """Write a result of ``rig identify`` with the true values of the packaged benches, but for
+    ``changes``.
+    """
     values = {**NOMINAL, **changes}
     raw = {
         "schema": "loadrig.identify/1",
@@ -101,18 +107,25 @@ def test_the_load_is_needed_only_for_loaded_stages() -> None:
 
 
 def test_a_rise_that_is_open_is_none_and_is_said(capsys: pytest.CaptureFixture[str]) -> None:
-    """Kinetic friction is fed forward, and stiffness brings up the rest: gains need the inertia alone."""
+    """Kinetic friction is fed forward, and stiffness brings up the rest: gains need the inertia
+    alone.
+    """
     found = load(result_file(Ms=None, omega_sL=None))
     assert found.left_open == ("Ms", "omega_sL")
     targets = 0.02 * CYCLE_S * np.arange(500)
     p = NOMINAL
-    kinetic = p["Mc"] + 0.02 * p["sigma_2"] + 30.6 * KNOWN.moment_per_kg * (p["mu_c"] + 0.02 * p["mu_2"])
+    kinetic = (
+        p["Mc"] + 0.02 * p["sigma_2"] + 30.6 * KNOWN.moment_per_kg * (p["mu_c"] + 0.02 * p["mu_2"])
+    )
     bare, whole = (offsets_of(targets, 30.6, model) for model in (found, KNOWN))
     assert bare.torque[200:206] == pytest.approx(np.full(6, kinetic))
     assert bare.stiffness[200] == whole.stiffness[200]
     path = result_file("open.json", Ms=None, omega_sL=None)
     assert status(["run", "ramps.yaml", "--feedforward", str(path), "--dry-run"]) == 0
-    assert "open.json leaves Ms, omega_sL open: no rise of friction toward rest" in capsys.readouterr().err
+    assert (
+        "open.json leaves Ms, omega_sL open: no rise of friction toward rest"
+        in capsys.readouterr().err
+    )
     assert load(result_file()).remark is None
 
 
@@ -124,9 +137,12 @@ def test_other_files_are_refused(text: str, capsys: pytest.CaptureFixture[str]) 
 
 
 def test_the_torque_of_a_cycle_goes_with_its_target() -> None:
-    """Forward: eq. 15 for the period in which the target is reached. Feedback: the last two samples against it.
+    """Forward: eq. 15 for the period in which the target is reached.
 
-    A joint that arrives at each target exactly, one cycle after it was sent, is neither pulled nor damped.
+    Feedback: the last two samples against it.
+
+    A joint that arrives at each target exactly, one cycle after it was sent, is neither pulled nor
+    damped.
     """
     targets = 0.05 * np.sin(np.linspace(0.0, 6.0, 3000))
     offsets = offsets_of(targets)
@@ -148,7 +164,10 @@ def test_a_joint_that_lags_is_pulled_and_pushed() -> None:
 
 
 def test_a_joint_far_off_is_brought_back_slowly() -> None:
-    """Soft gains leave it degrees off. Stiffness adds what damping balances at a tenth of the speed limit."""
+    """Soft gains leave it degrees off.
+
+    Stiffness adds what damping balances at a tenth of the speed limit.
+    """
     offsets = offsets_of(0.01 * CYCLE_S * np.arange(50))
     for off, way in ((0.1, -1.0), (-0.1, 1.0)):
         give = Compensator(offsets, 100.0, CYCLE_S)
@@ -182,12 +201,34 @@ def test_more_than_the_limit_is_not_sent() -> None:
 @pytest.mark.parametrize(
     ("bench", "words"),
     [
-        ("practical_dbc", "servo.kind: feed-forward needs the torque offset 60B2h, which this drive's own frames lack"),
-        ("practical_serial", "bus.interface: feed-forward needs the torque offset in the instant of the target"),
+        (
+            "practical_dbc",
+            "servo.kind: feed-forward needs the torque offset 60B2h, which this drive's own "
+            "frames lack",
+        ),
+        (
+            "practical_serial",
+            "bus.interface: feed-forward needs the torque offset in the instant of the target",
+        ),
     ],
 )
-def test_transports_without_it_refuse(bench: str, words: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["run", "ramps.yaml", "--bench", bench, "--feedforward", str(result_file()), "--dry-run"]) == 2
+def test_transports_without_it_refuse(
+    bench: str, words: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        status(
+            [
+                "run",
+                "ramps.yaml",
+                "--bench",
+                bench,
+                "--feedforward",
+                str(result_file()),
+                "--dry-run",
+            ]
+        )
+        == 2
+    )
     assert words in capsys.readouterr().err
     with pytest.raises(InputError):
         require_torque_offset(load_bench(bench))
@@ -202,8 +243,12 @@ def test_the_longer_frame_must_fit_the_bus() -> None:
     require_torque_offset(load_bench("practical"))
 
 
-def test_more_torque_than_the_limit_is_refused_beforehand(capsys: pytest.CaptureFixture[str]) -> None:
-    assert status(["run", "ramps.yaml", "--feedforward", str(result_file(mu_c=0.3)), "--dry-run"]) == 2
+def test_more_torque_than_the_limit_is_refused_beforehand(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert (
+        status(["run", "ramps.yaml", "--feedforward", str(result_file(mu_c=0.3)), "--dry-run"]) == 2
+    )
     err = capsys.readouterr().err
     assert "stages[1].weight_kg: feed-forward asks for" in err
     assert "limit torque_N_m 75 N m" in err
@@ -219,7 +264,9 @@ def test_the_plan_says_what_is_added(capsys: pytest.CaptureFixture[str]) -> None
 
 
 def tracking_rms(recording: Recording) -> float:
-    """Rms of what was commanded for each sample less what was measured, rad; the target arrives one cycle later."""
+    """Rms of what was commanded for each sample less what was measured, rad; the target arrives one
+    cycle later.
+    """
     command: Array = recording.channels["command"]
     arrived = np.concatenate([command[:1], command[:-1]])
     return float(np.sqrt(np.mean((arrived - recording.channels["angle"]) ** 2)))
@@ -231,21 +278,30 @@ def test_a_soft_drive_follows_a_slow_ramp(capsys: pytest.CaptureFixture[str]) ->
     assert status(["run", *options, "--out", "plain"]) == 0
     assert status(["run", *options, "--feedforward", str(result_file()), "--out", "fed"]) == 0
     plain, fed = (load_run(Path(folder)).recordings for folder in ("plain", "fed"))
-    assert all(tracking_rms(one) > 100 * tracking_rms(other) for one, other in zip(plain, fed, strict=True))
+    assert all(
+        tracking_rms(one) > 100 * tracking_rms(other) for one, other in zip(plain, fed, strict=True)
+    )
     record = read_record(Path("fed"))
     assert record.inputs["feedforward.json"]["file"] == str(Path("result.json").absolute())
-    assert json.loads(read_run(Path("fed/recording.mcap")).attachments["feedforward.json"])["alpha"] == 2.0
+    assert (
+        json.loads(read_run(Path("fed/recording.mcap")).attachments["feedforward.json"])["alpha"]
+        == 2.0
+    )
     assert "feedforward.json" not in read_record(Path("plain")).inputs
 
 
 def test_a_log_recorded_with_it_is_doubted(capsys: pytest.CaptureFixture[str]) -> None:
     Path("sine.yaml").write_text(
         "sequence: 1\nname: sine\nstages:\n"
-        "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], duration_s: 4}\n"
+        "  - {name: sine, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], "
+        "duration_s: 4}\n"
     )
     for folder, options in (("plain", []), ("fed", ["--feedforward", str(result_file())])):
         assert status(["run", "sine.yaml", "--yes", "--out", folder, *options]) == 0
-        assert status(["identify", folder, "--out", f"{folder}-report", "--json", f"{folder}.json"]) == 0
+        assert (
+            status(["identify", folder, "--out", f"{folder}-report", "--json", f"{folder}.json"])
+            == 0
+        )
         warnings = json.loads(Path(f"{folder}.json").read_text())["warnings"]
         assert any("recorded with feed-forward" in w for w in warnings) is bool(options)
 
@@ -254,16 +310,23 @@ LOADED = """\
 sequence: 1
 name: loaded
 stages:
-  - {name: sine, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}], duration_s: 4}
-  - {name: ramp, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 1.5, speed_deg_s: 1, rest_s: 0.2}, duration_s: 3.4}
+  - {name: sine, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 20, frequency_Hz: 0.4}],
+     duration_s: 4}
+  - {name: ramp, stage: loaded, weight_kg: 30.6, ramp: {travel_deg: 1.5, speed_deg_s: 1,
+     rest_s: 0.2}, duration_s: 3.4}
 """
 
 
-@pytest.mark.parametrize("known", [{}, {"Ms": None, "omega_sf": None, "mu_s": None, "omega_sL": None}])
+@pytest.mark.parametrize(
+    "known", [{}, {"Ms": None, "omega_sf": None, "mu_s": None, "omega_sL": None}]
+)
 def test_under_3000_n_a_soft_drive_neither_sticks_nor_slips(
     known: dict[str, None], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Without feed-forward it waits 57 mrad behind, then jumps. Without friction's rise, stiffness alone bounds it."""
+    """Without feed-forward it waits 57 mrad behind, then jumps.
+
+    Without friction's rise, stiffness alone bounds it.
+    """
     Path("loaded.yaml").write_text(LOADED)
     file = result_file(**known)
     options = ["--bench", "practical_soft", "--yes", "--feedforward", str(file), "--out", "fed"]
@@ -286,7 +349,9 @@ def test_a_run_is_resumed_with_the_same_identification(
 
     with monkeypatch.context() as context:
         context.setattr(RunProgress, "__call__", press)
-        assert status(["run", "ramps.yaml", "--yes", "--feedforward", str(path), "--out", "out"]) == 3
+        assert (
+            status(["run", "ramps.yaml", "--yes", "--feedforward", str(path), "--out", "out"]) == 3
+        )
     kept = path.read_text()
     path.write_text(kept.replace("6.825", "6.9"))
     assert status(["resume", "out", "--yes"]) == 2
@@ -302,7 +367,9 @@ class _Offsets:
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.sent: list[float] = []
-        monkeypatch.setattr(Servo, "set_torque_offset", lambda _servo, torque: self.sent.append(torque))
+        monkeypatch.setattr(
+            Servo, "set_torque_offset", lambda _servo, torque: self.sent.append(torque)
+        )
 
 
 def fed_plan(runner: Any) -> int:
@@ -317,7 +384,9 @@ def fed_plan(runner: Any) -> int:
     return sum(len(s.targets) * s.repeats for s in stages)
 
 
-def test_torque_is_added_in_excitations_only(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_torque_is_added_in_excitations_only(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     told = _Offsets(monkeypatch)
     cycles = fed_plan(runner)
     _, outcome = runner(fake_bench())
@@ -329,7 +398,9 @@ def test_torque_is_added_in_excitations_only(runner: Any, fake_bench: Any, monke
     assert told.sent[-1] == 0.0
 
 
-def test_after_a_trip_nothing_more_is_added(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_trip_nothing_more_is_added(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     told = _Offsets(monkeypatch)
     fed_plan(runner)
     bench = fake_bench()
@@ -343,11 +414,23 @@ def test_after_a_trip_nothing_more_is_added(runner: Any, fake_bench: Any, monkey
     assert set(told.sent) == {5.0}
 
 
-@pytest.mark.parametrize("fault", ["drive, fault: fault, value: 0x7320", "encoder, fault: jump, value: 3"])
+@pytest.mark.parametrize(
+    "fault", ["drive, fault: fault, value: 0x7320", "encoder, fault: jump, value: 3"]
+)
 def test_a_fault_ends_without_power_and_without_offset(fault: str) -> None:
     """The drive's ramp brakes; the offset neither drives on nor is left behind in the drive."""
-    Path("faults.yaml").write_text(f"faults: 1\nrows:\n  - {{phase: excite, after_s: 0.5, target: {fault}}}\n")
-    options = ["--yes", "--feedforward", str(result_file()), "--faults", "faults.yaml", "--out", "out"]
+    Path("faults.yaml").write_text(
+        f"faults: 1\nrows:\n  - {{phase: excite, after_s: 0.5, target: {fault}}}\n"
+    )
+    options = [
+        "--yes",
+        "--feedforward",
+        str(result_file()),
+        "--faults",
+        "faults.yaml",
+        "--out",
+        "out",
+    ]
     assert status(["run", "ramps.yaml", *options]) in (1, 4)
     record = read_record(Path("out"))
     assert record.de_energised
@@ -361,7 +444,8 @@ def test_a_fault_ends_without_power_and_without_offset(fault: str) -> None:
 
 
 def drive_by_hand(targets: Array, start: float, released_s: float) -> tuple[float, float]:
-    """Run the soft bench under 30.6 kg without a bus, from ``start`` rad, and take the weight off at ``released_s``.
+    """Run the soft bench under 30.6 kg without a bus, from ``start`` rad, and take the weight off
+    at ``released_s``.
 
     Returns:
         Greatest speed over a cycle, rad/s, and greatest current, A.
@@ -392,8 +476,12 @@ def drive_by_hand(targets: Array, start: float, released_s: float) -> tuple[floa
 
 @pytest.mark.parametrize("start", [0.0, -0.06, 0.06])
 @pytest.mark.parametrize("speed_deg_s", [0.3, 1.0, 8.0])
-def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(start: float, speed_deg_s: float) -> None:
-    """Torque for 3000 N without the load, and a start as far off as soft gains leave one: half the speed limit."""
+def test_neither_a_released_lever_nor_a_standing_error_makes_it_run_away(
+    start: float, speed_deg_s: float
+) -> None:
+    """Torque for 3000 N without the load, and a start as far off as soft gains leave one: half the
+    speed limit.
+    """
     targets = np.deg2rad(speed_deg_s) * CYCLE_S * np.arange(1500)
     fastest, current = drive_by_hand(targets, start, 0.7)
     assert fastest < 0.5 * np.deg2rad(120.0)

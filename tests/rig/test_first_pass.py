@@ -1,4 +1,6 @@
-"""The pass at low amplitude: what is planned, what is allowed meanwhile, and where it stands in a run."""
+"""The pass at low amplitude: what is planned, what is allowed meanwhile, and where it stands in a
+run.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from rig.runs.run_record import Ending
 LOW = "first_pass: {amplitude: 0.1, duration_s: 0.4, limit_share: 0.5}\n"
 
 
-def plan_of(path: Path, extra: str = "", bench: str = "practical", first_pass: bool | None = None) -> Plan:
+def plan_of(
+    path: Path, extra: str = "", bench: str = "practical", first_pass: bool | None = None
+) -> Plan:
     path.write_text(path.read_text() + extra)
     return make_plan(load_located(path, Sequence), load_bench(bench), first_pass)
 
@@ -40,7 +44,9 @@ def test_one_on_a_real_bench_unless_refused(short_sequence: Path, tmp_path: Path
     assert all(stage.first_passes for stage in make_plan(sequence, bench).stages)
     assert all(not stage.first_passes for stage in make_plan(sequence, bench, False).stages)
     short_sequence.write_text(short_sequence.read_text() + "first_pass: never\n")
-    assert all(not s.first_passes for s in make_plan(load_located(short_sequence, Sequence), bench).stages)
+    assert all(
+        not s.first_passes for s in make_plan(load_located(short_sequence, Sequence), bench).stages
+    )
 
 
 def test_figure10_is_what_it_was() -> None:
@@ -70,7 +76,9 @@ def test_the_limits_are_tighter_meanwhile(short_sequence: Path) -> None:
     assert low.limits.angle_max == pytest.approx(low.targets.max() + low.limits.following_error)
     assert low.limits.angle_min == pytest.approx(low.targets.min() - low.limits.following_error)
     # On the way to the start the joint may be anywhere that it may be.
-    assert low.move_limits == dataclasses.replace(low.limits, angle_min=full.angle_min, angle_max=full.angle_max)
+    assert low.move_limits == dataclasses.replace(
+        low.limits, angle_min=full.angle_min, angle_max=full.angle_max
+    )
 
 
 def test_the_default_is_one_period_of_the_slowest_tone(short_sequence: Path) -> None:
@@ -86,7 +94,8 @@ def test_of_ramps_there_and_back_it_is_one(short_sequence: Path) -> None:
     tones = next(line for line in text.splitlines() if "tones" in line)
     start = text.index("\n  - ", text.index(tones))
     stage = (
-        "  - {name: r, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 5, rest_s: 0.5, times: 3}, duration_s: 8}"
+        "  - {name: r, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 5, rest_s: 0.5, "
+        "times: 3}, duration_s: 8}"
     )
     short_sequence.write_text(text[:start] + "\n" + stage + "\n")
     low = plan_of(short_sequence, first_pass=True).stages[-1].first_passes[0]
@@ -95,18 +104,28 @@ def test_of_ramps_there_and_back_it_is_one(short_sequence: Path) -> None:
 
 
 def test_larger_ones_stand_ready_as_far_as_the_limits_allow(short_sequence: Path) -> None:
-    """With its ramps 0.8 of the 2 Hz takes more than the 60 deg/s that a first pass may take, 0.8 of 1 Hz does not."""
+    """With its ramps 0.8 of the 2 Hz takes more than the 60 deg/s that a first pass may take, 0.8
+    of 1 Hz does not.
+    """
     plan = plan_of(short_sequence, LOW)
     assert [low.amplitude for low in plan.stages[0].first_passes] == [0.1, 0.2, 0.4]
-    short_sequence.write_text(short_sequence.read_text().replace("frequency_Hz: 2", "frequency_Hz: 1"))
+    short_sequence.write_text(
+        short_sequence.read_text().replace("frequency_Hz: 2", "frequency_Hz: 1")
+    )
     plan = plan_of(short_sequence)
     assert [low.amplitude for low in plan.stages[0].first_passes] == [0.1, 0.2, 0.4, 0.8]
     # The limit on time under power has room for all of them.
-    assert plan.stages[0].time_limit_s > 1.5 * sum(low.duration_s for low in plan.stages[0].first_passes)
+    assert plan.stages[0].time_limit_s > 1.5 * sum(
+        low.duration_s for low in plan.stages[0].first_passes
+    )
 
 
-def test_while_the_joint_does_not_move_larger_ones_follow(runner: Any, fake_bench: Any, short_sequence: Path) -> None:
-    """A joint that yields to no command of less than a degree, and the weight is checked once it has moved."""
+def test_while_the_joint_does_not_move_larger_ones_follow(
+    runner: Any, fake_bench: Any, short_sequence: Path
+) -> None:
+    """A joint that yields to no command of less than a degree, and the weight is checked once it
+    has moved.
+    """
     runner.plan = plan_of(short_sequence, LOW)
     bench = fake_bench()
     follow = bench.exchange
@@ -146,7 +165,9 @@ def test_a_run_goes_through_it_first(runner: Any, fake_bench: Any, short_sequenc
     assert folder.record.overruns == 0
 
 
-@pytest.mark.parametrize("change", [{"velocity_rad_s": 1.5}, {"current_A": 20.0}, {"following_error_rad": 0.03}])
+@pytest.mark.parametrize(
+    "change", [{"velocity_rad_s": 1.5}, {"current_A": 20.0}, {"following_error_rad": 0.03}]
+)
 def test_what_the_stage_may_the_first_pass_may_not(
     runner: Any, fake_bench: Any, short_sequence: Path, change: dict[str, float]
 ) -> None:
@@ -178,8 +199,12 @@ def test_a_stage_has_a_time_limit(runner: Any, fake_bench: Any) -> None:
 
 
 def test_a_time_limit_that_the_stage_cannot_keep_is_refused(short_sequence: Path) -> None:
-    short_sequence.write_text(short_sequence.read_text().replace("repeats: 2", "repeats: 2, time_limit_s: 1"))
-    with pytest.raises(InputError, match=r"time_limit_s: below the 1.2 s that this stage takes by itself"):
+    short_sequence.write_text(
+        short_sequence.read_text().replace("repeats: 2", "repeats: 2, time_limit_s: 1")
+    )
+    with pytest.raises(
+        InputError, match=r"time_limit_s: below the 1.2 s that this stage takes by itself"
+    ):
         plan_of(short_sequence)
 
 

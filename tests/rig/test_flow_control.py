@@ -1,4 +1,6 @@
-"""The flow controller by itself: what it asks for, where it stops, and that it does not wind up there."""
+"""The flow controller by itself: what it asks for, where it stops, and that it does not wind up
+there.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,14 @@ from identification.model.gas_generator import GasGenerator, equilibrium_pressur
 from identification.model.valve import throat_area
 from rig.common.sample import Sample
 from rig.config.flow import FlowController, FlowSection, FlowStep
-from rig.planning.flow_control import LawState, Regulator, angle_for, control, make_law, pressure_for
+from rig.planning.flow_control import (
+    LawState,
+    Regulator,
+    angle_for,
+    control,
+    make_law,
+    pressure_for,
+)
 
 CYCLE_S = 1e-3
 LAW = make_law(FlowController(), CYCLE_S, math.radians(120.0))
@@ -32,14 +41,18 @@ def test_too_much_pressure_opens_the_valve_by_gain_and_integral() -> None:
     state = held(0.2, 2e6)
     wanted = 2e6 / math.exp(0.005)
     after = control(LAW, state, wanted, 2e6)
-    assert after.angle - 0.2 == pytest.approx(math.radians(8.0) * 0.005 * (1.0 + 8.0 * CYCLE_S), rel=1e-9)
+    assert after.angle - 0.2 == pytest.approx(
+        math.radians(8.0) * 0.005 * (1.0 + 8.0 * CYCLE_S), rel=1e-9
+    )
 
 
 def test_a_step_is_no_faster_than_the_valve_may_go() -> None:
     after = control(LAW, held(0.2, 2e6), 1e6, 2e6)
     assert after.angle - 0.2 == pytest.approx(math.radians(50.0) * CYCLE_S)
     slow = make_law(FlowController(), CYCLE_S, math.radians(10.0))
-    assert control(slow, held(0.2, 2e6), 1e6, 2e6).angle - 0.2 == pytest.approx(math.radians(10.0) * CYCLE_S)
+    assert control(slow, held(0.2, 2e6), 1e6, 2e6).angle - 0.2 == pytest.approx(
+        math.radians(10.0) * CYCLE_S
+    )
 
 
 def test_at_its_bound_the_integral_waits() -> None:
@@ -99,4 +112,6 @@ def test_the_command_goes_from_step_to_step() -> None:
     command = FlowSection(steps=steps, ramp_s=0.2).command(2.0, CYCLE_S)
     assert command.shape == (2000,)
     np.testing.assert_allclose(command[[0, 1000, 1100, 1200, 1999]], [1.0, 1.0, 1.5, 2.0, 2.0])
-    np.testing.assert_allclose(FlowSection(steps=steps, ramp_s=0.0).command(2.0, CYCLE_S)[[1000, 1001]], [1.0, 2.0])
+    np.testing.assert_allclose(
+        FlowSection(steps=steps, ramp_s=0.0).command(2.0, CYCLE_S)[[1000, 1001]], [1.0, 2.0]
+    )

@@ -1,4 +1,6 @@
-"""Campaigns of pressure and valve angle: what the file must say, and what `rig diagnose` makes of them."""
+"""Campaigns of pressure and valve angle: what the file must say, and what `rig diagnose` makes of
+them.
+"""
 
 from __future__ import annotations
 
@@ -40,13 +42,20 @@ def campaign(tmp_path: Path) -> Path:
         p = burn(machine, angle, 0.01, steps=20).pressure_Pa + 4e3 * rng.standard_normal(len(angle))
         np.savez(tmp_path / f"{name}.npz", t=TIME, theta=angle, p=p * 1e-6)
     files = [{"file": "[ab].npz"}, {"file": "c.npz", "role": "validate"}]
-    text = {"campaign": 1, "bench": {"gas_generator": {}}, "defaults": {"channels": CHANNELS}, "recordings": files}
+    text = {
+        "campaign": 1,
+        "bench": {"gas_generator": {}},
+        "defaults": {"channels": CHANNELS},
+        "recordings": files,
+    }
     path = tmp_path / "burns.yaml"
     path.write_text(yaml.safe_dump(text))
     return path
 
 
-def test_a_leak_is_found_from_a_campaign(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_leak_is_found_from_a_campaign(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out, result = campaign.parent / "out", campaign.parent / "d.json"
     assert status(["diagnose", str(campaign), "--out", str(out), "--json", str(result)]) == 0
     record = json.loads(result.read_text())
@@ -94,7 +103,9 @@ def test_of_a_run_only_hot_firings_show_the_gas(campaign: Path) -> None:
         burning(Dataset((cold,)))
 
 
-def test_a_gas_result_is_no_model_of_the_motion(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_gas_result_is_no_model_of_the_motion(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     result = campaign.parent / "d.json"
     result.write_text(json.dumps({"schema": "loadrig.diagnose/1", "fit": {"equation": "pressure"}}))
     assert status(["simulate", str(campaign), "--result", str(result)]) == 2
@@ -123,15 +134,31 @@ def test_the_block_of_a_campaign(tmp_path: Path) -> None:
     ("bench", "channels", "words"),
     [
         ("{}", "{time: 0, angle: 1, pressure: 2}", "add bench.gas_generator"),
-        ("{gas_generator: {}}", "{time: 0, motor_angle: 1, pressure: 2}", "no `angle` of the valve"),
+        (
+            "{gas_generator: {}}",
+            "{time: 0, motor_angle: 1, pressure: 2}",
+            "no `angle` of the valve",
+        ),
         ("{gas_generator: {}}", "{time: 0, angle: 1}", "or `pressure` of a gas generator"),
-        ("{gas_generator: {pressure_exponent: 1.2}}", "{time: 0, angle: 1, pressure: 2}", "less than 1"),
-        ("{gas_generator: {valve: {hole_diameter: 0.06}}}", "{time: 0, angle: 1, pressure: 2}", "wider than its plate"),
+        (
+            "{gas_generator: {pressure_exponent: 1.2}}",
+            "{time: 0, angle: 1, pressure: 2}",
+            "less than 1",
+        ),
+        (
+            "{gas_generator: {valve: {hole_diameter: 0.06}}}",
+            "{time: 0, angle: 1, pressure: 2}",
+            "wider than its plate",
+        ),
     ],
 )
-def test_what_is_wrong_is_told_with_its_place(tmp_path: Path, bench: str, channels: str, words: str) -> None:
+def test_what_is_wrong_is_told_with_its_place(
+    tmp_path: Path, bench: str, channels: str, words: str
+) -> None:
     path = tmp_path / "c.yaml"
-    path.write_text(f"campaign: 1\nbench: {bench}\nrecordings:\n  - file: a.csv\n    channels: {channels}\n")
+    path.write_text(
+        f"campaign: 1\nbench: {bench}\nrecordings:\n  - file: a.csv\n    channels: {channels}\n"
+    )
     with pytest.raises(InputError) as caught:
         load_campaign(path)
     (problem,) = caught.value.problems

@@ -65,7 +65,9 @@ def test_the_folder_is_quoted_for_the_shell(stopped: RunRecord, folder: str) -> 
 
 
 @pytest.mark.parametrize("state", list(ServoState))
-def test_a_fault_is_cleared_only_once_its_cause_is_removed(stopped: RunRecord, state: ServoState) -> None:
+def test_a_fault_is_cleared_only_once_its_cause_is_removed(
+    stopped: RunRecord, state: ServoState
+) -> None:
     record = changed(stopped, state="failed", trip=None, drive_state=state.value)
     first, _, command = go_on_words(record, Path("x")).rpartition("\n")
     in_fault = state in (ServoState.FAULT, ServoState.FAULT_REACTION)
@@ -74,7 +76,9 @@ def test_a_fault_is_cleared_only_once_its_cause_is_removed(stopped: RunRecord, s
 
 
 @pytest.mark.parametrize("verified", [True, False, None])
-def test_a_drive_that_was_not_read_back_comes_before_everything(stopped: RunRecord, verified: bool | None) -> None:
+def test_a_drive_that_was_not_read_back_comes_before_everything(
+    stopped: RunRecord, verified: bool | None
+) -> None:
     lines = go_on_words(changed(stopped, de_energised=verified), Path("x")).splitlines()
     assert (lines[0] == f"first: {NOT_READ_BACK}") is (verified is not True)
     assert lines[-1] == "go on with: rig resume x"
@@ -105,7 +109,8 @@ def test_the_words_end_the_message_and_the_command_goes_on(
     sequence.write_text(ONE)
     faults = tmp_path / "faults.yaml"
     faults.write_text(
-        "faults: 1\nrows:\n  - {phase: excite, after_s: 0.3, target: drive, fault: fault, value: 0x7320}\n"
+        "faults: 1\nrows:\n  - {phase: excite, after_s: 0.3, target: drive, fault: fault, value: "
+        "0x7320}\n"
     )
     assert status(["run", str(sequence), "--yes", "--out", str(out), "--faults", str(faults)]) == 4
     told = capsys.readouterr()
@@ -127,7 +132,9 @@ def test_the_words_end_the_message_and_the_command_goes_on(
         (lambda bench: setattr(bench, "drive_state", ServoState.FAULT), "failed"),
     ],
 )
-def test_the_stage_that_went_on_ends_as_the_run_did(runner: Any, fake_bench: Any, fault: Any, state: str) -> None:
+def test_the_stage_that_went_on_ends_as_the_run_did(
+    runner: Any, fake_bench: Any, fault: Any, state: str
+) -> None:
     bench = fake_bench()
     bench.faults["exchange", 700] = lambda: fault(bench)
     folder, _ = runner(bench)
@@ -152,7 +159,9 @@ def test_a_lost_link_leaves_the_drive_unknown(runner: Any, fake_bench: Any) -> N
         raise LinkError("the adapter is gone")
 
     first = {"exchange": 700, "state": 2, "quick_stop": 1, "disable": 1}
-    bench.faults.update({(verb, count): pulled for verb, begin in first.items() for count in range(begin, 3000)})
+    bench.faults.update(
+        {(verb, count): pulled for verb, begin in first.items() for count in range(begin, 3000)}
+    )
     folder, _ = runner(bench)
     assert folder.record.de_energised is False
     assert folder.record.drive_state == "unknown"
@@ -171,7 +180,9 @@ def test_a_stage_that_an_older_program_left_running_has_the_end_of_its_run(
     assert [s.state for s in read_record(folder.path).stages] == ["done", stage]
 
 
-def test_the_ending_of_the_stage_is_written_with_that_of_the_run(runner: Any, fake_bench: Any) -> None:
+def test_the_ending_of_the_stage_is_written_with_that_of_the_run(
+    runner: Any, fake_bench: Any
+) -> None:
     """At once, so that what breaks down after the verdict leaves no stage running on disk."""
     bench = fake_bench()
     bench.faults["exchange", 700] = lambda: bench.overrides.update(current_A=1000.0)
@@ -181,7 +192,9 @@ def test_the_ending_of_the_stage_is_written_with_that_of_the_run(runner: Any, fa
     assert json.loads((folder.path / "run.json").read_text())["stages"][0]["state"] == "tripped"
 
 
-@pytest.mark.parametrize(("run", "stage"), [*STAGE_ENDS.items(), ("done", "failed"), ("running", "failed")])
+@pytest.mark.parametrize(
+    ("run", "stage"), [*STAGE_ENDS.items(), ("done", "failed"), ("running", "failed")]
+)
 def test_only_the_stage_that_went_on_is_ended(stopped: RunRecord, run: str, stage: str) -> None:
     stopped.stages[0].state, stopped.stages[1].state = "done", "running"
     stopped.stage_ended(run)

@@ -1,4 +1,6 @@
-"""The guarded side: feeding, a takeover that keeps this program off the line, and a guardian that is gone."""
+"""The guarded side: feeding, a takeover that keeps this program off the line, and a guardian that
+is gone.
+"""
 
 from __future__ import annotations
 
@@ -125,7 +127,9 @@ def test_it_opens_the_port_of_the_bench(guard: Guard) -> None:
     assert port.arguments == ("/dev/some", 1_000_000)
 
 
-def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(guard: Guard, guardian: Guardian) -> None:
+def test_the_guardian_gets_the_port_and_the_lock_in_a_session_of_its_own(
+    guard: Guard, guardian: Guardian
+) -> None:
     guard.keep([7, 9])
     guard.arm(0.2)
     [(words, options)] = guardian.started
@@ -174,10 +178,14 @@ def test_a_relative_eds_file_is_found_by_the_guardian_as_well(
     other = Guard("/dev/some", 9600, 1, Path("here.eds"), SCALES)
     other.open_port()
     other.arm(0.2)
-    assert json.loads(guardian.heard().split(b"\n")[0])["drive"]["eds"] == str(tmp_path / "here.eds")
+    assert json.loads(guardian.heard().split(b"\n")[0])["drive"]["eds"] == str(
+        tmp_path / "here.eds"
+    )
 
 
-def test_the_second_time_it_tells_the_guardian_that_it_has(guard: Guard, guardian: Guardian) -> None:
+def test_the_second_time_it_tells_the_guardian_that_it_has(
+    guard: Guard, guardian: Guardian
+) -> None:
     guard.arm(0.2)
     guard.release()
     guardian.heard()
@@ -186,7 +194,9 @@ def test_the_second_time_it_tells_the_guardian_that_it_has(guard: Guard, guardia
     assert guardian.heard() == b'{"armed": true, "limit_s": 0.3}\n'
 
 
-def test_it_feeds_while_armed_and_not_more_often_than_needed(guard: Guard, guardian: Guardian, time: Time) -> None:
+def test_it_feeds_while_armed_and_not_more_often_than_needed(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
     guard.feed()
     guard.arm(0.2)
     guardian.heard()
@@ -245,7 +255,8 @@ def test_a_report_is_waited_for_three_seconds(guard: Guard, guardian: Guardian, 
     with pytest.raises(LinkError) as caught:
         guard.feed()
     assert str(caught.value) == (
-        f"the guardian of {NAME} has taken over and is still trying to take the power off: switch the main supply off"
+        f"the guardian of {NAME} has taken over and is still trying to take the power off: switch "
+        f"the main supply off"
     )
     assert time.waits == [0.0, 3.0]
     time.waits.clear()
@@ -278,7 +289,9 @@ def test_a_report_that_comes_in_parts_is_put_together_within_the_same_time(
     assert time.waits == [0.0, 3.0, 2.5, 2.0]
 
 
-def test_a_report_that_comes_too_late_is_not_waited_for(guard: Guard, guardian: Guardian, time: Time) -> None:
+def test_a_report_that_comes_too_late_is_not_waited_for(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
     guard.arm(0.2)
     time.wait(1.0)
     time.waits.clear()
@@ -312,7 +325,9 @@ def test_a_guardian_that_cannot_be_told_ends_the_run(guard: Guard, guardian: Gua
     assert str(caught.value) == f"the guardian of {NAME} is gone (Broken pipe); stop and run again"
 
 
-def test_a_guardian_that_does_not_listen_ends_the_run(guard: Guard, guardian: Guardian, time: Time) -> None:
+def test_a_guardian_that_does_not_listen_ends_the_run(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
     guard.arm(0.2)
     while True:
         try:
@@ -325,7 +340,9 @@ def test_a_guardian_that_does_not_listen_ends_the_run(guard: Guard, guardian: Gu
     assert str(caught.value) == f"the guardian of {NAME} does not listen; stop and run again"
 
 
-def test_a_guardian_that_does_not_start_keeps_the_drive_off(guard: Guard, guardian: Guardian, time: Time) -> None:
+def test_a_guardian_that_does_not_start_keeps_the_drive_off(
+    guard: Guard, guardian: Guardian, time: Time
+) -> None:
     guardian.stdout.read(len(READY))
     with pytest.raises(LinkError) as caught:
         guard.arm(0.2)

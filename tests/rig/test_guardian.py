@@ -1,4 +1,7 @@
-"""The guardian of a drive without a watchdog: what it hears, what it does, what it writes. Real kills: tests/long."""
+"""The guardian of a drive without a watchdog: what it hears, what it does, what it writes.
+
+Real kills: tests/long.
+"""
 
 from __future__ import annotations
 
@@ -138,7 +141,11 @@ def test_it_remembers_the_drive_the_folder_and_the_limit() -> None:
     assert ward.limit_s == 0.5
     assert ward.armed is True
     heard([RELEASED], ward)
-    assert (ward.drive, ward.folder, ward.limit_s) == ({"name": "the drive"}, Path("/somewhere"), 0.5)
+    assert (ward.drive, ward.folder, ward.limit_s) == (
+        {"name": "the drive"},
+        Path("/somewhere"),
+        0.5,
+    )
     assert ward.armed is False
 
 
@@ -160,7 +167,9 @@ def test_the_guard_stands_by_before_power_and_until_it_is_verified_off(host: Ser
     host.encoder.prepare(host.cycle_s)
     assert witness.told == ["arm", "release"]
     armed_before_power: list[bool] = []
-    host.bench.drive.entered.append(lambda state: armed_before_power.append(witness.told[-1] == "arm"))
+    host.bench.drive.entered.append(
+        lambda state: armed_before_power.append(witness.told[-1] == "arm")
+    )
     host.servo.enable()
     assert all(armed_before_power)
     fed = witness.fed
@@ -229,14 +238,21 @@ class Stuck:
 
     def state(self) -> ServoState:
         self._do("state")
-        return ServoState.SWITCH_ON_DISABLED if ("disable", 1.0) in self.told else ServoState.QUICK_STOP_ACTIVE
+        return (
+            ServoState.SWITCH_ON_DISABLED
+            if ("disable", 1.0) in self.told
+            else ServoState.QUICK_STOP_ACTIVE
+        )
 
 
 def test_a_drive_that_brakes_for_ever_is_waited_for_a_second() -> None:
     servo: Any = Stuck()
     failures: list[SafeState] = []
     deed = stop(servo, servo.clock, failed=failures.append)
-    assert [told for told in servo.told if told[0] != "state"] == [("quick stop", 0.0), ("disable", 1.0)]
+    assert [told for told in servo.told if told[0] != "state"] == [
+        ("quick stop", 0.0),
+        ("disable", 1.0),
+    ]
     assert (deed.safe.verified, deed.attempts, deed.seconds) == (True, 1, 1.0)
     assert not failures
 
@@ -248,7 +264,12 @@ def test_it_tries_five_times_a_second_for_a_minute_and_says_so_once() -> None:
     tries = [seconds for verb, seconds in servo.told if verb == "quick stop"]
     assert tries[:3] == [0.0, 0.2, 0.4]
     assert tries[-1] == 60.2
-    assert (deed.safe.verified, deed.safe.watched, deed.attempts, deed.seconds) == (False, False, 302, 60.2)
+    assert (deed.safe.verified, deed.safe.watched, deed.attempts, deed.seconds) == (
+        False,
+        False,
+        302,
+        60.2,
+    )
     assert [failure.state for failure in failures] == ["unknown"]
 
 
@@ -281,14 +302,21 @@ def test_the_report_holds_all_that_was_done(tmp_path: Path) -> None:
     assert record == {
         "schema": "loadrig.guardian/1",
         "cause": "silent",
-        "safe": {"verified": True, "state": "switch on disabled", "problems": ["it"], "watched": False},
+        "safe": {
+            "verified": True,
+            "state": "switch on disabled",
+            "problems": ["it"],
+            "watched": False,
+        },
         "attempts": 3,
         "seconds": 0.0512,
         "message": words,
     }
 
 
-@pytest.mark.parametrize(("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "did not run for 0.25 s")])
+@pytest.mark.parametrize(
+    ("cause", "why"), [(Cause.GONE, "is gone"), (Cause.SILENT, "did not run for 0.25 s")]
+)
 def test_what_was_done_in_words(cause: Cause, why: str) -> None:
     ward = Ward({"name": "the drive"}, limit_s=0.25)
     words = (
@@ -307,6 +335,8 @@ def test_a_folder_that_is_gone_does_not_silence_it(tmp_path: Path) -> None:
     deed = Deed(SafeState(True, "switch on disabled"), 1, 0.05)
     words = report(deed, Ward({"name": "the drive"}, tmp_path / "gone"), Cause.GONE)
     assert words == (
-        "guardian: the program that drove the drive is gone; after 0.05 s the drive is de-energised "
-        "(read back: switch on disabled); guardian.json cannot be written: No such file or directory"
+        "guardian: the program that drove the drive is gone; after 0.05 s the drive is "
+        "de-energised "
+        "(read back: switch on disabled); guardian.json cannot be written: No such file or "
+        "directory"
     )

@@ -1,4 +1,6 @@
-"""The guardian's main program, between two pipes: what it says and when, which lock it notes, how it ends."""
+"""The guardian's main program, between two pipes: what it says and when, which lock it notes, how
+it ends.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,15 @@ from drivers.errors import LinkError
 from drivers.interfaces import ServoState
 from drivers.units import ServoScales
 
-SCALES = ServoScales(4096, 100.0, 15.0, 0.45, sign=-1, voltage_object=(0x2200, 1), temperature_object=(0x3201, 2))
-DRIVE = {"name": "EPOS4 at /dev/some", "node": 5, "eds": "/some/drive.eds", "scales": dataclasses.asdict(SCALES)}
+SCALES = ServoScales(
+    4096, 100.0, 15.0, 0.45, sign=-1, voltage_object=(0x2200, 1), temperature_object=(0x3201, 2)
+)
+DRIVE = {
+    "name": "EPOS4 at /dev/some",
+    "node": 5,
+    "eds": "/some/drive.eds",
+    "scales": dataclasses.asdict(SCALES),
+}
 SPEAKING = 4711
 """The descriptor of its output; nothing is written there."""
 OFF = "the drive is de-energised (read back: switch on disabled)"
@@ -50,7 +59,8 @@ class Process:
     """A guardian, and all that it does to what is around it.
 
     Attributes:
-        did: Words on its output, on the screen, in the lock, and attempts to stop the drive, in that order.
+        did: Words on its output, on the screen, in the lock, and attempts to stop the drive, in
+        that order.
         waits: For input, s; answered by ``silences``, after which there always is some.
     """
 
@@ -114,15 +124,20 @@ def process(monkeypatch: pytest.MonkeyPatch) -> Iterator[Process]:
         made.waits.append(seconds)
         return len(made.waits) not in made.silences
 
-    streams = SimpleNamespace(stdin=Stream(reading), stdout=Stream(SPEAKING), argv=["guardian", "33", "7", "9"])
+    streams = SimpleNamespace(
+        stdin=Stream(reading), stdout=Stream(SPEAKING), argv=["guardian", "33", "7", "9"]
+    )
     monkeypatch.setattr(guardian, "sys", streams)
     monkeypatch.setattr(guardian, "Screen", Screen)
     monkeypatch.setattr(guardian, "inherited", Lock)
     monkeypatch.setattr(guardian, "drive_on", drive_on)
     monkeypatch.setattr(guardian, "_wait", wait)
-    monkeypatch.setattr(guardian, "_speak", lambda descriptor, words: did.append(("says", descriptor, words)))
     monkeypatch.setattr(
-        "rig.wiring.guardian.signal.signal", lambda number, handler: made.signals.append((number, handler))
+        guardian, "_speak", lambda descriptor, words: did.append(("says", descriptor, words))
+    )
+    monkeypatch.setattr(
+        "rig.wiring.guardian.signal.signal",
+        lambda number, handler: made.signals.append((number, handler)),
     )
     yield made
     os.close(reading)
@@ -148,7 +163,9 @@ def test_it_goes_when_it_is_released(process: Process) -> None:
     assert process.servo.stopped == 0
 
 
-def test_it_waits_for_the_drive_to_be_named(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_it_waits_for_the_drive_to_be_named(
+    process: Process, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lines = [b'{"drive":', b" " + json.dumps(DRIVE).encode() + b"}\n", b""]
     monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
     assert guardian.main() == 0
@@ -156,7 +173,9 @@ def test_it_waits_for_the_drive_to_be_named(process: Process, monkeypatch: pytes
 
 
 @pytest.mark.parametrize(("failures", "status"), [(0, 0), (10_000, 1)])
-def test_it_stops_the_drive_of_a_program_that_died(process: Process, failures: int, status: int) -> None:
+def test_it_stops_the_drive_of_a_program_that_died(
+    process: Process, failures: int, status: int
+) -> None:
     process.servo.failures = failures
     process.told({"drive": DRIVE}, {"armed": True})
     assert process.ends() == status
@@ -167,7 +186,9 @@ def test_it_stops_the_drive_of_a_program_that_died(process: Process, failures: i
     # A drive that is verified off leaves the bench to others.
     assert (("released",) in process.did) is (failures == 0)
     if failures:
-        assert said.pop(0).startswith("guardian of EPOS4 at /dev/some: it could NOT be verified that the drive is")
+        assert said.pop(0).startswith(
+            "guardian of EPOS4 at /dev/some: it could NOT be verified that the drive is"
+        )
     assert len(said) == 1
     assert said[0].startswith("guardian: the program that drove EPOS4 at /dev/some is gone; after ")
     assert process.did[-1] == ("drain", 1.0)
@@ -178,7 +199,9 @@ def test_the_first_failure_is_said_at_once_and_that_it_goes_on(process: Process)
     process.told({"drive": DRIVE}, {"armed": True})
     assert process.ends() == 0
     first, last = (words for what, *words in process.did if what == "screen")
-    assert first[0].endswith("may go on HOLDING UNDER POWER: switch the main supply off now; still trying")
+    assert first[0].endswith(
+        "may go on HOLDING UNDER POWER: switch the main supply off now; still trying"
+    )
     assert last[0].endswith(OFF)
 
 
@@ -190,15 +213,25 @@ def test_what_it_says_to_a_program_that_hangs(process: Process) -> None:
     assert process.did == [
         *STARTED,
         ("says", SPEAKING, b"took over\n"),
-        ("screen", f"guardian: the program that drove EPOS4 at /dev/some did not run for 0.3 s; after 0.00 s {OFF}"),
+        (
+            "screen",
+            f"guardian: the program that drove EPOS4 at /dev/some did not run for 0.3 s; after "
+            f"0.00 s {OFF}",
+        ),
         ("says", SPEAKING, OFF.encode() + b"\n"),
         ("pump",),
     ]
 
 
-def test_after_a_takeover_it_stands_by_for_the_next_power(process: Process, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_after_a_takeover_it_stands_by_for_the_next_power(
+    process: Process, monkeypatch: pytest.MonkeyPatch
+) -> None:
     process.silences = [1]
-    lines = [json.dumps({"drive": DRIVE, "armed": True}).encode() + b"\n", b'\n{"armed": true}\n', b""]
+    lines = [
+        json.dumps({"drive": DRIVE, "armed": True}).encode() + b"\n",
+        b'\n{"armed": true}\n',
+        b"",
+    ]
     monkeypatch.setattr("rig.wiring.guardian.os.read", lambda descriptor, most: lines.pop(0))
     assert guardian.main() == 0
     assert process.waits == [0.2, None, 0.2]
@@ -230,7 +263,9 @@ class Recorder:
         return Made
 
 
-def test_the_drive_is_reached_through_the_port_that_is_open(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_drive_is_reached_through_the_port_that_is_open(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     notes = Recorder()
     for name in ("EposSerialLink", "Cia402Servo", "InheritedPort"):
         monkeypatch.setattr(guardian, name, notes.of(name))

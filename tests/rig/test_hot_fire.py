@@ -1,4 +1,6 @@
-"""Hot firings: planned, refused, run in the open and the closed loop, tripped, and read back for identification."""
+"""Hot firings: planned, refused, run in the open and the closed loop, tripped, and read back for
+identification.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,8 @@ stages:
   - {{name: sine, stage: hot_fire, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
   - {{name: flow, stage: hot_fire, role: validate, flow: {STEPS}, duration_s: 4}}
-  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}], duration_s: 1.5,
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 10, frequency_Hz: 1}}],
+     duration_s: 1.5,
      ramp_in_s: 0.3, ramp_out_s: 0.3}}
 """
 
@@ -60,7 +63,10 @@ def fired(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished hot firing, not to be changed."""
     folder = tmp_path_factory.mktemp("fired")
     (folder / "hot.yaml").write_text(HOT)
-    assert status(["run", str(folder / "hot.yaml"), *BENCH, "--yes", "--out", str(folder / "run")]) == 0
+    assert (
+        status(["run", str(folder / "hot.yaml"), *BENCH, "--yes", "--out", str(folder / "run")])
+        == 0
+    )
     return folder / "run"
 
 
@@ -116,7 +122,9 @@ def test_the_closed_loop_brings_the_flow_asked_for(fired: Path) -> None:
 
 def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
     record = read_record(fired)
-    assert [(s.stage, s.weight_kg, s.confirmed_kg) for s in record.stages[:2]] == [("hot_fire", 0.0, 0.0)] * 2
+    assert [(s.stage, s.weight_kg, s.confirmed_kg) for s in record.stages[:2]] == [
+        ("hot_fire", 0.0, 0.0)
+    ] * 2
     assert record.parts[0].devices["pressure"]["product_code"] == 0x404
     assert "pressure.eds" in record.inputs
     events = [event["event"] for event in read_run(fired / "recording.mcap").events]
@@ -126,12 +134,17 @@ def test_the_run_says_that_no_weight_was_hung(fired: Path) -> None:
 
 def test_the_operator_is_told(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["run", "hot.yaml", *BENCH, "--yes", "--out", "told"]) == 0
-    words = "Stage sine is a hot firing: a gas generator loads the valve, and no weight. It is lit by this program."
+    words = (
+        "Stage sine is a hot firing: a gas generator loads the valve, and no weight. It is "
+        "lit by this program."
+    )
     assert words in capsys.readouterr().err
 
 
 def test_the_plan_shows_load_and_limits() -> None:
-    text = describe(make_plan(load_sequence("hot.yaml"), load_bench("practical_hot"), first_pass=True))
+    text = describe(
+        make_plan(load_sequence("hot.yaml"), load_bench("practical_hot"), first_pass=True)
+    )
     assert "2964.5" in text
     assert "the gas generator loads the valve, no weight is hung" in text
     assert "chamber pressure       6" in text
@@ -146,7 +159,9 @@ def test_a_bench_without_transmitter_says_what_it_lacks() -> None:
 
 
 def test_more_than_the_limits_is_refused_before_anything_burns() -> None:
-    assert "the pressure would rise to 4.37 MPa" in problems(bench_with(**{"pressure_MPa: 6": "pressure_MPa: 4"}))
+    assert "the pressure would rise to 4.37 MPa" in problems(
+        bench_with(**{"pressure_MPa: 6": "pressure_MPa: 4"})
+    )
     force = problems(bench_with(**{"contact_force_N: 4000": "contact_force_N: 2900"}))
     assert "contact force 2964 N is above the bench limit contact_force_N 2900 N" in force
 
@@ -159,12 +174,28 @@ def test_a_flow_that_the_valve_does_not_give_is_refused() -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("stage: hot_fire, role: validate, flow", "stage: loaded, weight_kg: 3, flow", "a flow needs a gas generator"),
-        ("stage: hot_fire, tones", "role: validate, stage: hot_fire, tones", "sine, flow is loaded and set aside"),
-        ("stage: hot_fire, tones", "stage: hot_fire, weight_kg: 3, tones", "the gas generator loads a hot firing"),
+        (
+            "stage: hot_fire, role: validate, flow",
+            "stage: loaded, weight_kg: 3, flow",
+            "a flow needs a gas generator",
+        ),
+        (
+            "stage: hot_fire, tones",
+            "role: validate, stage: hot_fire, tones",
+            "sine, flow is loaded and set aside",
+        ),
+        (
+            "stage: hot_fire, tones",
+            "stage: hot_fire, weight_kg: 3, tones",
+            "the gas generator loads a hot firing",
+        ),
         ("at_s: 0,", "at_s: 1,", "the first step must be at 0 s"),
         ("at_s: 1.5", "at_s: 0.1", "begins before the one at 0 s is over"),
-        ("ramp_s: 0.2}", "ramp_s: 0.2, controller: {angle_min_deg: 31}}", "angle_min_deg 31 must be below"),
+        (
+            "ramp_s: 0.2}",
+            "ramp_s: 0.2, controller: {angle_min_deg: 31}}",
+            "angle_min_deg 31 must be below",
+        ),
     ],
 )
 def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
@@ -179,9 +210,21 @@ def test_sequences_that_cannot_be(old: str, new: str, words: str) -> None:
     [
         ("  pressure_MPa: 6\n", "", "`pressure` needs limits.pressure_MPa"),
         ("pressure_MPa: 6", "pressure_MPa: 11", "at most its range_MPa 10"),
-        ("pressure_exponent: 0.53\n    chamber", "pressure_exponent: 1.0\n    chamber", "no pressure is steady"),
-        ("valve: {hole_diameter_m: 0.025", "valve: {hole_diameter_m: 0.041", "must be below plate_width_m"),
-        ("bus: {interface: mock, bitrate: 1000000}", "bus: {interface: epos_serial, port: mock}", "needs a CAN bus"),
+        (
+            "pressure_exponent: 0.53\n    chamber",
+            "pressure_exponent: 1.0\n    chamber",
+            "no pressure is steady",
+        ),
+        (
+            "valve: {hole_diameter_m: 0.025",
+            "valve: {hole_diameter_m: 0.041",
+            "must be below plate_width_m",
+        ),
+        (
+            "bus: {interface: mock, bitrate: 1000000}",
+            "bus: {interface: epos_serial, port: mock}",
+            "needs a CAN bus",
+        ),
         ("bitrate: 1000000", "bitrate: 500000", "lower cycle_Hz"),
     ],
 )
@@ -190,10 +233,15 @@ def test_benches_that_cannot_be(old: str, new: str, words: str) -> None:
         load_bench(bench_with(**{old: new}))
 
 
-def test_too_much_pressure_ends_the_run_and_takes_the_power_off(capsys: pytest.CaptureFixture[str]) -> None:
+def test_too_much_pressure_ends_the_run_and_takes_the_power_off(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     """The bench believes in a wider hole than there is."""
     Path("hot.yaml").write_text(HOT.split("  - {name: flow")[0])
-    changes = {"  hole_diameter_m: 0.025": "  hole_diameter_m: 0.030", "pressure_MPa: 6": "pressure_MPa: 4"}
+    changes = {
+        "  hole_diameter_m: 0.025": "  hole_diameter_m: 0.030",
+        "pressure_MPa: 6": "pressure_MPa: 4",
+    }
     bench = bench_with(**changes)
     assert status(["run", "hot.yaml", "--bench", str(bench), "--yes", "--out", "tripped"]) == 1
     record = read_record(Path("tripped"))
@@ -234,14 +282,23 @@ def test_a_run_from_before_hot_firings_is_read(fired: Path, tmp_path: Path) -> N
 def test_its_friction_is_not_held_against_a_weight(fired: Path) -> None:
     dataset = load_run(fired)
     assert not comparable(dataset)
-    assert off_label(dataset, Reference(NOMINAL, dict.fromkeys(NOMINAL, 1e-4), 2.0, 9.3163, "known.json")) == []
+    assert (
+        off_label(
+            dataset, Reference(NOMINAL, dict.fromkeys(NOMINAL, 1e-4), 2.0, 9.3163, "known.json")
+        )
+        == []
+    )
 
 
 def test_a_campaign_may_be_a_hot_firing(fired: Path) -> None:
     sine = load_run(fired).recordings[0]
     columns = {name: sine.channels[name] for name in ("time", "current", "angle", "pressure")}
     np.savetxt(
-        "sine.csv", np.column_stack(list(columns.values())), delimiter=",", header=",".join(columns), comments=""
+        "sine.csv",
+        np.column_stack(list(columns.values())),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
     )
     text = """\
 campaign: 1
@@ -256,9 +313,13 @@ recordings:
     (read,) = load_source(path).recordings
     assert read.hot_fire
     angle = read.channels["angle"]
-    np.testing.assert_allclose(contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9)
+    np.testing.assert_allclose(
+        contact_force(read, read.time, angle), contact_force(sine, sine.time, angle), rtol=1e-9
+    )
     path.write_text(text.replace(", gas_generator: {}", ""))
-    with pytest.raises(InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"):
+    with pytest.raises(
+        InputError, match=r"or for a hot firing `pressure` and bench\.gas_generator"
+    ):
         load_source(path)
     path.write_text(text.replace(" pressure: pressure,", ""))
     with pytest.raises(InputError, match="or for a hot firing `pressure`"):
@@ -278,19 +339,25 @@ def test_a_real_transmitter_brings_its_own_description() -> None:
         "servo: {": f"servo: {{eds: {DRIVE_EDS}, ",
         "encoder: {": f"encoder: {{eds: {ENCODER_EDS}, ",
     }
-    with pytest.raises(InputError, match=r"pressure\.eds: missing; a real device needs its manufacturer's EDS file"):
+    with pytest.raises(
+        InputError, match=r"pressure\.eds: missing; a real device needs its manufacturer's EDS file"
+    ):
         device_files(load_bench(bench_with(**real)))
     own = bench_with(**real, **{"pressure: {kind": f"pressure: {{eds: {TRANSMITTER_EDS}, kind"})
     assert device_files(load_bench(own))["pressure.eds"] == TRANSMITTER_EDS
 
 
 def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
-    """Its process data stop, its heartbeat goes on: two frames late is too late, and age has its limit."""
+    """Its process data stop, its heartbeat goes on: two frames late is too late, and age has its
+    limit.
+    """
     bench, sequence = load_bench("practical_hot"), load_sequence("hot.yaml")
     plan = make_plan(sequence, bench)
 
     def attach(twin: Any) -> Clock:
-        def lose(time_ns: int, identifier: int, data: bytes, _sent: bool) -> tuple[int, bytes] | None:
+        def lose(
+            time_ns: int, identifier: int, data: bytes, _sent: bool
+        ) -> tuple[int, bytes] | None:
             return None if identifier == 0x184 and time_ns > 1_200_000_000 else (identifier, data)
 
         twin.bus.frame_filters.append(lose)
@@ -298,9 +365,14 @@ def test_a_transmitter_that_falls_silent_ends_the_run() -> None:
 
     folder = Path("silent")
     folder.mkdir()
-    with connect(bench, 0, False, attach) as devices, RunProgress(plan.cycle_s, plan.duration_s) as progress:
+    with (
+        connect(bench, 0, False, attach) as devices,
+        RunProgress(plan.cycle_s, plan.duration_s) as progress,
+    ):
         inputs = Inputs(bench, sequence, 0, False)
-        _, outcome = execute(inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress)
+        _, outcome = execute(
+            inputs, plan, devices, folder, AutomaticOperator(), StopButton(), progress
+        )
     assert outcome.ending is Ending.FAILED
     assert outcome.trip is not None
     assert outcome.trip.check is Check.SAMPLE_AGE

@@ -28,8 +28,12 @@ def write_csv(path: Path, moment: float, frequency: float) -> None:
     time = np.arange(int(12 * RATE)) / RATE
     w = 2.0 * np.pi * frequency
     velocity = 0.35 * w * np.cos(w * time)
-    torque = np.sign(velocity) * (6.825 + 5.2 * np.exp(-((velocity / 0.0557) ** 2))) + 5.3462 * velocity
-    torque += moment * (np.sign(velocity) * (0.052 + 0.034 * np.exp(-((velocity / 0.0326) ** 2))) + 0.032 * velocity)
+    torque = (
+        np.sign(velocity) * (6.825 + 5.2 * np.exp(-((velocity / 0.0557) ** 2))) + 5.3462 * velocity
+    )
+    torque += moment * (
+        np.sign(velocity) * (0.052 + 0.034 * np.exp(-((velocity / 0.0326) ** 2))) + 0.032 * velocity
+    )
     rows = np.column_stack([time, 0.35 * np.sin(w * time), velocity, torque])
     np.savetxt(path, rows, delimiter=",", header="t,q,w,tau", comments="", fmt="%.9g")
 
@@ -46,13 +50,24 @@ def campaign(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def short_search(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The paper's method in a few generations, for what does not hang on how good its values are."""
+    """The paper's method in a few generations, for what does not hang on how good its values
+    are.
+    """
     monkeypatch.setitem(METHODS, "paper", partial(identify_paper, generations=30))
 
 
 def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, record_file = tmp_path / "out", tmp_path / "result.json"
-    arguments = ["identify", str(campaign), "--method", "both", "--out", str(out), "--json", str(record_file)]
+    arguments = [
+        "identify",
+        str(campaign),
+        "--method",
+        "both",
+        "--out",
+        str(out),
+        "--json",
+        str(record_file),
+    ]
     assert status(arguments) == 0
     printed = capsys.readouterr().out
     assert "default: value" in printed
@@ -64,7 +79,9 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
     assert record["parameters"]["Mc"]["value"] == pytest.approx(6.825, rel=0.01)
     assert record["parameters"]["mu_c"]["value"] == pytest.approx(0.052, rel=0.01)
     for one in (record, record["compared"][0]):
-        assert {"J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"} == set(one["parameters"])
+        assert {"J", "Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2"} == set(
+            one["parameters"]
+        )
         assert one["fit"]["validate_rms"] > 0.0
     inputs = {Path(entry["file"]).name for entry in record["inputs"]}
     assert inputs == {"bench.yaml", "free.csv", "heavy.csv", "later.csv"}
@@ -72,7 +89,10 @@ def test_both_methods(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixt
 
 
 def test_compare(
-    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    campaign: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("rig.results.identify.identify.COMPARED_SEEDS", 1)
     out = tmp_path / "out"
@@ -93,7 +113,9 @@ def test_compare(
     assert all(row["true_error"] is None for row in record["comparison"])
 
 
-def test_compare_needs_the_default_method(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_compare_needs_the_default_method(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert status(["identify", str(campaign), "--compare", "--method", "paper"]) == 2
     assert "leave out --method paper" in capsys.readouterr().err
 
@@ -110,7 +132,16 @@ def test_compare_refuses_what_not_every_search_has(
 def test_same_seed_same_record(campaign: Path, tmp_path: Path) -> None:
     records = []
     for name in ("one", "two"):
-        arguments = ["identify", str(campaign), "--method", "paper", "--seed", "4", "--out", str(tmp_path / name)]
+        arguments = [
+            "identify",
+            str(campaign),
+            "--method",
+            "paper",
+            "--seed",
+            "4",
+            "--out",
+            str(tmp_path / name),
+        ]
         assert status(arguments) == 0
         record = json.loads((tmp_path / name / "identify.json").read_text())
         records.append({k: v for k, v in record.items() if k not in ("created", "seconds")})
@@ -136,11 +167,16 @@ def test_a_recording_that_cannot_be_identified(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     campaign.write_text(CAMPAIGN.replace("- {file: free.csv, stage: unloaded}", ""))
-    assert status(["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")]) == 2
+    assert (
+        status(["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")])
+        == 2
+    )
     assert "unloaded" in capsys.readouterr().err
 
 
-def test_a_folder_that_cannot_be_written(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_that_cannot_be_written(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "taken").write_text("a file")
     out = tmp_path / "taken" / "inside"
     assert status(["identify", str(campaign), "--method", "paper", "--out", str(out)]) == 2
@@ -151,12 +187,19 @@ def test_a_folder_that_cannot_be_written(campaign: Path, tmp_path: Path, capsys:
 def test_a_bandwidth_out_of_reach(
     campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], bandwidth: str
 ) -> None:
-    assert status(["identify", str(campaign), "--bandwidth", bandwidth, "--out", str(tmp_path / "out")]) == 2
+    assert (
+        status(
+            ["identify", str(campaign), "--bandwidth", bandwidth, "--out", str(tmp_path / "out")]
+        )
+        == 2
+    )
     assert "bandwidth of" in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
 
 
-def test_places_are_judged_before_the_work(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_places_are_judged_before_the_work(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out, missing = tmp_path / "out", tmp_path / "missing" / "r.json"
     assert status(["identify", str(campaign), "--out", str(out), "--json", str(missing)]) == 2
     assert f"{missing}: the folder {missing.parent} does not exist" in capsys.readouterr().err
@@ -165,7 +208,10 @@ def test_places_are_judged_before_the_work(campaign: Path, tmp_path: Path, capsy
 
 @pytest.mark.usefixtures("short_search")
 def test_ctrl_c_while_writing_keeps_what_was_whole(
-    campaign: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    campaign: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     arguments = ["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")]
     assert status(arguments) == 0
@@ -183,16 +229,25 @@ def test_ctrl_c_while_writing_keeps_what_was_whole(
 
 
 @pytest.mark.usefixtures("short_search")
-def test_corrections_are_told(campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_corrections_are_told(
+    campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for name in ("free.csv", "heavy.csv"):
         lines = (tmp_path / name).read_text().splitlines()
         lines[100] = lines[100].rsplit(",", 1)[0] + ","
         (tmp_path / name).write_text("\n".join(lines))
-    assert status(["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")]) == 0
-    told = "reading: free: `torque`: 1 missing samples interpolated (1 more like this: see the report)"
+    assert (
+        status(["identify", str(campaign), "--method", "paper", "--out", str(tmp_path / "out")])
+        == 0
+    )
+    told = (
+        "reading: free: `torque`: 1 missing samples interpolated (1 more like this: see the report)"
+    )
     assert told in capsys.readouterr().out.splitlines()
     record = json.loads((tmp_path / "out" / "identify.json").read_text())
-    assert record["corrections"] == {name: ["`torque`: 1 missing samples interpolated"] for name in ("free", "heavy")}
+    assert record["corrections"] == {
+        name: ["`torque`: 1 missing samples interpolated"] for name in ("free", "heavy")
+    }
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,6 @@
-"""Real recordings through the whole of identification, against published values where there are any."""
+"""Real recordings through the whole of identification, against published values where there are
+any.
+"""
 
 from __future__ import annotations
 
@@ -77,8 +79,12 @@ def test_a_wrong_sign_of_the_zero_is_worse_on_both_masses(recordings: Path, tmp_
 
 @pytest.mark.recordings
 @pytest.mark.parametrize("way", ["", "_forward", "_backward"])
-def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(recordings: Path, way: str) -> None:
-    """Both ways pooled, and each alone; at 2 rpm the lead screw sticks and slips, and nothing of that is fitted."""
+def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(
+    recordings: Path, way: str
+) -> None:
+    """Both ways pooled, and each alone; at 2 rpm the lead screw sticks and slips, and nothing of
+    that is fitted.
+    """
     first, second = result_of(f"screw_drive_1{way}.yaml"), result_of(f"screw_drive_2{way}.yaml")
     assert first.alpha == second.alpha == 2.0
     speed = first.parameters["omega_sf"]
@@ -94,11 +100,16 @@ def test_the_lead_screw_has_a_stribeck_speed_and_the_anti_backlash_screw_none(re
 
 
 @pytest.mark.recordings
-def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_friction(recordings: Path) -> None:
+def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_friction(
+    recordings: Path,
+) -> None:
     """Volts and simulated angle on the mass that was not fitted; a few draws, to keep it short."""
     for name, worst_mrad in (("sts3032_to_heavy.yaml", 70.0), ("sts3032_to_light.yaml", 30.0)):
         dataset = load_source(CAMPAIGNS / name)
-        rungs = {r.friction: r for r in climb(dataset, bandwidth_Hz=None, rng=np.random.default_rng(1), replicates=2)}
+        rungs = {
+            r.friction: r
+            for r in climb(dataset, bandwidth_Hz=None, rng=np.random.default_rng(1), replicates=2)
+        }
         assert list(rungs) == list(LADDER)
         scored = {friction: rung.scored.value for friction, rung in rungs.items() if rung.scored}
         assert scored["stribeck"] < scored["coulomb_viscous"]
@@ -111,9 +122,14 @@ def test_the_ladder_carried_over_to_the_other_mass_gets_better_with_the_load_in_
 
 
 @pytest.mark.recordings
-def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(recordings: Path, tmp_path: Path) -> None:
+def test_emps_in_closed_loop_errs_by_newtons_where_no_friction_errs_by_tens(
+    recordings: Path, tmp_path: Path
+) -> None:
     found = simulate_source(
-        CAMPAIGNS / "emps.yaml", [fitted_file("emps.yaml", tmp_path), CAMPAIGNS / "emps_published.json"], None, quiet
+        CAMPAIGNS / "emps.yaml",
+        [fitted_file("emps.yaml", tmp_path), CAMPAIGNS / "emps_published.json"],
+        None,
+        quiet,
     )
     assert found.unit == "N"
     errors = {
@@ -142,7 +158,11 @@ def test_emps_carried_over_from_the_pulses_moves_the_mass(recordings: Path) -> N
 def fitted_file(name: str, folder: Path) -> Path:
     result = result_of(name)
     path = folder / "fitted.json"
-    path.write_text(json.dumps({"schema": "loadrig.identify/1", "alpha": result.alpha, "fitted": dict(result.fitted)}))
+    path.write_text(
+        json.dumps(
+            {"schema": "loadrig.identify/1", "alpha": result.alpha, "fitted": dict(result.fitted)}
+        )
+    )
     return path
 
 

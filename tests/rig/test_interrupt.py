@@ -1,4 +1,6 @@
-"""Ctrl-C on a real process in every phase of a run: it ends with status 3, the drive verified off, the log readable."""
+"""Ctrl-C on a real process in every phase of a run: it ends with status 3, the drive verified off,
+the log readable.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,8 @@ from drivers.canopen.cia402_servo import Cia402Servo
 from rig.cli.entry import status
 from rig.control.cycle import Cycle
 
-next_phase, follow, quick_stop = rig.control.sequencer.next_phase, Cycle.follow, Cia402Servo.quick_stop
+next_phase = rig.control.sequencer.next_phase
+follow, quick_stop = Cycle.follow, Cia402Servo.quick_stop
 
 def announce(phase, event):
     following = next_phase(phase, event)
@@ -42,7 +45,10 @@ def brake(self):
 
 limits = rig.planning.plan._limits
 # A busy machine is late; the signals are on trial here.
-rig.planning.plan._limits = lambda values, bench: dataclasses.replace(limits(values, bench), lateness=30.0)
+def patient(values, bench):
+    return dataclasses.replace(limits(values, bench), lateness=30.0)
+
+rig.planning.plan._limits = patient
 rig.control.sequencer.next_phase, Cycle.follow = announce, count
 if sys.argv.pop(1) == "hold":
     Cia402Servo.quick_stop = brake
@@ -53,7 +59,8 @@ sequence: 1
 name: long
 limits: {{speed_deg_s: 20}}
 stages:
-  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 0.5, frequency_Hz: 0.5}}], duration_s: 60.2,
+  - {{name: empty, stage: unloaded, tones: [{{amplitude_deg: 0.5, frequency_Hz: 0.5}}],
+     duration_s: 60.2,
      ramp_in_s: 0.1, ramp_out_s: {ramp_out}, center_deg: {centre}, settle_s: 0}}
 """
 
@@ -62,7 +69,9 @@ stages:
 def running(
     tmp_path: Path, *options: str, hold: bool = False, centre: float = 0, ramp_out: float = 1
 ) -> Iterator[subprocess.Popen[str]]:
-    """Run the command in a process of its own that says where it is; it is gone afterwards, whatever happens."""
+    """Run the command in a process of its own that says where it is; it is gone afterwards,
+    whatever happens.
+    """
     sequence = tmp_path / "long.yaml"
     sequence.write_text(SEQUENCE.format(centre=centre, ramp_out=ramp_out))
     command = ["run", str(sequence), "--realtime", "--out", str(tmp_path / "out"), *options]
@@ -76,7 +85,9 @@ def running(
 
 
 def wait_for(child: subprocess.Popen[str], words: str, times: int = 1) -> None:
-    """Read what the child says until it has said ``words``; the prompt ends without a newline, so by character."""
+    """Read what the child says until it has said ``words``; the prompt ends without a newline, so
+    by character.
+    """
     assert child.stdout is not None
     said = ""
     while said.count(words) < times:
@@ -141,5 +152,6 @@ def test_a_second_one_while_braking_takes_the_power_off_at_once(tmp_path: Path) 
         child.stdin.flush()
         assert_stopped(child, tmp_path, "phase excite: stopped by the operator")
     samples = read_run(tmp_path / "out/recording.mcap").samples
-    # The ramp was cut short: nothing was recorded after the second one, and the drive is verified off.
+    # The ramp was cut short: nothing was recorded after the second one, and the drive is verified
+    # off.
     assert samples["segment"][-1] == 1

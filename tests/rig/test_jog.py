@@ -46,7 +46,9 @@ def test_it_goes_there_slowly_and_ends_without_power(fake_bench: Any) -> None:
     assert bench.calls["enable"] == 1
 
 
-def test_the_limits_are_low_in_host_and_drive(fake_bench: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_limits_are_low_in_host_and_drive(
+    fake_bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     written: list[ServoLimits] = []
     write = fake_bench.write_limits
 
@@ -75,7 +77,9 @@ def test_the_limits_are_low_in_host_and_drive(fake_bench: Any, monkeypatch: pyte
 def test_a_limit_trips(fake_bench: Any, change: dict[str, float], words: str) -> None:
     bench = fake_bench()
     bench.faults["exchange", 200] = lambda: bench.overrides.update(change)
-    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent)
+    outcome = move(
+        plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent
+    )
     assert outcome.ending is Ending.TRIPPED
     assert words in outcome.message
     assert outcome.safe.verified
@@ -96,7 +100,9 @@ def test_a_bus_that_dies(fake_bench: Any) -> None:
 
     bench = fake_bench()
     bench.faults["exchange", 200] = gone
-    outcome = move(plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent)
+    outcome = move(
+        plan_jog(BENCH, (20.0,), 5.0), BENCH, bench.devices(), StopButton(), ignore, silent
+    )
     assert outcome.ending is Ending.FAILED
     assert "bus-off" in outcome.message
     assert not bench.drive_state.energised
@@ -123,11 +129,17 @@ def test_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert status(["jog", "practical", "--to", "3", "--to", "0", "--json", str(result)]) == 0
     assert "done: 2 moves done; the drive is de-energised" in capsys.readouterr().out
     found = json.loads(result.read_text())
-    assert (found["schema"], found["state"], found["de_energised"]) == ("loadrig.jog/1", "done", True)
+    assert (found["schema"], found["state"], found["de_energised"]) == (
+        "loadrig.jog/1",
+        "done",
+        True,
+    )
     assert status(["jog", "practical", "--to", "99"]) == 2
 
 
-def test_angles_from_the_keyboard(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_angles_from_the_keyboard(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("2\nup\n0\n\n"))
     assert status(["jog", "practical"]) == 0
     captured = capsys.readouterr()

@@ -1,4 +1,6 @@
-"""``--json`` and ``--seed`` of the commands that work on a bench: judged before anything is done, written through."""
+"""``--json`` and ``--seed`` of the commands that work on a bench: judged before anything is done,
+written through.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +61,9 @@ def test_a_missing_folder_is_bad_input_before_anything_is_done(
 
 
 @pytest.mark.parametrize("command", [RUN, CHECK, JOG], ids=lambda c: c[0])
-def test_a_negative_seed_is_bad_input(command: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_negative_seed_is_bad_input(
+    command: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert status([*command, "--seed", "-1"]) == 2
     assert "-1 is not in the range x>=0" in capsys.readouterr().err
     assert not Path("out").exists()
@@ -96,7 +100,9 @@ def test_a_link_to_what_is_no_plain_file_is_written_through() -> None:
     assert Path("link").is_symlink()
 
 
-def test_a_disk_that_fills_up_is_told(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_disk_that_fills_up_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     def full(*arguments: object) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 

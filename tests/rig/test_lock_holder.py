@@ -22,7 +22,10 @@ HERE = Holder(1234, "rig run", "bench x", "ada", socket.gethostname(), "2026-11-
 
 
 def test_all_that_is_known_is_said() -> None:
-    assert HERE.words("bench x", NOW) == "`rig run` (process 1234, user ada) since 12:34:56 UTC, 3 min ago"
+    assert (
+        HERE.words("bench x", NOW)
+        == "`rig run` (process 1234, user ada) since 12:34:56 UTC, 3 min ago"
+    )
 
 
 @pytest.mark.parametrize(
@@ -34,7 +37,9 @@ def test_all_that_is_known_is_said() -> None:
         ({"host": "", "user": "", "command": ""}, "`a program` (process 1234)"),
     ],
 )
-def test_what_differs_is_said_and_what_is_not_known_is_not(changes: dict[str, str], words: str) -> None:
+def test_what_differs_is_said_and_what_is_not_known_is_not(
+    changes: dict[str, str], words: str
+) -> None:
     assert replace(HERE, **changes, since="").words("bench x", NOW) == words  # type: ignore[arg-type]
 
 
@@ -57,14 +62,21 @@ def test_what_differs_is_said_and_what_is_not_known_is_not(changes: dict[str, st
 )
 def test_the_age_is_said_in_one_unit(seconds: float, words: str) -> None:
     since = (NOW - timedelta(seconds=seconds)).isoformat()
-    assert replace(HERE, since=since).words("bench x", NOW) == f"`rig run` (process 1234, user ada) since {words}"
+    assert (
+        replace(HERE, since=since).words("bench x", NOW)
+        == f"`rig run` (process 1234, user ada) since {words}"
+    )
 
 
 def test_the_time_is_in_utc_whatever_zone_it_was_written_in() -> None:
-    assert " since 12:34:56 UTC," in replace(HERE, since="2026-11-20T13:34:56+01:00").words("bench x", NOW)
+    assert " since 12:34:56 UTC," in replace(HERE, since="2026-11-20T13:34:56+01:00").words(
+        "bench x", NOW
+    )
 
 
-@pytest.mark.parametrize("since", ["", "soon", "0001-01-01T00:00:00+23:00", "9999-12-31T23:59:59-23:00"])
+@pytest.mark.parametrize(
+    "since", ["", "soon", "0001-01-01T00:00:00+23:00", "9999-12-31T23:59:59-23:00"]
+)
 def test_a_time_that_cannot_be_is_left_out(since: str) -> None:
     assert replace(HERE, since=since).words("bench x", NOW) == "`rig run` (process 1234, user ada)"
 
@@ -77,7 +89,9 @@ def test_a_holder_is_read_back() -> None:
     assert mine.user
 
 
-@pytest.mark.parametrize(("pid", "read"), [(0, False), (1, True), (2**31 - 1, True), (2**31, False), (-1, False)])
+@pytest.mark.parametrize(
+    ("pid", "read"), [(0, False), (1, True), (2**31 - 1, True), (2**31, False), (-1, False)]
+)
 def test_only_a_process_that_can_be_is_believed(pid: int, read: bool) -> None:
     assert (Holder.parse(replace(HERE, pid=pid).content()) is not None) is read
 

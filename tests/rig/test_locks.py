@@ -1,4 +1,6 @@
-"""One owner: locks of benches and run folders, held by real processes that end in every way they can."""
+"""One owner: locks of benches and run folders, held by real processes that end in every way they
+can.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +67,11 @@ def program(kind: str, folder: Path, command: str = "rig run") -> Iterator[Progr
     """Start a program that holds the lock; it and its child are gone afterwards."""
     words = [sys.executable, str(CHILD), kind, str(folder), command]
     with subprocess.Popen(
-        words, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE, env={**os.environ, "PYTHONPATH": str(ROOT)}
+        words,
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
     ) as process:
         made = Program(process)
         try:
@@ -77,7 +83,11 @@ def program(kind: str, folder: Path, command: str = "rig run") -> Iterator[Progr
 
 def hold(kind: str, folder: Path, command: str = "rig jog") -> Lock:
     """Hold the same lock in this process."""
-    return hold_bench("wired", [PART], command, folder) if kind == "bench" else hold_folder(folder, command)
+    return (
+        hold_bench("wired", [PART], command, folder)
+        if kind == "bench"
+        else hold_folder(folder, command)
+    )
 
 
 def lock_file(kind: str, folder: Path) -> Path:
@@ -109,7 +119,8 @@ def test_the_second_program_is_told_who_the_first_is(kind: str, tmp_path: Path) 
             hold(kind, tmp_path)
         subject = r"bench wired \(port /dev/ttyX\)" if kind == "bench" else f"run folder {tmp_path}"
         words = (
-            rf"{subject} is in use by `rig run` \(process {first.pid}, user \w+\) since \d\d:\d\d:\d\d UTC, "
+            rf"{subject} is in use by `rig run` \(process {first.pid}, user \w+\) since "
+            rf"\d\d:\d\d:\d\d UTC, "
             r"(just now|\d+ s ago); wait for it to end, or stop it"
         )
         assert refused.match(f"^{words}$")
@@ -150,11 +161,15 @@ def test_a_stopped_program_still_holds_it(kind: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(kind: str, tmp_path: Path) -> None:
+def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(
+    kind: str, tmp_path: Path
+) -> None:
     with program(kind, tmp_path) as first:
         first.tell("guard", "guarding")
         first.kill()
-        with pytest.raises(InUseError, match=rf"process {first.pid}.* is gone, but a process that it started still"):
+        with pytest.raises(
+            InUseError, match=rf"process {first.pid}.* is gone, but a process that it started still"
+        ):
             hold(kind, tmp_path)
         first.tell("note guardian of rig run", "noted")
         with pytest.raises(InUseError) as refused:
@@ -170,14 +185,18 @@ def test_a_child_that_inherits_it_keeps_it_when_its_parent_is_killed(kind: str, 
 
 @pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("noted", [False, True])
-def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path, noted: bool) -> None:
+def test_a_parent_that_releases_leaves_it_to_its_child(
+    kind: str, tmp_path: Path, noted: bool
+) -> None:
     with program(kind, tmp_path) as first:
         first.tell("guard", "guarding")
         if noted:
             first.tell("note guardian", "noted")
         first.process.send_signal(signal.SIGUSR1)
         first.hear("released")
-        with pytest.raises(InUseError, match="by `guardian`" if noted else "which has not given its name; `fuser "):
+        with pytest.raises(
+            InUseError, match="by `guardian`" if noted else "which has not given its name; `fuser "
+        ):
             hold(kind, tmp_path)
         first.tell("release", "released")
         assert free(kind, tmp_path)
@@ -188,7 +207,16 @@ def test_a_parent_that_releases_leaves_it_to_its_child(kind: str, tmp_path: Path
 @pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize(
     "content",
-    [b"{x", b"[]", b"null", b'{"pid": 1}\xff', b'{"pid": 0}', b'{"pid": true}', b'{"pid": "12"}', b"[" * 15_000],
+    [
+        b"{x",
+        b"[]",
+        b"null",
+        b'{"pid": 1}\xff',
+        b'{"pid": 0}',
+        b'{"pid": true}',
+        b'{"pid": "12"}',
+        b"[" * 15_000,
+    ],
 )
 def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: bytes) -> None:
     with hold(kind, tmp_path):
@@ -204,7 +232,13 @@ def test_damaged_content_changes_nothing(kind: str, tmp_path: Path, content: byt
 
 def test_what_a_file_says_cannot_write_to_the_terminal(kind: str, tmp_path: Path) -> None:
     with hold(kind, tmp_path):
-        told = {"pid": os.getpid(), "command": "\x1b[2J\nrig" + "x" * 5000, "user": 7, "host": None, "since": "soon"}
+        told = {
+            "pid": os.getpid(),
+            "command": "\x1b[2J\nrig" + "x" * 5000,
+            "user": 7,
+            "host": None,
+            "since": "soon",
+        }
         lock_file(kind, tmp_path).write_text(json.dumps(told))
         with pytest.raises(InUseError) as refused:
             hold(kind, tmp_path)
@@ -212,7 +246,9 @@ def test_what_a_file_says_cannot_write_to_the_terminal(kind: str, tmp_path: Path
     assert len(str(refused.value)) < 600
 
 
-@pytest.mark.parametrize("before", [b"", Holder(2**31 - 1, "gone", "", "", socket.gethostname(), "").content()])
+@pytest.mark.parametrize(
+    "before", [b"", Holder(2**31 - 1, "gone", "", "", socket.gethostname(), "").content()]
+)
 def test_a_name_that_comes_a_moment_late_is_waited_for(
     kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: bytes
 ) -> None:
@@ -235,7 +271,8 @@ def test_a_name_that_comes_a_moment_late_is_waited_for(
 def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None:
     with hold_bench("one", [OTHER], "rig run", tmp_path):
         with pytest.raises(
-            InUseError, match=r"^bench two \(socketcan channel can7\) is in use by `rig run` on bench one"
+            InUseError,
+            match=r"^bench two \(socketcan channel can7\) is in use by `rig run` on bench one",
         ):
             hold_bench("two", [OTHER, PART], "rig jog", tmp_path)
         assert free("bench", tmp_path)
@@ -246,7 +283,9 @@ def test_one_of_many_parts_in_use_leaves_the_others_free(tmp_path: Path) -> None
                 hold_bench("one", [part], "rig run", tmp_path)
 
 
-def test_parts_are_taken_in_one_order_by_everyone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_are_taken_in_one_order_by_everyone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     taken: list[str] = []
     take = locks._take
     monkeypatch.setattr(locks, "_take", lambda place: taken.append(place.file) or take(place))
@@ -295,14 +334,17 @@ def _directory(file: Path, victim: Path) -> None:
 
 
 @pytest.mark.parametrize("trap", [_link, _hard_link, _pipe, _directory])
-def test_what_somebody_put_in_the_place_of_a_file_is_refused(tmp_path: Path, trap: Callable[..., None]) -> None:
+def test_what_somebody_put_in_the_place_of_a_file_is_refused(
+    tmp_path: Path, trap: Callable[..., None]
+) -> None:
     victim, folder = tmp_path / "victim", tmp_path / "locks"
     victim.write_text("precious")
     victim.chmod(0o600)
     folder.mkdir()
     trap(lock_file("bench", folder), victim)
     with pytest.raises(
-        StorageError, match=r"bench wired .* cannot be used: .* \(mode 1777\); remove what is in the way"
+        StorageError,
+        match=r"bench wired .* cannot be used: .* \(mode 1777\); remove what is in the way",
     ):
         hold("bench", folder)
     assert victim.read_text() == "precious"
@@ -310,7 +352,9 @@ def test_what_somebody_put_in_the_place_of_a_file_is_refused(tmp_path: Path, tra
 
 
 @pytest.mark.parametrize("trap", [_link, _pipe])
-def test_what_somebody_put_in_the_place_of_the_folder_is_refused(tmp_path: Path, trap: Callable[..., None]) -> None:
+def test_what_somebody_put_in_the_place_of_the_folder_is_refused(
+    tmp_path: Path, trap: Callable[..., None]
+) -> None:
     victim = tmp_path / "victim"
     victim.mkdir()
     trap(tmp_path / "locks", victim)
@@ -380,12 +424,16 @@ def test_releasing_never_raises(kind: str, tmp_path: Path) -> None:
     assert lock.descriptors == ()
 
 
-def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(kind: str, tmp_path: Path) -> None:
+def test_a_standard_stream_that_is_closed_is_not_replaced_by_a_lock(
+    kind: str, tmp_path: Path
+) -> None:
     code = (
-        "import os, sys; from pathlib import Path; from rig.common.locks import Resource, hold_bench, hold_folder\n"
+        "import os, sys; from pathlib import Path; from rig.common.locks import Resource, "
+        "hold_bench, hold_folder\n"
         "bench, folder = sys.argv[1] == 'bench', Path(sys.argv[2])\n"
         "os.closerange(0, 3)\n"
-        "lock = hold_bench('b', [Resource('k', 'l')], 'rig', folder) if bench else hold_folder(folder, 'rig')\n"
+        "lock = hold_bench('b', [Resource('k', 'l')], 'rig', folder) if bench else "
+        "hold_folder(folder, 'rig')\n"
         "os._exit(min(lock.descriptors))"
     )
     words = [sys.executable, "-c", code, kind, str(tmp_path)]
@@ -411,7 +459,10 @@ def test_a_copy_of_a_held_folder_is_taken_over(tmp_path: Path) -> None:
         shutil.copytree(tmp_path / "run", tmp_path / "copy")
         with hold("folder", tmp_path / "copy") as lock:
             assert lock.taken_over is not None
-            assert f"`rig run` on run folder {tmp_path / 'run'} (process {first.pid}" in lock.taken_over
+            assert (
+                f"`rig run` on run folder {tmp_path / 'run'} (process {first.pid}"
+                in lock.taken_over
+            )
         with pytest.raises(InUseError):
             hold("folder", tmp_path / "run")
     assert not list((tmp_path / "copy").iterdir())
@@ -434,7 +485,8 @@ def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(
     with ExitStack() as later:
 
         def late(descriptor: int, fcntl: Any) -> bool:
-            # Its holder releases, and another program comes, before this one locks what it has opened.
+            # Its holder releases, and another program comes, before this one locks what it has
+            # opened.
             monkeypatch.setattr(locks, "_locked", locked)
             last.release()
             later.enter_context(hold("folder", tmp_path, "rig resume"))
@@ -446,7 +498,9 @@ def test_a_file_that_is_removed_between_opening_and_locking_is_not_the_lock(
     assert free("folder", tmp_path)
 
 
-def test_a_file_that_comes_while_the_last_one_is_removed_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_that_comes_while_the_last_one_is_removed_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     lock, locked = hold("folder", tmp_path), locks._locked
 
     def late(descriptor: int, fcntl: Any) -> bool:
@@ -478,14 +532,18 @@ def test_a_file_that_another_user_makes_at_the_same_moment_is_opened(
         hold(kind, tmp_path)
 
 
-def test_a_new_name_does_not_change_since_when(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_new_name_does_not_change_since_when(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with hold(kind, tmp_path, "rig run") as lock:
         first = Holder.parse(lock_file(kind, tmp_path).read_bytes())
         later = datetime.now(UTC) + timedelta(days=1)
         monkeypatch.setattr(lock_holder, "utc_now", lambda: later)
         lock.note("guardian")
         assert first is not None
-        assert Holder.parse(lock_file(kind, tmp_path).read_bytes()) == replace(first, command="guardian")
+        assert Holder.parse(lock_file(kind, tmp_path).read_bytes()) == replace(
+            first, command="guardian"
+        )
 
 
 CONTEND = """
@@ -518,7 +576,8 @@ def test_never_two_at_once_though_each_removes_the_file(tmp_path: Path) -> None:
     words = [sys.executable, "-c", CONTEND, str(folder), str(tmp_path / "mark")]
     env = {**os.environ, "PYTHONPATH": str(ROOT)}
     rivals = [
-        subprocess.Popen(words, env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE) for _ in range(3)
+        subprocess.Popen(words, env=env, text=True, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        for _ in range(3)
     ]
     for rival in rivals:
         assert rival.stdin is not None
@@ -539,7 +598,9 @@ def test_every_channel_has_a_safe_file_name_of_its_own(one: str, other: str) -> 
     assert file_name(one).lower() != file_name(other).lower() or one == other
 
 
-@pytest.mark.parametrize("key", ["../../etc/passwd", "a\0b", "\ud800", "/", "x" * 5000, "ein Kanal: ü"])
+@pytest.mark.parametrize(
+    "key", ["../../etc/passwd", "a\0b", "\ud800", "/", "x" * 5000, "ein Kanal: ü"]
+)
 def test_awkward_channels_can_be_locked(tmp_path: Path, key: str) -> None:
     with hold_bench("odd", [Resource(key, "channel")], "rig run", tmp_path):
         (file,) = tmp_path.iterdir()

@@ -38,14 +38,20 @@ FLAGS, DIMENSIONS, NAME, VALUES = (HEADER_BYTES + 8 + k for k in (0, 16, 32, 40)
 """Where the parts of the one variable of ``ONE`` start."""
 
 
-@pytest.mark.parametrize("raw", [PLAIN, saved(do_compression=True), saved({"t": np.arange(3.0)}, format="4"), b""])
+@pytest.mark.parametrize(
+    "raw", [PLAIN, saved(do_compression=True), saved({"t": np.arange(3.0)}, format="4"), b""]
+)
 def test_good_files_and_other_formats_pass(raw: bytes) -> None:
     check_elements(io.BytesIO(raw))
 
 
 def test_big_endian_passes() -> None:
     header = b"MATLAB 5.0".ljust(124) + struct.pack(">H", 0x0100) + b"MI"
-    parts = struct.pack(">IIII", 6, 8, 6, 0) + struct.pack(">IIii", 5, 8, 2, 1) + struct.pack(">HH4s", 1, 1, b"t")
+    parts = (
+        struct.pack(">IIII", 6, 8, 6, 0)
+        + struct.pack(">IIii", 5, 8, 2, 1)
+        + struct.pack(">HH4s", 1, 1, b"t")
+    )
     values = struct.pack(">IIdd", 9, 16, 1.0, 2.0)
     raw = header + struct.pack(">II", 14, len(parts + values)) + parts + values
     check_elements(io.BytesIO(raw))
@@ -86,7 +92,9 @@ def test_a_cut_header() -> None:
 @given(st.data())
 def test_any_damage_passes_or_is_named(data: st.DataObject) -> None:
     raw = bytearray(PLAIN[: data.draw(st.integers(0, len(PLAIN)))])
-    for place in data.draw(st.lists(st.integers(0, max(len(raw) - 1, 0)), max_size=4)) if raw else ():
+    for place in (
+        data.draw(st.lists(st.integers(0, max(len(raw) - 1, 0)), max_size=4)) if raw else ()
+    ):
         raw[place] = data.draw(st.integers(0, 255))
     with contextlib.suppress(DamagedElementError):
         check_elements(io.BytesIO(raw))

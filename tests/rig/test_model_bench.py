@@ -1,4 +1,6 @@
-"""Close the loop: a simulated bench made from a result reproduces the recording that the result describes."""
+"""Close the loop: a simulated bench made from a result reproduces the recording that the result
+describes.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,8 @@ EFFECTS = {
 
 
 CURVE = {
-    "equation": "torque", "coordinate": "angle", "unit": "rad", "residual_unit": "N m", "grid": [0.0, 1.0],
+    "equation": "torque", "coordinate": "angle", "unit": "rad", "residual_unit": "N m",
+     "grid": [0.0, 1.0],
     "value": [0.0, 1.0],
 }  # fmt: skip
 
@@ -56,7 +59,15 @@ def run(tmp_path: Path, name: str, bench: dict[str, Any]) -> Path:
     out = tmp_path / name
     assert (
         status(
-            ["run", str(tmp_path / "short.yaml"), "--bench", str(tmp_path / f"{name}.yaml"), "--yes", "--out", str(out)]
+            [
+                "run",
+                str(tmp_path / "short.yaml"),
+                "--bench",
+                str(tmp_path / f"{name}.yaml"),
+                "--yes",
+                "--out",
+                str(out),
+            ]
         )
         == 0
     )
@@ -66,13 +77,16 @@ def run(tmp_path: Path, name: str, bench: dict[str, Any]) -> Path:
 def test_the_loop_is_closed(tmp_path: Path) -> None:
     hidden = base_bench(tmp_path)
     hidden["mock"]["joint"] |= {
-        "inertia_kg_m2": 0.21, "Mc_N_m": 5.9, "Ms_N_m": 10.1, "omega_sf_rad_s": 0.061, "sigma_2_N_m_s_rad": 4.4,
+        "inertia_kg_m2": 0.21, "Mc_N_m": 5.9, "Ms_N_m": 10.1, "omega_sf_rad_s": 0.061,
+        "sigma_2_N_m_s_rad": 4.4,
         "mu_c": 0.05, "mu_s": 0.08, "omega_sL_rad_s": 0.03, "mu_2_s_rad": 0.03, "alpha": 1.8,
     }  # fmt: skip
     hidden["mock"]["effects"] = EFFECTS
     recorded = run(tmp_path, "hidden", hidden)
     (original,) = load_run(recorded).recordings
-    bench, notes = model_bench(base_bench(recorded), model_of(record(EFFECTS), ["free"]), original.bench)
+    bench, notes = model_bench(
+        base_bench(recorded), model_of(record(EFFECTS), ["free"]), original.bench
+    )
     assert notes == []
     (again,) = load_run(run(tmp_path, "corrected", bench)).recordings
     for channel in ("angle", "motor_angle", "current"):
@@ -85,7 +99,9 @@ def test_the_loop_is_closed(tmp_path: Path) -> None:
 def test_what_belongs_to_one_recording_names_its_place() -> None:
     constants = bench_constants(load_bench("practical").value)
     bench, _ = model_bench(
-        base_bench(Path()), model_of(record({"wrong_weight": {"mass_kg": 24.0}}), ["a", "b"]), constants
+        base_bench(Path()),
+        model_of(record({"wrong_weight": {"mass_kg": 24.0}}), ["a", "b"]),
+        constants,
     )
     assert bench["mock"]["effects"] == {"wrong_weight": {"mass_kg": 24.0, "recording": 2.0}}
 
@@ -95,7 +111,9 @@ def test_what_the_machine_cannot_be_is_told_and_left_out() -> None:
     found = record({"time_skew": {"time_s": -0.002}, "backlash": {"gap_rad": 0.006}}, curve=CURVE)
     bench, notes = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
     assert bench["mock"]["effects"] == {"backlash": {"gap_rad": 0.006}}
-    assert notes[0].startswith("time_skew is left out of the simulated bench: time_skew.time_s: must be within 0 to")
+    assert notes[0].startswith(
+        "time_skew is left out of the simulated bench: time_skew.time_s: must be within 0 to"
+    )
     assert "empirical curve" in notes[1]
 
 
@@ -113,7 +131,9 @@ def test_the_file_is_a_bench_that_says_what_it_lacks(tmp_path: Path) -> None:
 
 def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
     constants = bench_constants(load_bench("practical").value)
-    found = record({}) | {"parameters": {n: v for n, v in NOMINAL.items() if not n.startswith("mu_")}}
+    found = record({}) | {
+        "parameters": {n: v for n, v in NOMINAL.items() if not n.startswith("mu_")}
+    }
     bench, _ = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
     assert bench["mock"]["joint"]["mu_c"] == bench["mock"]["joint"]["mu_s"] == 0.0
     Bench.model_validate_json(json.dumps(bench), strict=True)
@@ -121,7 +141,10 @@ def test_an_unloaded_result_makes_a_machine_without_load_friction() -> None:
 
 def test_a_result_of_an_identification_will_do() -> None:
     constants = bench_constants(load_bench("practical").value)
-    found = {"parameters": {name: {"value": value, "unit": ""} for name, value in NOMINAL.items()}, "alpha": 2.0}
+    found = {
+        "parameters": {name: {"value": value, "unit": ""} for name, value in NOMINAL.items()},
+        "alpha": 2.0,
+    }
     bench, _ = model_bench(base_bench(Path()), model_of(found, ["a"]), constants)
     assert bench["mock"]["joint"]["Ms_N_m"] == 10.1
     assert bench["mock"]["effects"] == {}
@@ -135,8 +158,12 @@ def test_a_result_of_an_identification_will_do() -> None:
         (Constants(motion="linear"), record({}), "which the result"),
     ],
 )
-def test_what_a_machine_needs_is_asked_for(constants: Constants | None, found: dict[str, Any], why: str) -> None:
+def test_what_a_machine_needs_is_asked_for(
+    constants: Constants | None, found: dict[str, Any], why: str
+) -> None:
     with pytest.raises(InputError, match=why):
         model_bench(
-            base_bench(Path()), model_of(found, ["a"]), constants or bench_constants(load_bench("practical").value)
+            base_bench(Path()),
+            model_of(found, ["a"]),
+            constants or bench_constants(load_bench("practical").value),
         )

@@ -20,18 +20,26 @@ from identification.recording import Bench, Recording
 from rig.results.diagnose.model_export import python_text, yaml_text
 
 PARAMETERS = {
-    "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052, "mu_s": 0.086,
+    "J": 0.2, "Mc": 6.8, "Ms": 12.0, "omega_sf": 0.056, "sigma_2": 5.3, "mu_c": 0.052,
+    "mu_s": 0.086,
     "omega_sL": 0.033, "mu_2": 0.032,
 }  # fmt: skip
 BENCH = Bench(
-    torque_constant=0.03, back_emf_constant=0.026, resistance=1.56, inductance=1e-3, gear_ratio=100.0, moment_arm=0.095
+    torque_constant=0.03,
+    back_emf_constant=0.026,
+    resistance=1.56,
+    inductance=1e-3,
+    gear_ratio=100.0,
+    moment_arm=0.095,
 )
 TIME = np.arange(2000) / 500.0
 ANGLE = 0.3 * np.sin(2.0 * TIME)
 VELOCITY = np.where(np.abs(np.cos(2.0 * TIME)) < 0.1, 0.0, 0.6 * np.cos(2.0 * TIME))
 ACCELERATION = np.gradient(VELOCITY, TIME)
 CURRENT = 4.0 * np.sign(VELOCITY) + VELOCITY
-RECORDING = Recording("r", {"time": TIME, "angle": ANGLE, "current": CURRENT}, BENCH, "loaded", 30.6)
+RECORDING = Recording(
+    "r", {"time": TIME, "angle": ANGLE, "current": CURRENT}, BENCH, "loaded", 30.6
+)
 
 
 def middle(name: str) -> dict[str, float]:
@@ -63,7 +71,8 @@ def test_the_file_computes_what_the_program_does(name: str | None, tmp_path: Pat
     m = model.numbers(RECORDING)
     assert m == module.M
     s = module.signals(
-        module.M, TIME, ANGLE, VELOCITY, ACCELERATION, contact_force=2000.0, weight_mass=20.4, current=CURRENT,
+        module.M, TIME, ANGLE, VELOCITY, ACCELERATION, contact_force=2000.0, weight_mass=20.4,
+        current=CURRENT,
         voltage=1.6 * CURRENT, supply=60.0, known=1.2, run_start=100.0, number=2,
     )  # fmt: skip
     for theirs, ours in (
@@ -83,19 +92,28 @@ def test_the_file_computes_what_the_program_does(name: str | None, tmp_path: Pat
 
 
 def test_the_file_needs_numpy_alone(tmp_path: Path) -> None:
-    text = python_text(CorrectedModel(PARAMETERS, 2.0, {"presliding": middle("presliding")}), RECORDING, "bench")
+    text = python_text(
+        CorrectedModel(PARAMETERS, 2.0, {"presliding": middle("presliding")}), RECORDING, "bench"
+    )
     imports = {line for line in text.splitlines() if line.startswith(("import ", "from "))}
-    assert imports == {"from __future__ import annotations", "from typing import Any", "import numpy as np"}
+    assert imports == {
+        "from __future__ import annotations",
+        "from typing import Any",
+        "import numpy as np",
+    }
     (tmp_path / "model.py").write_text(text)
     code = "import model; assert model.M['Mc'] == 6.8; assert 'presliding' in model.__doc__"
     subprocess.run(
-        [sys.executable, "-I", "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {code}"], check=True
+        [sys.executable, "-I", "-c", f"import sys; sys.path.insert(0, {str(tmp_path)!r}); {code}"],
+        check=True,
     )
 
 
 def test_a_curve_goes_with_it(tmp_path: Path) -> None:
     grid = np.linspace(-0.3, 0.3, 9)
-    model = CorrectedModel(PARAMETERS, 2.0, {}, Curve("torque", "angle", "rad", "N m", grid, 0.5 * np.sin(9.0 * grid)))
+    model = CorrectedModel(
+        PARAMETERS, 2.0, {}, Curve("torque", "angle", "rad", "N m", grid, 0.5 * np.sin(9.0 * grid))
+    )
     module = imported(python_text(model, RECORDING, "bench"), tmp_path)
     s = module.signals(module.M, TIME, ANGLE, VELOCITY, ACCELERATION)
     added = module.torque(s) - dataclasses.replace(model, curve=None).torque(s, module.M)

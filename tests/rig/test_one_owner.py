@@ -1,4 +1,6 @@
-"""Two programs on one bench and on one run folder, as users start them: the second is refused and changes nothing."""
+"""Two programs on one bench and on one run folder, as users start them: the second is refused and
+changes nothing.
+"""
 
 from __future__ import annotations
 
@@ -72,7 +74,9 @@ def rig(*arguments: str) -> Iterator[Rig]:
     """Start a command; it is gone afterwards."""
     pipe = subprocess.PIPE
     env = os.environ | {"CAN_CONFIG": '{"sleep_after_open": 0.0}'}
-    with subprocess.Popen([*RIG, *arguments], stdin=pipe, stdout=pipe, stderr=pipe, env=env) as process:
+    with subprocess.Popen(
+        [*RIG, *arguments], stdin=pipe, stdout=pipe, stderr=pipe, env=env
+    ) as process:
         try:
             yield Rig(process)
         finally:
@@ -91,7 +95,9 @@ def seconds(bench: PtyBench, sequence: Path, out: Path) -> list[list[str]]:
 
 
 def settled(bench: PtyBench) -> int:
-    """Return how many bytes the bench has read, once that stands still: some may be on their way."""
+    """Return how many bytes the bench has read, once that stands still: some may be on their
+    way.
+    """
     before, now = -1, bench.bytes_sent()
     while now != before:
         time.sleep(0.1)
@@ -138,7 +144,10 @@ def test_a_bench_that_a_killed_program_held_is_taken_over_and_said(
         assert status(["jog", str(bench.path)]) == 0
         said = capsys.readouterr().err
         for port in resources(load_bench(bench.path).value):
-            assert f"({port.label}) was left locked by `rig jog` (process {first.process.pid}, user" in said
+            assert (
+                f"({port.label}) was left locked by `rig jog` (process {first.process.pid}, user"
+                in said
+            )
         assert status(["jog", str(bench.path)]) == 0
         assert "left locked" not in capsys.readouterr().err
 
@@ -209,7 +218,11 @@ def test_a_run_that_is_still_going_is_neither_recovered_nor_resumed(
         first.wait_for(MASS)
         before = content(run)
         assert {"run.json", "recording.mcap", OWNER_FILE} <= set(before)
-        for words in (["recover"], ["resume", "--yes"], ["run", str(short_sequence), "--yes", "--out"]):
+        for words in (
+            ["recover"],
+            ["resume", "--yes"],
+            ["run", str(short_sequence), "--yes", "--out"],
+        ):
             assert status([*words, str(run)]) == 4
             said = capsys.readouterr()
             assert said.err.startswith(
@@ -244,7 +257,8 @@ def test_a_run_whose_program_was_killed_is_taken_over_and_said(
     assert status([command, str(moved), *["--yes"] * (command == "resume")]) == 0
     said = capsys.readouterr()
     assert (
-        f"run folder {moved} was left locked by `rig run` on run folder {run} (process {first.process.pid}" in said.err
+        f"run folder {moved} was left locked by `rig run` on run folder {run} (process "
+        f"{first.process.pid}" in said.err
     )
     assert "which no longer holds it; taken over" in said.err
     assert not (moved / OWNER_FILE).exists()

@@ -1,4 +1,6 @@
-"""Standard streams that are full, gone or closed: the work is done, its files are written, nothing is hidden."""
+"""Standard streams that are full, gone or closed: the work is done, its files are written, nothing
+is hidden.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def command(code):
 cli.COMMANDS["rows"] = ("__main__:command", "")
 cli.main()
 """
-"""A command that prints more than a pipe holds, makes a file, and ends with the status it is given."""
+"""A command that prints more than a pipe holds, makes a file, and ends with the status it is
+given.
+"""
 
 SHORT = "short.yaml"
 SEQUENCE = """\
@@ -68,14 +72,18 @@ def test_a_full_disk_behind_the_output_is_said(tmp_path: Path, code: int, status
     assert (tmp_path / "made.txt").exists()
 
 
-@pytest.mark.parametrize("shell", [">&-", "2>&-", "<&-", "<&- >&-", ">&- 2>&-", "<&- >&- 2>&-", "2> /dev/full"])
+@pytest.mark.parametrize(
+    "shell", [">&-", "2>&-", "<&-", "<&- >&-", ">&- 2>&-", "<&- >&- 2>&-", "2> /dev/full"]
+)
 @pytest.mark.parametrize("code", [0, 1])
 def test_a_stream_that_is_closed_changes_nothing(tmp_path: Path, code: int, shell: str) -> None:
     ended = rig("rows", str(code), folder=tmp_path, shell=shell, entry=ROWS)
     assert_in_words(ended)
     assert ended.returncode == code
     assert ended.stderr == ""
-    assert (tmp_path / "made.txt").read_text(encoding="utf-8") == "made", "nothing of the output is in the file"
+    assert (tmp_path / "made.txt").read_text(encoding="utf-8") == "made", (
+        "nothing of the output is in the file"
+    )
 
 
 @pytest.mark.parametrize("shell", ["> /dev/full", "| true", "<&- >&- 2>&-"])
@@ -83,14 +91,21 @@ def test_a_run_is_recorded_whatever_becomes_of_its_output(tmp_path: Path, shell:
     ended = rig("run", SHORT, "--yes", "--out", "made", folder=sequence_in(tmp_path), shell=shell)
     assert_in_words(ended)
     assert ended.returncode == (4 if "full" in shell else 0), ended.stderr
-    assert {file.name for file in (tmp_path / "made").iterdir()} >= {"run.json", "recording.mcap", "run.html"}
+    assert {file.name for file in (tmp_path / "made").iterdir()} >= {
+        "run.json",
+        "recording.mcap",
+        "run.html",
+    }
 
 
 def test_a_prompt_without_input_ends_the_run_in_words(tmp_path: Path) -> None:
     ended = rig("run", SHORT, "--out", "made", folder=sequence_in(tmp_path), shell="<&-")
     assert_in_words(ended)
     assert ended.returncode == 3
-    assert "stopped at the weight prompt: the input has ended; the drive is de-energised" in ended.stderr
+    assert (
+        "stopped at the weight prompt: the input has ended; the drive is de-energised"
+        in ended.stderr
+    )
 
 
 def test_bad_input_is_said_where_the_output_is_full(tmp_path: Path) -> None:
@@ -102,7 +117,12 @@ def test_bad_input_is_said_where_the_output_is_full(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("encoding", "shown"),
-    [("ascii", "µ ° ☃"), ("utf-8", "µ ° ☃"), ("latin-1", "\udcb5 \udcb0 \\u2603"), ("cp437", "\udce6 \udcf8 \\u2603")],
+    [
+        ("ascii", "µ ° ☃"),
+        ("utf-8", "µ ° ☃"),
+        ("latin-1", "\udcb5 \udcb0 \\u2603"),
+        ("cp437", "\udce6 \udcf8 \\u2603"),
+    ],
 )
 def test_what_an_encoding_lacks_is_escaped(tmp_path: Path, encoding: str, shown: str) -> None:
     environment = {"PYTHONIOENCODING": encoding, "LC_ALL": "C", "PYTHONUTF8": "0"}
@@ -173,13 +193,16 @@ def test_complaining_to_a_closed_stderr_is_no_error(monkeypatch: pytest.MonkeyPa
 
 def test_complaining_to_a_full_disk_is_no_error(monkeypatch: pytest.MonkeyPatch) -> None:
     # Unbuffered, as what a buffer cannot write it keeps, and tries again when it is closed.
-    stream = io.TextIOWrapper(open("/dev/full", "wb", buffering=0), encoding="utf-8", write_through=True)  # noqa: SIM115
+    full = open("/dev/full", "wb", buffering=0)  # noqa: SIM115
+    stream = io.TextIOWrapper(full, encoding="utf-8", write_through=True)
     monkeypatch.setattr(sys, "stderr", stream)
     complain("words")
     stream.detach().close()
 
 
-def test_complaining_in_characters_that_stderr_lacks_escapes_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_complaining_in_characters_that_stderr_lacks_escapes_them(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     kept = io.BytesIO()
     monkeypatch.setattr(sys, "stderr", io.TextIOWrapper(kept, encoding="ascii", write_through=True))
     complain("25 °C")

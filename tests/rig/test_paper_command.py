@@ -22,12 +22,17 @@ def cases() -> tuple[Dataset, dict[str, float]]:
 
 
 @pytest.fixture(scope="module")
-def folder(cases: tuple[Dataset, dict[str, float]], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(
+    cases: tuple[Dataset, dict[str, float]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
     path = tmp_path_factory.mktemp("paper")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(paper, "simulate_cases", lambda: cases)
         patch.setattr(paper_study, "study", lambda seed, progress: [valve.exhibit()])
-        assert status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")]) == 0
+        assert (
+            status(["paper", "--seeds", "2", "--out", str(path), "--json", str(path / "copy.json")])
+            == 0
+        )
     return path
 
 

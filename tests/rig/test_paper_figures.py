@@ -19,7 +19,10 @@ def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
     """Columns of numbers of an exhibit's data."""
     assert exhibit.data is not None
     titles, rows = exhibit.data[name or exhibit.name]
-    return {title: np.array(column) for title, column in zip(titles, zip(*rows, strict=True), strict=True)}
+    return {
+        title: np.array(column)
+        for title, column in zip(titles, zip(*rows, strict=True), strict=True)
+    }
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +35,11 @@ def ramps(tmp_path_factory: pytest.TempPathFactory) -> list[Exhibit]:
     with pytest.MonkeyPatch.context() as patch:
         short = scratch / "slow_ramp.yaml"
         text = resolve("slow_ramp", "sequences").read_text()
-        short.write_text(text.replace("travel_deg: 8", "travel_deg: 4").replace("duration_s: 18", "duration_s: 9.5"))
+        short.write_text(
+            text.replace("travel_deg: 8", "travel_deg: 4").replace(
+                "duration_s: 18", "duration_s: 9.5"
+            )
+        )
         patch.setattr(ramp, "SEQUENCE", str(short))
         return ramp.exhibits(ramp.run_ramps(scratch, model, 3))
 
@@ -80,7 +87,10 @@ def test_eq_14_works_where_motion_is_smooth_and_fails_where_it_is_not(
     assert made.table is not None
     rows = {row[0]: row for row in made.table.rows}
     at = made.table.header.index("stiff gains, no weight") + 1
-    errors = {name: float(rows[name][at].removesuffix(" %")) for name in ("Mc", "Ms", "omega_sf", "sigma_2")}
+    errors = {
+        name: float(rows[name][at].removesuffix(" %"))
+        for name in ("Mc", "Ms", "omega_sf", "sigma_2")
+    }
     assert max(map(abs, errors.values())) < 3.0
     at = made.table.header.index("soft gains, all points") + 1
     assert abs(float(rows["Ms"][at].removesuffix(" %"))) > 15.0
@@ -100,7 +110,9 @@ stages:
 """
 
 
-def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_closed_loop_settles_and_moves_its_own_load(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "steps.yaml"
     path.write_text(STEPS)
     monkeypatch.setattr(loop, "SEQUENCE", str(path))
@@ -115,10 +127,14 @@ def test_the_closed_loop_settles_and_moves_its_own_load(tmp_path: Path, monkeypa
     assert data["flow_kg_s"][rise].min() < 0.97 * 1.0
 
 
-def test_the_sine_is_followed_better_and_its_energy_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_sine_is_followed_better_and_its_energy_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     short = tmp_path / "figure10.yaml"
     text = resolve("figure10", "sequences").read_text()
-    short.write_text(text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5"))
+    short.write_text(
+        text.replace("duration_s: 20", "duration_s: 7").replace("ramp_in_s: 1", "ramp_in_s: 0.5")
+    )
     monkeypatch.setattr(sine, "SEQUENCE", str(short))
     monkeypatch.setattr(sine, "FIRST_S", 1.0)
     monkeypatch.setattr(sine, "CYCLES", 1)
@@ -128,7 +144,9 @@ def test_the_sine_is_followed_better_and_its_energy_is_told(tmp_path: Path, monk
     made = sine.exhibit(*sine.run_sines(tmp_path, model, 5))
     data = numbers(made)
     for stage, ratio, energy in (("unloaded", 5.0, (70.0, 85.0)), ("loaded", 3.0, (600.0, 680.0))):
-        before, after = (np.sqrt(np.mean(data[f"error_{stage}{fed}_rad"] ** 2)) for fed in ("", "_fed"))
+        before, after = (
+            np.sqrt(np.mean(data[f"error_{stage}{fed}_rad"] ** 2)) for fed in ("", "_fed")
+        )
         assert before > ratio * after
         for fed in ("", "_fed"):
             assert energy[0] < np.mean(data[f"power_{stage}{fed}_W"]) * sine.PERIOD_S < energy[1]
@@ -150,7 +168,14 @@ def test_fig_4_falls_with_pressure_and_area() -> None:
 
 def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
     text = "\n".join(chosen.chosen())
-    for words in ("C_r = 1000 m/s", "(0.658 C_r)^2", "V_0 = 0.01 m^3", "p_c0 = 0.5 MPa", "i = 100", "400 N m/rad"):
+    for words in (
+        "C_r = 1000 m/s",
+        "(0.658 C_r)^2",
+        "V_0 = 0.01 m^3",
+        "p_c0 = 0.5 MPa",
+        "i = 100",
+        "400 N m/rad",
+    ):
         assert words in text
 
 

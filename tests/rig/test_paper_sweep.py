@@ -11,7 +11,9 @@ from drivers.mock.plant.parts.constants import GasGenerator, Joint, Machine
 from rig.results.paper.sweep_gains import PAPER_DEG_S, SLOW_DEG_S, sweep
 
 
-@pytest.mark.parametrize(("speed", "lag"), [(PAPER_DEG_S, (0.45, 0.60)), (SLOW_DEG_S, (0.02, 0.08))])
+@pytest.mark.parametrize(
+    ("speed", "lag"), [(PAPER_DEG_S, (0.45, 0.60)), (SLOW_DEG_S, (0.02, 0.08))]
+)
 def test_the_current_falls_with_pressure_and_area(speed: float, lag: tuple[float, float]) -> None:
     found = sweep(Machine(), speed)
     assert found.rank_pressure > 0.95
@@ -24,7 +26,9 @@ def test_the_current_falls_with_pressure_and_area(speed: float, lag: tuple[float
 
 
 def test_without_pressure_behind_it_the_valve_is_moved_at_one_current() -> None:
-    """What falls in the current is the load: behind a valve under equal pressure on both sides it does not."""
+    """What falls in the current is the load: behind a valve under equal pressure on both sides it
+    does not.
+    """
     found = sweep(replace(Machine(), gas=GasGenerator(back_pressure_Pa=10e6)), PAPER_DEG_S)
     assert np.ptp(found.at(np.array([5.0, 15.0, 25.0]))[:, 1]) < 0.1
 

@@ -1,4 +1,6 @@
-"""What was recorded of a run that stopped, exported and identified when asked for, and said to be partial."""
+"""What was recorded of a run that stopped, exported and identified when asked for, and said to be
+partial.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,9 @@ FIRST, SECOND = 600, 1200
 
 
 def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunFolder:
-    """Run the short sequence until a cycle in which the current is too high, or answers are missing before it."""
+    """Run the short sequence until a cycle in which the current is too high, or answers are missing
+    before it.
+    """
     bench = fake_bench()
     if stale:
         bench.faults["exchange", cycle - stale] = lambda: setattr(bench, "fresh", False)
@@ -36,11 +40,16 @@ def tripped(runner: Any, fake_bench: Any, cycle: int, *, stale: int = 0) -> RunF
 
 def test_without_partial_the_error_says_what_takes_it(runner: Any, fake_bench: Any) -> None:
     folder = tripped(runner, fake_bench, FIRST)
-    with pytest.raises(InputError, match=r"no stage was finished \(state tripped: .*\); --partial takes what was rec"):
+    with pytest.raises(
+        InputError,
+        match=r"no stage was finished \(state tripped: .*\); --partial takes what was rec",
+    ):
         load_run(folder.path)
 
 
-def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(runner: Any, fake_bench: Any) -> None:
+def test_partial_takes_an_excitation_up_to_its_last_fresh_sample(
+    runner: Any, fake_bench: Any
+) -> None:
     folder = tripped(runner, fake_bench, FIRST, stale=4)
     samples = read_run(folder.recording).samples
     inside = samples["segment"] == 1
@@ -59,7 +68,10 @@ def test_finished_excitations_alone_are_the_default(runner: Any, fake_bench: Any
     folder = tripped(runner, fake_bench, SECOND)
     alone, both = load_run(folder.path), load_run(folder.path, partial=True)
     assert [r.name for r in alone.recordings] == ["empty[1]"]
-    assert [(r.name, r.partial) for r in both.recordings] == [("empty[1]", False), ("empty[2] (partial)", True)]
+    assert [(r.name, r.partial) for r in both.recordings] == [
+        ("empty[1]", False),
+        ("empty[2] (partial)", True),
+    ]
     for channel, values in alone.recordings[0].channels.items():
         np.testing.assert_array_equal(both.recordings[0].channels[channel], values)
     assert partial_names(alone) == []
@@ -100,7 +112,9 @@ def first_cycle(runner: Any, fake_bench: Any) -> int:
 
 
 @pytest.mark.parametrize("count", range(1, 8))
-def test_few_samples_make_a_recording_one_makes_none(runner: Any, fake_bench: Any, tmp_path: Path, count: int) -> None:
+def test_few_samples_make_a_recording_one_makes_none(
+    runner: Any, fake_bench: Any, tmp_path: Path, count: int
+) -> None:
     begin = first_cycle(runner, fake_bench)
     runner.folder = tmp_path / "again"
     folder = tripped(runner, fake_bench, begin + count - 1)
@@ -130,7 +144,11 @@ def test_a_campaign_has_nothing_partial(tmp_path: Path, capsys: pytest.CaptureFi
 
 
 def test_an_export_names_what_is_partial(
-    runner: Any, fake_bench: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    runner: Any,
+    fake_bench: Any,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     folder = tripped(runner, fake_bench, SECOND)
@@ -141,7 +159,9 @@ def test_an_export_names_what_is_partial(
     assert one == "b-empty-1.csv: 500 samples of empty[1]"
     assert two.startswith("b-empty-2-partial.csv: ")
     assert two.endswith("samples of empty[2] (partial)")
-    assert status(["export", str(folder.path), "--partial", "--format", "mat", "--out", "b.mat"]) == 0
+    assert (
+        status(["export", str(folder.path), "--partial", "--format", "mat", "--out", "b.mat"]) == 0
+    )
     assert [str(name) for name in loadmat("b.mat", squeeze_me=True)["recordings"]["name"]] == [
         "empty[1]",
         "empty[2] (partial)",
@@ -176,13 +196,19 @@ def test_an_identification_of_what_was_recorded_says_so(
     assert status(["identify", str(stopped), "--out", str(tmp_path)]) == 2
     assert "--partial takes what was recorded" in capsys.readouterr().err
     assert status(["identify", str(stopped), "--partial", "--out", str(tmp_path)]) == 0
-    assert "warning: default: partial result: the run stopped before empty (partial)" in capsys.readouterr().out
+    assert (
+        "warning: default: partial result: the run stopped before empty (partial)"
+        in capsys.readouterr().out
+    )
     record = json.loads((tmp_path / "identify.json").read_text())
     assert record["partial"] == ["empty (partial)"]
     assert any("partial result" in warning for warning in record["warnings"])
     assert record["corrections"]["empty (partial)"][0].startswith("partial: the run stopped after ")
     assert record["parameters"]["Mc"]["value"] == pytest.approx(6.825, rel=0.02)
-    assert "partial result: the run stopped before empty (partial)" in (tmp_path / "report.html").read_text()
+    assert (
+        "partial result: the run stopped before empty (partial)"
+        in (tmp_path / "report.html").read_text()
+    )
 
 
 def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
@@ -194,7 +220,11 @@ def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
         raise RecordingError("too short")
 
     monkeypatch.setitem(identify.METHODS, "paper", refuses)
-    with pytest.raises(InputError, match="too short; without --partial finished excitations alone are taken"):
-        identify.identify_source(folder.path, ["paper"], None, 0, lambda *_: None, take_partial=True)
+    with pytest.raises(
+        InputError, match="too short; without --partial finished excitations alone are taken"
+    ):
+        identify.identify_source(
+            folder.path, ["paper"], None, 0, lambda *_: None, take_partial=True
+        )
     with pytest.raises(InputError, match=r"too short$"):
         identify.identify_source(folder.path, ["paper"], None, 0, lambda *_: None)

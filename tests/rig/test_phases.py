@@ -1,4 +1,6 @@
-"""The transition table of a run, word by word: the words are in the recording, in messages and on the screen."""
+"""The transition table of a run, word by word: the words are in the recording, in messages and on
+the screen.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,10 @@ def test_every_pair_of_phase_and_event() -> None:
             continue
         with pytest.raises(ValueError, match="no transition") as caught:
             next_phase(phase, event)
-        assert str(caught.value) == f"no transition from phase {phase.value!r} on event {event.value!r}"
+        assert (
+            str(caught.value)
+            == f"no transition from phase {phase.value!r} on event {event.value!r}"
+        )
 
 
 def test_no_phase_and_no_event_is_without_a_place_in_the_table() -> None:
@@ -48,7 +53,9 @@ def test_no_phase_and_no_event_is_without_a_place_in_the_table() -> None:
 
 
 def test_every_way_to_the_end_passes_through_release() -> None:
-    """The drive has power from ENABLE to RELEASE: no way from one to the end, or to a prompt, leaves RELEASE out."""
+    """The drive has power from ENABLE to RELEASE: no way from one to the end, or to a prompt,
+    leaves RELEASE out.
+    """
     seen, waiting = set(), [Phase.ENABLE]
     while waiting:
         phase = waiting.pop()

@@ -27,7 +27,9 @@ def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "full"), KeyboardInterrupt()])
-def test_the_earlier_version_survives_and_no_draft_is_left(tmp_path: Path, error: BaseException) -> None:
+def test_the_earlier_version_survives_and_no_draft_is_left(
+    tmp_path: Path, error: BaseException
+) -> None:
     path = tmp_path / "r.txt"
     write_text(path, "before")
 
@@ -80,9 +82,13 @@ def test_places_that_will_do(tmp_path: Path) -> None:
 
 def test_places_that_will_not(tmp_path: Path) -> None:
     (tmp_path / "taken").write_text("")
-    with pytest.raises(InputError, match=r"inside/deep: cannot be made, as .*taken is a file; give --out another"):
+    with pytest.raises(
+        InputError, match=r"inside/deep: cannot be made, as .*taken is a file; give --out another"
+    ):
         require_folder(tmp_path / "taken" / "inside" / "deep", "--out")
-    with pytest.raises(InputError, match=r"the folder .*missing does not exist; make it, or give --json another"):
+    with pytest.raises(
+        InputError, match=r"the folder .*missing does not exist; make it, or give --json another"
+    ):
         require_file(tmp_path / "missing" / "r.json", "--json")
     with pytest.raises(InputError, match=r"is a folder; give --json a file"):
         require_file(tmp_path, "--json")

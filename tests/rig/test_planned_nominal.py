@@ -14,13 +14,23 @@ from rig.results.design.planned_nominal import believed
 
 
 def result(folder: Path) -> Path:
-    """Write a result in which J is 3 % wide and mu_2 was left open, of a recording that is not what it was."""
+    """Write a result in which J is 3 % wide and mu_2 was left open, of a recording that is not what
+    it was.
+    """
     recording = folder / "recording.mcap"
     recording.write_bytes(b"changed since")
     parameters = {n: {"value": 1.0, "low": 0.99, "high": 1.01} for n in NAMES}
     parameters["J"] = {"value": 2.0, "low": 1.94, "high": 2.06}
-    inputs = [{"file": str(recording), "sha256": "0" * 64}, {"file": str(folder / "gone" / "x"), "sha256": "0"}]
-    record = {"schema": IDENTIFY_SCHEMA, "motion": "rotary", "parameters": parameters, "inputs": inputs}
+    inputs = [
+        {"file": str(recording), "sha256": "0" * 64},
+        {"file": str(folder / "gone" / "x"), "sha256": "0"},
+    ]
+    record = {
+        "schema": IDENTIFY_SCHEMA,
+        "motion": "rotary",
+        "parameters": parameters,
+        "inputs": inputs,
+    }
     path = folder / "identify.json"
     path.write_text(json.dumps(record))
     return path
@@ -81,7 +91,9 @@ def test_the_torque_s_noise_is_what_the_identification_found_of_both_parts(tmp_p
         assert believed(path).torque_noise == expected
 
 
-@pytest.mark.parametrize("noise", [5, "loud", {"torque": 0.03}, {"torque": math.nan, "correlated": 0.0, "unit": "N m"}])
+@pytest.mark.parametrize(
+    "noise", [5, "loud", {"torque": 0.03}, {"torque": math.nan, "correlated": 0.0, "unit": "N m"}]
+)
 def test_a_damaged_noise_is_told(tmp_path: Path, noise: object) -> None:
     path = result(tmp_path)
     path.write_text(json.dumps({**json.loads(path.read_text()), "noise": noise}))

@@ -58,13 +58,17 @@ def test_both_sides_of_each_range(tmp_path: Path, key: str, end: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("ratio", "expected"), [(0.41, []), (0.39, [False]), (0.19, [True]), (2.4, []), (2.6, [False]), (5.1, [True])]
+    ("ratio", "expected"),
+    [(0.41, []), (0.39, [False]), (0.19, [True]), (2.4, []), (2.6, [False]), (5.1, [True])],
 )
-def test_torque_constant_and_back_emf_belong_together(tmp_path: Path, ratio: float, expected: list[bool]) -> None:
+def test_torque_constant_and_back_emf_belong_together(
+    tmp_path: Path, ratio: float, expected: list[bool]
+) -> None:
     path = variant(
         tmp_path,
         (
-            "back_emf_constant_V_s_rad: 0.02588\n  resistance_ohm: 1.56\n  inductance_H: 0.00132\n  "
+            "back_emf_constant_V_s_rad: 0.02588\n  resistance_ohm: 1.56\n  inductance_H: "
+            "0.00132\n  "
             "gear_ratio: 100\n  moment_arm_m",
             f"back_emf_constant_V_s_rad: {0.03 * ratio!r}\n  resistance_ohm: 1.56\n  "
             "inductance_H: 0.00132\n  gear_ratio: 100\n  moment_arm_m",
@@ -75,15 +79,27 @@ def test_torque_constant_and_back_emf_belong_together(tmp_path: Path, ratio: flo
     assert all("its ratio to torque_constant_N_m_A" in finding.text for finding in found)
 
 
-@pytest.mark.parametrize(("speed", "expected"), [(1199.0, []), (1201.0, [False]), (12001.0, [True])])
-def test_a_speed_limit_is_judged_at_the_motor(tmp_path: Path, speed: float, expected: list[bool]) -> None:
-    found = implausible(load_bench(variant(tmp_path, ("speed_deg_s: 120", f"speed_deg_s: {speed}"))))
+@pytest.mark.parametrize(
+    ("speed", "expected"), [(1199.0, []), (1201.0, [False]), (12001.0, [True])]
+)
+def test_a_speed_limit_is_judged_at_the_motor(
+    tmp_path: Path, speed: float, expected: list[bool]
+) -> None:
+    found = implausible(
+        load_bench(variant(tmp_path, ("speed_deg_s: 120", f"speed_deg_s: {speed}")))
+    )
     assert [finding.refused for finding in found] == expected
 
 
-@pytest.mark.parametrize(("torque", "expected"), [(1.12, []), (1.13, [False]), (9.01, [True]), (0.17, [False])])
-def test_rated_torque_goes_with_rated_current(tmp_path: Path, torque: float, expected: list[bool]) -> None:
-    found = implausible(load_bench(variant(tmp_path, ("rated_torque_N_m: 0.45", f"rated_torque_N_m: {torque}"))))
+@pytest.mark.parametrize(
+    ("torque", "expected"), [(1.12, []), (1.13, [False]), (9.01, [True]), (0.17, [False])]
+)
+def test_rated_torque_goes_with_rated_current(
+    tmp_path: Path, torque: float, expected: list[bool]
+) -> None:
+    found = implausible(
+        load_bench(variant(tmp_path, ("rated_torque_N_m: 0.45", f"rated_torque_N_m: {torque}")))
+    )
     assert [finding.refused for finding in found] == expected
 
 
@@ -93,7 +109,10 @@ def test_rated_torque_goes_with_rated_current(tmp_path: Path, torque: float, exp
     ids=["run", "dry"],
 )
 def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: list[str]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    command: list[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = variant(
@@ -105,7 +124,8 @@ def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
     )
     assert status([*command, str(path)]) == 2
     words = (
-        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, and no bench of this kind has it there; it "
+        f"{path}:10:17: machine.moment_arm_m: 95 m is outside 0.001 to 5 m, and no bench of this "
+        f"kind has it there; it "
         "is in metres, not in millimetres (got 95)"
     )
     assert words in capsys.readouterr().err
@@ -113,7 +133,10 @@ def test_a_moment_arm_in_millimetres_is_refused_before_anything_moves(
     assert status(["check", str(path)]) == 1
     shown = capsys.readouterr().out
     assert f"problem: {words}" in shown
-    assert shown.splitlines()[-1] == "verdict: NOT good: a run would refuse, because of machine constants"
+    assert (
+        shown.splitlines()[-1]
+        == "verdict: NOT good: a run would refuse, because of machine constants"
+    )
     assert "state of the drive: switch on disabled" in shown
 
 

@@ -17,11 +17,16 @@ def channels(**replaced: Array) -> dict[str, Array]:
 
 
 def test_a_plain_recording_passes() -> None:
-    assert list(value_errors(channels(pressure=np.full(2000, 6e6), temperature=np.full(2000, 1e-300)))) == []
+    assert (
+        list(value_errors(channels(pressure=np.full(2000, 6e6), temperature=np.full(2000, 1e-300))))
+        == []
+    )
     assert list(unit_hints(channels(), 100.0, has_lever=True)) == []
 
 
-@pytest.mark.parametrize(("top", "bad"), [(LARGEST, False), (1.01 * LARGEST, True), (SMALLEST, False), (1e-300, True)])
+@pytest.mark.parametrize(
+    ("top", "bad"), [(LARGEST, False), (1.01 * LARGEST, True), (SMALLEST, False), (1e-300, True)]
+)
 def test_impossible_size(top: float, bad: bool) -> None:
     found = list(value_errors(channels(current=np.where(TIME > 1.0, top, np.nan))))
     assert [("`current` has its peak at" in text) for text in found] == [True] * bad

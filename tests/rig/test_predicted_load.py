@@ -1,4 +1,6 @@
-"""Predicted peaks of torque and current: against eq. 9 to 13 by hand, and against what the simulated bench takes."""
+"""Predicted peaks of torque and current: against eq. 9 to 13 by hand, and against what the
+simulated bench takes.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +19,13 @@ from rig.config.configuration import load_located
 from rig.config.sequence import Array, Sequence, load_sequence
 from rig.planning.friction_model import FrictionModel, friction_model
 from rig.planning.plan import Plan, make_plan
-from rig.planning.predicted_load import LOOP_S, PredictedPeak, moves_to_start, peak_torque, predicted_peaks
+from rig.planning.predicted_load import (
+    LOOP_S,
+    PredictedPeak,
+    moves_to_start,
+    peak_torque,
+    predicted_peaks,
+)
 from rig.runs.run import bench_constants, load_run
 
 CYCLE_S = 1e-3
@@ -41,14 +49,25 @@ def test_a_joint_breaks_away_against_static_friction_and_load(sign: float) -> No
     speed, moment = 0.01, 100.0
     step = P["J"] * speed / LOOP_S
     expected = P["Ms"] + moment * P["mu_s"] + step
-    assert under(moment, sign * constant(0.02, speed)) == pytest.approx(expected, rel=0.3 * step / expected)
-    assert under(0.0, sign * constant(0.02, speed)) == pytest.approx(P["Ms"] + step, rel=0.3 * step / P["Ms"])
+    assert under(moment, sign * constant(0.02, speed)) == pytest.approx(
+        expected, rel=0.3 * step / expected
+    )
+    assert under(0.0, sign * constant(0.02, speed)) == pytest.approx(
+        P["Ms"] + step, rel=0.3 * step / P["Ms"]
+    )
 
 
 def test_a_fast_motion_is_ruled_by_damping() -> None:
     speed, moment = 2.0, 100.0
-    rise = np.cumsum(np.concatenate([np.linspace(0.0, speed, 4000), np.linspace(speed, 0.0, 4000)]) * CYCLE_S)
-    expected = P["Mc"] + P["sigma_2"] * speed + moment * (P["mu_c"] + P["mu_2"] * speed) + P["J"] * speed / 4.0
+    rise = np.cumsum(
+        np.concatenate([np.linspace(0.0, speed, 4000), np.linspace(speed, 0.0, 4000)]) * CYCLE_S
+    )
+    expected = (
+        P["Mc"]
+        + P["sigma_2"] * speed
+        + moment * (P["mu_c"] + P["mu_2"] * speed)
+        + P["J"] * speed / 4.0
+    )
     assert under(moment, rise) == pytest.approx(expected, rel=0.02)
 
 
@@ -77,7 +96,9 @@ def test_the_working_load_grows_with_the_weight() -> None:
     assert heavy - light == pytest.approx(PER_KG * 20.0 * P["mu_s"], rel=0.01)
 
 
-def planned(text: str, tmp_path: Path, bench: str = "practical", first_pass: bool | None = None) -> tuple[Plan, Any]:
+def planned(
+    text: str, tmp_path: Path, bench: str = "practical", first_pass: bool | None = None
+) -> tuple[Plan, Any]:
     path = tmp_path / "s.yaml"
     path.write_text(f"sequence: 1\nname: s\nstages:\n{text}")
     document = load_bench(bench)
@@ -85,7 +106,8 @@ def planned(text: str, tmp_path: Path, bench: str = "practical", first_pass: boo
 
 
 LOADED = """\
-  - {name: heavy, stage: loaded, weight_kg: 20, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 4,
+  - {name: heavy, stage: loaded, weight_kg: 20, tones: [{amplitude_deg: 5, frequency_Hz: 1}],
+     duration_s: 4,
      center_deg: 10, repeats: 2}
 """
 
@@ -100,7 +122,9 @@ def test_peaks_stand_beside_the_limits_in_force(tmp_path: Path) -> None:
     assert whole.torque_N_m >= P["Ms"] + 20 * PER_KG * P["mu_s"]
 
 
-@pytest.mark.parametrize(("torque", "current", "share"), [(60.0, 5.0, 0.8), (30.0, 25.0, 1.0), (90.0, 5.0, 1.2)])
+@pytest.mark.parametrize(
+    ("torque", "current", "share"), [(60.0, 5.0, 0.8), (30.0, 25.0, 1.0), (90.0, 5.0, 1.2)]
+)
 def test_the_greater_share_counts(torque: float, current: float, share: float) -> None:
     assert PredictedPeak("a", "stage", torque, 75.0, current, 25.0).share == pytest.approx(share)
 
@@ -109,7 +133,11 @@ def test_the_moves_to_each_part_are_known(tmp_path: Path) -> None:
     plan, _ = planned(LOADED, tmp_path, first_pass=True)
     (stage,) = plan.stages
     moves = moves_to_start(stage, plan)
-    starts = [float(stage.first_passes[0].targets[0]), float(stage.targets[0]), float(stage.targets[0])]
+    starts = [
+        float(stage.first_passes[0].targets[0]),
+        float(stage.targets[0]),
+        float(stage.targets[0]),
+    ]
     assert moves[0][0] == 0.0
     assert [float(move[-1]) for move in moves] == starts[: len(moves)]
     speeds = [np.max(np.abs(np.diff(move))) / plan.cycle_s for move in moves]
@@ -126,7 +154,8 @@ sequence: 1
 name: s
 stages:
   - {name: tone, stage: unloaded, tones: [{amplitude_deg: 8, frequency_Hz: 0.8}], duration_s: 4}
-  - {name: heavy, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 8, frequency_Hz: 0.8}], duration_s: 4}
+  - {name: heavy, stage: loaded, weight_kg: 30.6, tones: [{amplitude_deg: 8, frequency_Hz: 0.8}],
+     duration_s: 4}
   - {name: ramp, stage: loaded, weight_kg: 10, ramp: {travel_deg: 4, speed_deg_s: 4}, duration_s: 3}
   - {name: quick, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 3}], duration_s: 3}
 """
@@ -136,15 +165,21 @@ stages:
 def test_the_simulated_bench_takes_what_was_predicted(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, bench: str
 ) -> None:
-    """What its loops add where the joint breaks away is not in the prediction: a quarter at the most, here."""
+    """What its loops add where the joint breaks away is not in the prediction: a quarter at the
+    most, here.
+    """
     monkeypatch.chdir(tmp_path)
     Path("s.yaml").write_text(SIMULATED)
     document = load_bench(bench)
     if bench == "practical_soft":
-        Path("s.yaml").write_text("\n".join(line for line in SIMULATED.splitlines() if "quick" not in line))
+        Path("s.yaml").write_text(
+            "\n".join(line for line in SIMULATED.splitlines() if "quick" not in line)
+        )
     plan = make_plan(load_sequence("s.yaml"), document)
     model = friction_model(bench_constants(document.value))
-    predicted = {peak.stage: peak.torque_N_m for peak in predicted_peaks(plan, document.value, model)}
+    predicted = {
+        peak.stage: peak.torque_N_m for peak in predicted_peaks(plan, document.value, model)
+    }
     assert status(["run", "s.yaml", "--bench", bench, "--yes", "--out", "run"]) == 0
     for recording in load_run(Path("run")).recordings:
         taken = 3.0 * float(np.max(np.abs(recording.channels["current"])))

@@ -1,4 +1,6 @@
-"""What a run refuses, `rig check` and `rig run --dry-run` report: the same, once, in the same words."""
+"""What a run refuses, `rig check` and `rig run --dry-run` report: the same, once, in the same
+words.
+"""
 
 from __future__ import annotations
 
@@ -64,7 +66,9 @@ def outcomes(capsys: pytest.CaptureFixture[str]) -> Callable[[Path], dict[str, t
 
 
 def problems(text: str) -> list[str]:
-    return [line.removeprefix("problem: ") for line in text.splitlines() if line.startswith("problem: ")]
+    return [
+        line.removeprefix("problem: ") for line in text.splitlines() if line.startswith("problem: ")
+    ]
 
 
 @pytest.mark.parametrize("name", [name for name in names("benches") if name != "literal"])
@@ -75,13 +79,28 @@ def test_nothing_is_wrong_with_the_packaged_benches(name: str) -> None:
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ([("encoder: {node: 2", "encoder: {node: 1")], "encoder.node: 1 is the node identifier of the servo as well"),
-        ([("servo: {node: 1", "servo: {node: 127")], "servo.node: 127 is the node identifier of this program's own"),
-        ([("encoder: {node: 2", "encoder: {node: 127")], "encoder.node: 127 is the node identifier of this program's"),
+        (
+            [("encoder: {node: 2", "encoder: {node: 1")],
+            "encoder.node: 1 is the node identifier of the servo as well",
+        ),
+        (
+            [("servo: {node: 1", "servo: {node: 127")],
+            "servo.node: 127 is the node identifier of this program's own",
+        ),
+        (
+            [("encoder: {node: 2", "encoder: {node: 127")],
+            "encoder.node: 127 is the node identifier of this program's",
+        ),
         ([("servo: {", "servo: {eds: none.eds, ")], "servo.eds: EDS file "),
         ([("encoder: {", "encoder: {eds: one.yaml, ")], "encoder.eds: EDS file "),
-        ([("servo: {", "servo: {eds: poor.eds, ")], "servo.eds: object 6072h:00h is not in the device's EDS"),
-        ([("servo: {", "servo: {eds: encoder.eds, ")], "servo.eds: object 6075h:00h is not in the device's EDS"),
+        (
+            [("servo: {", "servo: {eds: poor.eds, ")],
+            "servo.eds: object 6072h:00h is not in the device's EDS",
+        ),
+        (
+            [("servo: {", "servo: {eds: encoder.eds, ")],
+            "servo.eds: object 6075h:00h is not in the device's EDS",
+        ),
     ],
     ids=[
         "same node",
@@ -108,7 +127,9 @@ def test_a_bench_that_cannot_be_connected_to_is_bad_input(
 
 
 def test_a_pressure_transmitter_has_a_node_of_its_own(tmp_path: Path) -> None:
-    bench = variant(tmp_path, ("kind: cia404, node: 4", "kind: cia404, node: 2"), source="practical_hot")
+    bench = variant(
+        tmp_path, ("kind: cia404, node: 4", "kind: cia404, node: 2"), source="practical_hot"
+    )
     (finding,) = bench_findings(load_bench(bench), TODAY)
     assert "pressure.node: 2 is the node identifier of the encoder as well" in finding.text
     assert (finding.cause, finding.connectable) == (Cause.NODES, False)
@@ -120,8 +141,12 @@ def test_a_serial_line_has_no_heartbeat_of_this_program(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("node", "count"), [(2, 0), (0x10, 2)])
-def test_frames_of_a_drive_must_not_be_those_of_the_encoder(tmp_path: Path, node: int, count: int) -> None:
-    bench = variant(tmp_path, ("encoder: {node: 2", f"encoder: {{node: {node}"), source="practical_dbc")
+def test_frames_of_a_drive_must_not_be_those_of_the_encoder(
+    tmp_path: Path, node: int, count: int
+) -> None:
+    bench = variant(
+        tmp_path, ("encoder: {node: 2", f"encoder: {{node: {node}"), source="practical_dbc"
+    )
     found = bench_findings(load_bench(bench), TODAY)
     assert len(found) == count
     for finding in found:
@@ -136,13 +161,18 @@ def test_a_real_device_without_its_file_and_others_are_found_at_once(tmp_path: P
 
 
 @pytest.mark.parametrize(("due", "good"), [("2001-01-31", False), ("2999-01-31", True)])
-def test_an_overdue_calibration_is_named_and_not_the_drive(tmp_path: Path, outcomes: Any, due: str, good: bool) -> None:
+def test_an_overdue_calibration_is_named_and_not_the_drive(
+    tmp_path: Path, outcomes: Any, due: str, good: bool
+) -> None:
     bench = variant(tmp_path)
     bench.write_text(
-        f'{bench.read_text()}calibrations: [{{device: lever, id: L-2, due: "{due}"}}]\noverdue_calibration: refuse\n'
+        f"{bench.read_text()}calibrations: [{{device: lever, id: L-2, due: "
+        f'"{due}"}}]\noverdue_calibration: refuse\n'
     )
     found = outcomes(bench)
-    assert [found[name][0] for name in ("dry", "check", "run")] == ([0, 0, 0] if good else [2, 1, 2])
+    assert [found[name][0] for name in ("dry", "check", "run")] == (
+        [0, 0, 0] if good else [2, 1, 2]
+    )
     shown = found["check"][1]
     assert "state of the drive: switch on disabled\n" in shown
     if good:
@@ -156,11 +186,16 @@ def test_an_overdue_calibration_is_named_and_not_the_drive(tmp_path: Path, outco
 UNSTABLE = ("current_gain_V_A: 5\n", "current_gain_V_A: 60\n")
 
 
-def test_an_unstable_simulated_drive_is_named_instead_of_a_jam(tmp_path: Path, outcomes: Any) -> None:
+def test_an_unstable_simulated_drive_is_named_instead_of_a_jam(
+    tmp_path: Path, outcomes: Any
+) -> None:
     found = outcomes(variant(tmp_path, UNSTABLE))
     assert [found[name][0] for name in ("dry", "check", "run")] == [2, 1, 2]
     (problem,) = problems(found["check"][1])
-    assert "mock.loops.current_gain_V_A: with 0.00132 H and 1.56 ohm at 20000 Hz the current loop of the" in problem
+    assert (
+        "mock.loops.current_gain_V_A: with 0.00132 H and 1.56 ohm at 20000 Hz the current loop of "
+        "the" in problem
+    )
     assert problem in found["run"][1]
     assert found["check"][1].splitlines()[-1].endswith("because of simulated drive")
 
@@ -198,8 +233,16 @@ def alarmed(bench: SimulatedBench) -> None:
     [
         ([], lambda bench: rates(bench, 0x6075, 10_000), Cause.DRIVE),
         ([], lambda bench: rates(bench, 0x6076, 500), Cause.DRIVE),
-        ([("counts_per_motor_turn: 4096, sign", "counts_per_motor_turn: 4000, sign")], None, Cause.DRIVE),
-        ([("node: 2, counts_per_turn: 262144", "node: 2, counts_per_turn: 4096")], None, Cause.ENCODER),
+        (
+            [("counts_per_motor_turn: 4096, sign", "counts_per_motor_turn: 4000, sign")],
+            None,
+            Cause.DRIVE,
+        ),
+        (
+            [("node: 2, counts_per_turn: 262144", "node: 2, counts_per_turn: 4096")],
+            None,
+            Cause.ENCODER,
+        ),
         ([("servo: {", "servo: {temperature_object: [0x2100, 1], ")], None, None),
         ([("servo: {", "servo: {temperature_object: [0x2555, 0], ")], None, None),
         ([], alarmed, Cause.ENCODER),
@@ -237,7 +280,9 @@ def test_what_devices_refuse_is_reported_once_in_the_words_of_the_run(
         return
     assert [found[name][0] for name in ("dry", "check", "run")] == [0, 1, 4]
     shown = found["check"][1]
-    assert shown.splitlines()[-1] == f"verdict: NOT good: a run would refuse, because of {cause.value}"
+    assert (
+        shown.splitlines()[-1] == f"verdict: NOT good: a run would refuse, because of {cause.value}"
+    )
     reported = problems(shown)
     assert len(reported) == len(set(reported))
     assert reported[0] in found["run"][1]
@@ -258,21 +303,30 @@ def test_a_drive_under_power_is_refused_in_the_words_of_the_run() -> None:
         (finding,) = device_findings(devices, wanted, bench.cycle_s)
         devices.servo.disable()
         assert list(device_findings(devices, wanted, bench.cycle_s)) == []
-    assert finding.text == "the drive is in 'operation enabled' before the weight prompt; it must be de-energised"
+    assert (
+        finding.text
+        == "the drive is in 'operation enabled' before the weight prompt; it must be de-energised"
+    )
     assert finding.cause is Cause.STATE
 
 
 @pytest.mark.parametrize(("asked", "count"), [(False, 1), (True, 0)])
-def test_a_fault_that_may_be_cleared_is_no_refusal(monkeypatch: pytest.MonkeyPatch, asked: bool, count: int) -> None:
+def test_a_fault_that_may_be_cleared_is_no_refusal(
+    monkeypatch: pytest.MonkeyPatch, asked: bool, count: int
+) -> None:
     tampered(monkeypatch, lambda bench: bench.drive.fail(0x3220))
     with connect(load_bench("practical"), 0, realtime=False) as devices:
-        found = list(device_findings(devices, devices.servo.read_limits(), 0.001, reset_fault=asked))
+        found = list(
+            device_findings(devices, devices.servo.read_limits(), 0.001, reset_fault=asked)
+        )
     assert len(found) == count
     assert all("DC link under-voltage" in finding.text for finding in found)
     assert all("--reset-fault clears it" in finding.text for finding in found)
 
 
-@pytest.mark.parametrize("name", ["practical", "practical_hot", "practical_serial", "practical_dbc"])
+@pytest.mark.parametrize(
+    "name", ["practical", "practical_hot", "practical_serial", "practical_dbc"]
+)
 def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     frames: list[RawFrame] = []
     powered: list[bool] = []
@@ -298,7 +352,9 @@ def test_check_writes_nothing(monkeypatch: pytest.MonkeyPatch, name: str) -> Non
     assert powered == [False]
     can = [frame for frame in frames if frame.identifier < 0x800]
     assert {frame.identifier for frame in can} <= {0x601, 0x602, 0x604}
-    assert not [frame for frame in can if frame.data[0] >> 5 in (0, 1)]  # requests that write (CiA 301, 7.2.4.3)
+    assert not [
+        frame for frame in can if frame.data[0] >> 5 in (0, 1)
+    ]  # requests that write (CiA 301, 7.2.4.3)
     if name == "practical_dbc":
         assert {frame.identifier for frame in can} == {0x602}
 
@@ -336,7 +392,9 @@ def test_a_real_bench_is_refused_before_a_weight_is_asked_for(
         assert bench.calls["enable"] == 0
 
 
-def test_a_drive_in_fault_is_no_reason_where_it_may_be_cleared(runner: Any, fake_bench: Any) -> None:
+def test_a_drive_in_fault_is_no_reason_where_it_may_be_cleared(
+    runner: Any, fake_bench: Any
+) -> None:
     bench = fake_bench()
     bench.drive_state = ServoState.FAULT
 
@@ -365,7 +423,10 @@ def test_a_verdict_names_each_cause_once() -> None:
         Finding(Cause.STATE, "d"),
         Finding(Cause.CONSTANTS, "e", refused=False),
     ]
-    assert verdict(found) == "NOT good: a run would refuse, because of limits, calibration and state of the drive"
+    assert (
+        verdict(found)
+        == "NOT good: a run would refuse, because of limits, calibration and state of the drive"
+    )
     assert refusals(found) == ["a", "b", "c", "d"]
     assert warnings(found) == ["e"]
     assert verdict(found[-1:]) == "good: a run would start"

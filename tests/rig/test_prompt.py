@@ -1,4 +1,6 @@
-"""Prompts: what was typed before the question does not answer it; the end of input, patience and Ctrl-C end it."""
+"""Prompts: what was typed before the question does not answer it; the end of input, patience and
+Ctrl-C end it.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,10 @@ def test_what_was_typed_before_the_question_does_not_answer_it() -> None:
         def ask(self, words: str) -> None:
             os.write(master, b"10\n")
 
-    with open(os.devnull, "w", encoding="utf-8") as nothing, os.fdopen(slave, "r", encoding="utf-8") as stream:
+    with (
+        open(os.devnull, "w", encoding="utf-8") as nothing,
+        os.fdopen(slave, "r", encoding="utf-8") as stream,
+    ):
         prompt = Prompt(Answering(SimulatedClock(), nothing, nothing), stream)
         assert prompt.ask("Mass: ") == "10"
     os.close(master)
@@ -100,9 +105,13 @@ class Impatient(SimulatedClock):
 
 def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
     waits: list[float] = []
-    monkeypatch.setattr("rig.terminal.prompt.select.select", lambda r, w, x, s: waits.append(s) or ([], [], []))
+    monkeypatch.setattr(
+        "rig.terminal.prompt.select.select", lambda r, w, x, s: waits.append(s) or ([], [], [])
+    )
     prompt = Prompt(silent(), pipe.stream, patience_s=60.0, clock=Impatient())
-    with pytest.raises(OperatorStopError, match="nobody answered the prompt within 60 s; `rig resume` goes on"):
+    with pytest.raises(
+        OperatorStopError, match="nobody answered the prompt within 60 s; `rig resume` goes on"
+    ):
         prompt.ask("Mass: ")
     waited = [wait for wait in waits if wait]
     assert len(waited) == 5
@@ -110,7 +119,9 @@ def test_patience_ends(pipe: Pipe, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(STOP_SIGNALS))
-def test_every_stop_signal_is_heard_at_the_prompt(pipe: Pipe, monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+def test_every_stop_signal_is_heard_at_the_prompt(
+    pipe: Pipe, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
     number = getattr(signal, name)
 
     def waiting(reading: Any, writing: Any, odd: Any, wait_s: float) -> Any:
@@ -122,7 +133,11 @@ def test_every_stop_signal_is_heard_at_the_prompt(pipe: Pipe, monkeypatch: pytes
     monkeypatch.setattr("rig.terminal.prompt.select.select", waiting)
     operator = ConsoleOperator(silent(), Prompt(silent(), pipe.stream))
     before = signal.getsignal(number)
-    with StopButton() as stop, pytest.raises(OperatorStopError, match="at the weight prompt"), stop.interruptible():
+    with (
+        StopButton() as stop,
+        pytest.raises(OperatorStopError, match="at the weight prompt"),
+        stop.interruptible(),
+    ):
         operator.confirm_weight("heavy", 10.0)
     assert stop.pressed
     assert signal.getsignal(number) is before
@@ -158,7 +173,10 @@ def test_a_stop_that_was_asked_for_before_is_heard_at_once() -> None:
     stop = StopButton()
     stop.press("SIGTERM")
     stop.press("Ctrl-C")
-    with pytest.raises(OperatorStopError, match=r"stopped by the operator \(SIGTERM\)"), stop.interruptible():
+    with (
+        pytest.raises(OperatorStopError, match=r"stopped by the operator \(SIGTERM\)"),
+        stop.interruptible(),
+    ):
         raise AssertionError("it was not heard")
 
 

@@ -1,4 +1,6 @@
-"""The proof's machinery, with diagnoses that are made up: sealed before, opened after, scored right, gone on with."""
+"""The proof's machinery, with diagnoses that are made up: sealed before, opened after, scored
+right, gone on with.
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,9 @@ BESIDE = {"backlash": 9.0}
 PLACE = {"coordinate": "travel since reversal", "recordings": ["a", "d"]}
 
 
-def effect(name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **parameters: Any) -> dict[str, Any]:
+def effect(
+    name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **parameters: Any
+) -> dict[str, Any]:
     return {
         "name": name,
         "alias_group": list(group),
@@ -37,7 +41,9 @@ def effect(name: str, confidence: float = 0.95, group: tuple[str, ...] = (), **p
     }
 
 
-def diagnosed(*effects: dict[str, Any], verdict: str = "named", after: float = 0.2) -> dict[str, Any]:
+def diagnosed(
+    *effects: dict[str, Any], verdict: str = "named", after: float = 0.2
+) -> dict[str, Any]:
     fit = {
         "equation": "transmission",
         "validate_baseline_rms": 1.0,
@@ -48,7 +54,15 @@ def diagnosed(*effects: dict[str, Any], verdict: str = "named", after: float = 0
         "verdict": verdict,
         "effects": list(effects),
         "fit": fit,
-        "fits": [fit, {**fit, "equation": "torque", "validate_baseline_rms": None, "validate_final_rms": None}],
+        "fits": [
+            fit,
+            {
+                **fit,
+                "equation": "torque",
+                "validate_baseline_rms": None,
+                "validate_final_rms": None,
+            },
+        ],
         "location": PLACE,
         "parameter_shift": {"Mc": {"before": 7.7, "after": 7.0, "unit": "N m"}},
         "p_value": 0.001,
@@ -59,19 +73,31 @@ def truth(kind: str, **effects: dict[str, float]) -> dict[str, Any]:
     return {"rig": 1, "kind": kind, "effects": effects, "parameters": {"Mc": 7.0}}
 
 
-def judged(diagnosis: Mapping[str, Any], oracle: Mapping[str, Any] | None = None, **named: Sequence[str]) -> Judgement:
-    return Judgement(diagnosis, {"greedy_bic": (), "sparse": (), **named}, lambda names: oracle, 1.0, 0.5)
+def judged(
+    diagnosis: Mapping[str, Any], oracle: Mapping[str, Any] | None = None, **named: Sequence[str]
+) -> Judgement:
+    return Judgement(
+        diagnosis, {"greedy_bic": (), "sparse": (), **named}, lambda names: oracle, 1.0, 0.5
+    )
 
 
 def scored(
     kind: str, diagnosis: Mapping[str, Any], strength: float = 5.0, **effects: dict[str, float]
 ) -> dict[str, Any]:
-    return row_of(truth(kind, **effects), {"current": strength, "angle": 0.1}, judged(diagnosis), None, "digest")
+    return row_of(
+        truth(kind, **effects),
+        {"current": strength, "angle": 0.1},
+        judged(diagnosis),
+        None,
+        "digest",
+    )
 
 
 def test_rates_count_what_the_constants_cannot_absorb_beside_what_is_strong() -> None:
     def row(left: float, diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-        told = judged(diagnosis)._replace(left={"torque": 0.1 * (1.0 + left**2) ** 0.5, "voltage": 0.01})
+        told = judged(diagnosis)._replace(
+            left={"torque": 0.1 * (1.0 + left**2) ** 0.5, "voltage": 0.01}
+        )
         floor = {"torque": 0.1, "voltage": 0.01}
         return row_of(truth("one", backlash=GAP), {"current": 9.0}, told, None, "digest", floor)
 
@@ -91,7 +117,12 @@ def test_a_share_of_the_torque_is_one_in_the_current() -> None:
     def row(diagnosis: Mapping[str, Any], **channels: float) -> dict[str, Any]:
         return row_of(truth("one", backlash=GAP), channels, judged(diagnosis), None, "digest")
 
-    found = score([row(NOTHING, current=1.4, angle=8.0), row(diagnosed(effect("backlash")), current=5.0, angle=8.0)])
+    found = score(
+        [
+            row(NOTHING, current=1.4, angle=8.0),
+            row(diagnosed(effect("backlash")), current=5.0, angle=8.0),
+        ]
+    )
     assert (found["top1"]["n"], found["top1"]["of"]) == (1, 2)
     assert (found["top1_torque"]["n"], found["top1_torque"]["of"]) == (1, 1)
     assert (found["alias_group_torque"]["n"], found["alias_group_torque"]["of"]) == (1, 1)
@@ -105,7 +136,9 @@ NOTHING = diagnosed(verdict="nothing_missing")
 def test_a_name_counts_only_where_it_stands_first() -> None:
     right = scored("one", diagnosed(effect("backlash"), effect("compliance", 0.3)), backlash=GAP)
     second = scored("one", diagnosed(effect("compliance"), effect("backlash")), backlash=GAP)
-    aliased = scored("one", diagnosed(effect("compliance", group=("compliance", "backlash"))), backlash=GAP)
+    aliased = scored(
+        "one", diagnosed(effect("compliance", group=("compliance", "backlash"))), backlash=GAP
+    )
     missed = scored("one", NOTHING, backlash=GAP)
     assert [(r["top1"], r["alias"], r["alarm"]) for r in (right, second, aliased, missed)] == [
         (True, True, True),
@@ -142,9 +175,9 @@ def test_parameters_are_held_against_their_intervals() -> None:
 
 
 def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
-    assert scored("one", diagnosed(effect("backlash"), after=0.19), backlash=GAP)["floor_fraction"] == pytest.approx(
-        0.9
-    )
+    assert scored("one", diagnosed(effect("backlash"), after=0.19), backlash=GAP)[
+        "floor_fraction"
+    ] == pytest.approx(0.9)
     rows = [scored("one", diagnosed(after=after), backlash=GAP) for after in (1.05, 1.2)]
     assert worse(rows)["n"] == 1
 
@@ -152,17 +185,43 @@ def test_the_gain_is_a_share_of_the_way_to_the_noise_floor() -> None:
 @pytest.mark.parametrize(
     ("oracle", "fraction"),
     [
-        ({"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1, "beside": BESIDE}, 0.5),
         (
-            {"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.996, "noise_rms": 0.1, "beside": BESIDE},
+            {
+                "equation": "transmission",
+                "baseline_rms": 1.0,
+                "oracle_rms": 0.6,
+                "noise_rms": 0.1,
+                "beside": BESIDE,
+            },
+            0.5,
+        ),
+        (
+            {
+                "equation": "transmission",
+                "baseline_rms": 1.0,
+                "oracle_rms": 0.996,
+                "noise_rms": 0.1,
+                "beside": BESIDE,
+            },
             None,
         ),
-        ({"equation": "torque", "baseline_rms": 1.0, "oracle_rms": 0.6, "noise_rms": 0.1, "beside": BESIDE}, None),
+        (
+            {
+                "equation": "torque",
+                "baseline_rms": 1.0,
+                "oracle_rms": 0.6,
+                "noise_rms": 0.1,
+                "beside": BESIDE,
+            },
+            None,
+        ),
         (None, None),
     ],
     ids=["half of it", "nothing to gain", "no such equation", "no oracle"],
 )
-def test_the_gain_is_held_against_the_true_structures(oracle: dict[str, Any] | None, fraction: float | None) -> None:
+def test_the_gain_is_held_against_the_true_structures(
+    oracle: dict[str, Any] | None, fraction: float | None
+) -> None:
     said = judged(diagnosed(effect("compliance"), after=0.8))
     row = row_of(truth("one", backlash=GAP), {}, said, oracle, "digest")
     assert row["oracle_fraction"] == (None if fraction is None else pytest.approx(fraction))
@@ -171,12 +230,24 @@ def test_the_gain_is_held_against_the_true_structures(oracle: dict[str, Any] | N
 
 def test_a_pair_counts_as_one_that_shows_where_each_of_both_does() -> None:
     def row(beside: dict[str, float] | None) -> dict[str, Any]:
-        gain = {"equation": "torque", "baseline_rms": 9.0, "oracle_rms": 1.0, "noise_rms": 1.0, "beside": beside}
+        gain = {
+            "equation": "torque",
+            "baseline_rms": 9.0,
+            "oracle_rms": 1.0,
+            "noise_rms": 1.0,
+            "beside": beside,
+        }
         said = judged(diagnosed(effect("cogging")))
         hidden = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
-        return row_of(truth("two", **hidden), {"current": 5.0}, said, gain if beside else None, "digest")
+        return row_of(
+            truth("two", **hidden), {"current": 5.0}, said, gain if beside else None, "digest"
+        )
 
-    rows = [row({"backlash": 2.9, "cogging": 9.0}), row({"backlash": 3.1, "cogging": 4.0}), row(None)]
+    rows = [
+        row({"backlash": 2.9, "cogging": 9.0}),
+        row({"backlash": 3.1, "cogging": 4.0}),
+        row(None),
+    ]
     found = score(rows)
     assert found["both_named_beside"] == rate(0, 1)
     assert found["both_named"]["of"] == found["both_named_all"]["of"] == 3
@@ -186,10 +257,28 @@ def test_baselines_are_scored_by_the_same_rules() -> None:
     both = {"backlash": GAP, "cogging": {"torque_Nm": 1.0}}
     four = ("cogging", "time_skew", "end_stop", "backlash")
     rows = [
-        row_of(truth(kind, **hidden), {"current": 5.0}, judged(said, greedy_bic=greedy, sparse=sparse), None, "digest")
+        row_of(
+            truth(kind, **hidden),
+            {"current": 5.0},
+            judged(said, greedy_bic=greedy, sparse=sparse),
+            None,
+            "digest",
+        )
         for kind, hidden, said, greedy, sparse in (
-            ("one", {"backlash": GAP}, diagnosed(effect("backlash")), ("backlash", "compliance"), ("compliance",)),
-            ("two", both, diagnosed(effect("cogging"), effect("backlash")), four, ("backlash", "cogging")),
+            (
+                "one",
+                {"backlash": GAP},
+                diagnosed(effect("backlash")),
+                ("backlash", "compliance"),
+                ("compliance",),
+            ),
+            (
+                "two",
+                both,
+                diagnosed(effect("cogging"), effect("backlash")),
+                four,
+                ("backlash", "cogging"),
+            ),
             ("nothing", {}, NOTHING, ("cogging",), ()),
             ("outside", {"x_bursts": {}}, diagnosed(verdict="outside_catalogue"), (), ("cogging",)),
         )
@@ -223,7 +312,10 @@ def test_the_place_is_held_against_the_catalogue() -> None:
         "its recording": (lost, "encoder_slip", {**slip, "recording": 4.0}),
         "another one": (lost, "encoder_slip", {**slip, "recording": 2.0}),
     }
-    places = {case: scored("one", said, **{name: true})["location"] for case, (said, name, true) in cases.items()}
+    places = {
+        case: scored("one", said, **{name: true})["location"]
+        for case, (said, name, true) in cases.items()
+    }
     assert {case: (p["equation"], p["coordinate"], p["place"]) for case, p in places.items()} == {
         "exact": (True, True, True),
         "like": (False, False, True),
@@ -267,7 +359,13 @@ def clairvoyant(source: Path, seed: int) -> Judgement:
     assert seed != SEED  # or the draws could be repeated
     kind, names = assignment(3, SEED)[int(source.parent.name.removeprefix("rig-")) - 1]
     verdict = {"nothing": "nothing_missing", "outside": "outside_catalogue"}.get(kind, "named")
-    gain = {"equation": "transmission", "baseline_rms": 1.0, "oracle_rms": 0.2, "noise_rms": 0.1, "beside": BESIDE}
+    gain = {
+        "equation": "transmission",
+        "baseline_rms": 1.0,
+        "oracle_rms": 0.2,
+        "noise_rms": 0.1,
+        "beside": BESIDE,
+    }
     said = diagnosed(*(effect(name) for name in names if kind in ("one", "two")), verdict=verdict)
     return judged(said, gain)
 
@@ -297,13 +395,27 @@ def test_a_proof_from_the_command_line(
         assert len(opened) == len(diagnosing) - 1
         return clairvoyant(source, seed)
 
-    monkeypatch.setattr(proving, "unseal", lambda path, digest: opened.append(path.name) or unseal(path, digest))
+    monkeypatch.setattr(
+        proving, "unseal", lambda path, digest: opened.append(path.name) or unseal(path, digest)
+    )
     monkeypatch.setattr("rig.results.prove.judge.judge", judge)
     out = tmp_path / "proof"
-    arguments = ["prove", "--rigs", "3", "--seed", str(SEED), "--out", str(out), "--json", str(tmp_path / "p.json")]
+    arguments = [
+        "prove",
+        "--rigs",
+        "3",
+        "--seed",
+        str(SEED),
+        "--out",
+        str(out),
+        "--json",
+        str(tmp_path / "p.json"),
+    ]
     assert status(arguments) == 0
     seals = json.loads((out / "proof.json").read_text())["seals"]
-    assert all(digest in diagnosing[0] for digest in seals.values())  # printed before the first diagnosis
+    assert all(
+        digest in diagnosing[0] for digest in seals.values()
+    )  # printed before the first diagnosis
     result = json.loads((tmp_path / "p.json").read_text())
     assert result["schema"] == "loadrig.prove/2"
     assert sum(result["counts"].values()) == 3
@@ -325,8 +437,12 @@ def test_a_proof_from_the_command_line(
     assert "holds a proof with other settings" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"settings": {}}', '{"settings": {}, "seals": {"x": 1}}', "\0"])
-def test_a_damaged_proof_is_not_gone_on_with(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str) -> None:
+@pytest.mark.parametrize(
+    "content", ["", "[]", '{"settings": {}}', '{"settings": {}, "seals": {"x": 1}}', "\0"]
+)
+def test_a_damaged_proof_is_not_gone_on_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str
+) -> None:
     (tmp_path / "proof.json").write_text(content)
     assert status(["prove", "--rigs", "1", "--out", str(tmp_path)]) == 2
     assert str(tmp_path / "proof.json") in capsys.readouterr().err

@@ -1,4 +1,6 @@
-"""The blind gas rigs: drawn over the whole catalogue, within the plant's ranges, and telling nothing."""
+"""The blind gas rigs: drawn over the whole catalogue, within the plant's ranges, and telling
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -75,9 +77,13 @@ def test_a_rig_is_sealed_and_its_campaign_tells_nothing(tmp_path: Path) -> None:
     truth = unseal(sealed.truth, sealed.digest)
     assert truth["effects"] == draw_gas(*ONE, SEED).machine.effects
     dataset = load_source(sealed.campaign)
-    assert all(r.channels.keys() == {"time", "command", "angle", "pressure"} for r in dataset.recordings)
+    assert all(
+        r.channels.keys() == {"time", "command", "angle", "pressure"} for r in dataset.recordings
+    )
     text = sealed.campaign.read_text()
-    assert not [word for word in ("leakage", *map(str, truth["parameters"].values())) if word in text]
+    assert not [
+        word for word in ("leakage", *map(str, truth["parameters"].values())) if word in text
+    ]
     other = gas_simulate.seal_gas(tmp_path, 2, ("nothing", ()), (5, 2))
     assert gas_simulate.simulate_gas(other, ("nothing", ()), (5, 2)) == {}
     assert other.campaign.read_text() == text
@@ -96,8 +102,16 @@ def test_from_the_command_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     def blind(source: Path, seed: int) -> Judgement:
         shift = {"n": {"before": 0.5, "after": 0.51, "unit": "1"}}
         fit = {"validate_baseline_rms": 2.0, "validate_final_rms": 2.0, "noise_floor_rms": 1.0}
-        record = {"verdict": "nothing_missing", "effects": [], "location": None, "fit": fit, "fits": [fit]}
-        return Judgement({**record, "parameter_shift": shift, "p_value": 1.0}, {}, lambda _names: None, 0.0, 0.0)
+        record = {
+            "verdict": "nothing_missing",
+            "effects": [],
+            "location": None,
+            "fit": fit,
+            "fits": [fit],
+        }
+        return Judgement(
+            {**record, "parameter_shift": shift, "p_value": 1.0}, {}, lambda _names: None, 0.0, 0.0
+        )
 
     plan = tuple(GasExperiment(e.name, e.role, e.command[:500]) for e in gas_experiments())
     monkeypatch.setattr(gas_simulate, "gas_experiments", lambda: plan)

@@ -34,7 +34,10 @@ PROBES: dict[Kind, tuple[str, ...]] = {"nothing": (), "one": ("cogging",), "outs
 
 def short(rig: Rig) -> tuple[Rig, list[Experiment]]:
     """Return a rig with its first and last experiments only, two seconds of each."""
-    plan = [e._replace(command=e.command[:2000]) for e in (experiments()[0], experiments()[3], experiments()[-1])]
+    plan = [
+        e._replace(command=e.command[:2000])
+        for e in (experiments()[0], experiments()[3], experiments()[-1])
+    ]
     return rig._replace(pauses_s=rig.pauses_s[:3]), plan
 
 
@@ -46,7 +49,10 @@ def test_what_is_sealed_is_told_as_a_recording_shows_it() -> None:
     }
     told = as_recorded(hidden)
     assert told["encoder_slip"] == {**hidden["encoder_slip"], "at_s": 5.0 - SETTLE_S}
-    assert told["load_swing"] == {**hidden["load_swing"], "fraction": pytest.approx(0.2 * np.exp(-SETTLE_S / 4.0))}
+    assert told["load_swing"] == {
+        **hidden["load_swing"],
+        "fraction": pytest.approx(0.2 * np.exp(-SETTLE_S / 4.0)),
+    }
     assert hidden["load_swing"]["fraction"] == 0.2, "the machine's own are as they were"
 
 
@@ -107,7 +113,9 @@ def test_the_folder_reads_as_a_campaign_and_tells_nothing(tmp_path: Path) -> Non
     starts = [float(r.channels["time"][0]) for r in dataset.recordings]
     assert np.all(np.diff(starts) > 2.0 + 15.0)
     assert dataset.recordings[0].averaged == {"current", "voltage"}
-    np.testing.assert_array_equal(dataset.recordings[1].channels["angle"], recorded[1].samples.angle)
+    np.testing.assert_array_equal(
+        dataset.recordings[1].channels["angle"], recorded[1].samples.angle
+    )
     text = path.read_text()
     hidden = [str(v) for given in rig.machine.effects.values() for v in given.values()]
     hidden += [str(v) for v in true_parameters(rig.machine).values()]
@@ -116,7 +124,10 @@ def test_the_folder_reads_as_a_campaign_and_tells_nothing(tmp_path: Path) -> Non
 
 
 def test_the_kind_of_load_tells_nothing() -> None:
-    loads = {kind: [draw(kind, names, (5, k)).gravity for k in range(60)] for kind, names in PROBES.items()}
+    loads = {
+        kind: [draw(kind, names, (5, k)).gravity for k in range(60)]
+        for kind, names in PROBES.items()
+    }
     assert all(0 < sum(gravity) < 20 for gravity in loads.values())
     assert draw("one", ("load_dependent_friction",), (5, 1)).gravity
     assert not any(draw("one", ("load_swing",), (5, k)).gravity for k in range(60))
@@ -124,7 +135,9 @@ def test_the_kind_of_load_tells_nothing() -> None:
 
 def test_a_gravity_bench_says_what_turns_with_the_joint(tmp_path: Path) -> None:
     rig, _ = short(draw("one", ("load_dependent_friction",), (3, 1)))
-    plan = [e._replace(command=e.command[:3000]) for e in (experiments(True)[0], experiments(True)[3])]
+    plan = [
+        e._replace(command=e.command[:3000]) for e in (experiments(True)[0], experiments(True)[3])
+    ]
     rig = rig._replace(pauses_s=rig.pauses_s[:2])
     held = campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
     dataset = load_source(write(tmp_path / "rig", rig.machine, held))
@@ -153,7 +166,10 @@ def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
 def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     """Both change the current; but the gear's loss is a bench with other constants."""
     rig, _ = short(draw("one", ("asymmetric_coulomb",), (3, 1)))
-    plan = [e._replace(command=e.command[:8000]) for e in (experiments()[0], experiments()[3], experiments()[-1])]
+    plan = [
+        e._replace(command=e.command[:8000])
+        for e in (experiments()[0], experiments()[3], experiments()[-1])
+    ]
     rig = rig._replace(pauses_s=rig.pauses_s[:3])
     floor = floors(rig.machine, twin_of(rig, plan))
 
@@ -170,13 +186,17 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     by_name = {e.name: e for e in experiments()}
     plan[1] = by_name["m"]._replace(command=by_name["m"].command[:8000])
     floor = floors(rig.machine, twin_of(rig, plan))
-    assert shown({"transmission_efficiency": {"efficiency": 0.85}})[1] > STRONG, "a weight that drives the motor back"
+    assert shown({"transmission_efficiency": {"efficiency": 0.85}})[1] > STRONG, (
+        "a weight that drives the motor back"
+    )
 
 
 def test_a_weight_on_the_joint_hangs_there_for_its_recording_alone() -> None:
     rig, _ = short(draw("nothing", (), (3, 1)))
     named = {e.name: e._replace(command=e.command[:2000]) for e in experiments()}
-    before, hung, after = (r.samples.current for r in campaign(rig, [named["a"], named["m"], named["l"]]))
+    before, hung, after = (
+        r.samples.current for r in campaign(rig, [named["a"], named["m"], named["l"]])
+    )
     assert [e.name for e in experiments() if e.fixed is not None] == ["m"]
     assert float(np.median(np.abs(hung - before))) > 2.0
     assert float(np.median(np.abs(after - before))) < 0.1

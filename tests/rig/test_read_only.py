@@ -56,7 +56,11 @@ def program(tmp_path: Path) -> Iterator[Path]:
 
 def start(program: Path, *arguments: str, body: str = RUN) -> subprocess.CompletedProcess[str]:
     place = program.parent
-    environment = {name: value for name, value in os.environ.items() if not name.startswith(("XDG_", "NUMBA", "MPL"))}
+    environment = {
+        name: value
+        for name, value in os.environ.items()
+        if not name.startswith(("XDG_", "NUMBA", "MPL"))
+    }
     environment |= {"HOME": str(place / "home"), "TMPDIR": str(place / "temporary")}
     entry = ENTRY.format(program=str(program), tests=str(Path(__file__).parent), body=body)
     return subprocess.run(
@@ -70,7 +74,9 @@ def start(program: Path, *arguments: str, body: str = RUN) -> subprocess.Complet
     )
 
 
-def test_a_run_is_simulated_and_its_kernels_are_kept_among_the_temporary_files(program: Path) -> None:
+def test_a_run_is_simulated_and_its_kernels_are_kept_among_the_temporary_files(
+    program: Path,
+) -> None:
     place = program.parent
     (place / "sequence.yaml").write_text(SEQUENCE, encoding="utf-8")
     for out in ("first", "second"):

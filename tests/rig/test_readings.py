@@ -1,4 +1,6 @@
-"""Live readings of `rig check`: what is shown, what goes into JSON, and which end a run as soon as it begins."""
+"""Live readings of `rig check`: what is shown, what goes into JSON, and which end a run as soon as
+it begins.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +58,9 @@ def test_both_sides_of_each_reading(name: str, inside: float, words: str) -> Non
 @pytest.mark.parametrize("end", ["angle_min", "angle_max"])
 def test_both_ends_of_the_angle(end: str) -> None:
     limit = getattr(LIMITS, end)
-    inside, outside = (math.nextafter(limit, sign * math.copysign(math.inf, limit)) for sign in (-1, 1))
+    inside, outside = (
+        math.nextafter(limit, sign * math.copysign(math.inf, limit)) for sign in (-1, 1)
+    )
     assert found(joint_encoder_rad=inside, motor_encoder_at_joint_rad=inside) == []
     (text,) = found(joint_encoder_rad=outside, motor_encoder_at_joint_rad=outside)
     assert text.startswith("joint angle ")
@@ -94,11 +98,21 @@ def test_both_sides_of_the_force_that_the_pressure_makes_where_the_valve_is(angl
     )
     for limit, count in ((force * 1.0001, 0), (force * 0.9999, 1)):
         limits = dataclasses.replace(HOT, gas=dataclasses.replace(gas, contact_force=limit))
-        assert [f.text.startswith("contact force ") for f in reading_findings(readings, limits)] == [True] * count
+        assert [
+            f.text.startswith("contact force ") for f in reading_findings(readings, limits)
+        ] == [True] * count
 
 
 @pytest.mark.parametrize(
-    "name", ["motor_encoder_at_joint_rad", "joint_encoder_rad", "speed_rad_s", "current_A", "supply_V", "temperature_C"]
+    "name",
+    [
+        "motor_encoder_at_joint_rad",
+        "joint_encoder_rad",
+        "speed_rad_s",
+        "current_A",
+        "supply_V",
+        "temperature_C",
+    ],
 )
 def test_what_is_not_available_is_shown_so_and_not_judged(name: str) -> None:
     readings = dataclasses.replace(CALM, **{name: math.nan})
@@ -126,7 +140,9 @@ def test_zero_has_no_sign() -> None:
 
 
 def moved(*arguments: Any) -> SimulatedBench:
-    """Return a simulated bench whose joint stands elsewhere, with a coupling that has slipped a little."""
+    """Return a simulated bench whose joint stands elsewhere, with a coupling that has slipped a
+    little.
+    """
     bench = simulated_bench(*arguments)
     bench.encoder.distort = lambda counts: counts + 728  # one degree
     return bench
@@ -152,25 +168,42 @@ def test_check_shows_what_the_bench_shows(
     readings = record["readings"]
     assert readings["supply_V"] == 40.0
     assert readings["joint_encoder_rad"] == pytest.approx(math.radians(1), abs=1e-4)
-    assert readings["motor_encoder_at_joint_rad"] == readings["speed_rad_s"] == readings["current_A"] == 0.0
+    assert (
+        readings["motor_encoder_at_joint_rad"]
+        == readings["speed_rad_s"]
+        == readings["current_A"]
+        == 0.0
+    )
     assert (record["real"], record["good"], record["causes"]) == (False, False, ["readings"])
-    assert (record["watched_by"], record["watch_s"], record["bench_file"]) == ("drive", 0.1, str(path))
+    assert (record["watched_by"], record["watch_s"], record["bench_file"]) == (
+        "drive",
+        0.1,
+        str(path),
+    )
 
 
 @pytest.mark.parametrize(
     ("name", "reading", "unit"),
     [("practical_hot", "chamber pressure", "MPa"), ("practical_serial", "joint encoder", "deg")],
 )
-def test_every_kind_of_bench_is_read(name: str, reading: str, unit: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_kind_of_bench_is_read(
+    name: str, reading: str, unit: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert status(["check", name]) == 0
-    (line,) = [line for line in capsys.readouterr().out.splitlines() if line.startswith(f"{reading}  ")]
+    (line,) = [
+        line for line in capsys.readouterr().out.splitlines() if line.startswith(f"{reading}  ")
+    ]
     assert line.endswith(unit)
 
 
-def test_a_drive_that_says_its_speed_only_when_commanded(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_that_says_its_speed_only_when_commanded(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     assert status(["check", "practical_dbc"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split("  ")[-1].strip() for line in lines if line.startswith("joint speed ")] == [NOT_AVAILABLE]
+    assert [line.split("  ")[-1].strip() for line in lines if line.startswith("joint speed ")] == [
+        NOT_AVAILABLE
+    ]
 
 
 REAL = ("interface: mock", "interface: virtual, channel: nobody")
@@ -214,13 +247,17 @@ def test_the_first_line_says_real_in_capitals_and_the_file_says_who_watches(
         (False, None, Watcher("nobody")),
     ],
 )
-def test_who_watches_a_connected_bench(fake_bench: Any, watchdog: bool, guard: Any, expected: Watcher) -> None:
+def test_who_watches_a_connected_bench(
+    fake_bench: Any, watchdog: bool, guard: Any, expected: Watcher
+) -> None:
     bench = fake_bench()
     bench.has_watchdog, bench.watch_s = watchdog, 0.1
     assert watcher(dataclasses.replace(bench.devices(), guard=guard)) == expected
 
 
-def test_a_real_bench_is_named_before_it_is_opened(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_real_bench_is_named_before_it_is_opened(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = variant(tmp_path, REAL)
     for command in (["check", str(path)], ["run", "figure10", "--dry-run", "--bench", str(path)]):
         assert status(command) == 2

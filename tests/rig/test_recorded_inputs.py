@@ -22,7 +22,8 @@ name: two
 stages:
   - {name: a, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
      ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
-  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}], duration_s: 0.5,
+  - {name: b, stage: loaded, weight_kg: 10, tones: [{amplitude_deg: 5, frequency_Hz: 2}],
+     duration_s: 0.5,
      ramp_in_s: 0.1, ramp_out_s: 0.1, settle_s: 0.05}
 """
 CONTENT = b"that of the run"
@@ -31,7 +32,9 @@ DIGEST = sha256(CONTENT)
 
 @pytest.fixture
 def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Start a run with relative paths and stop it in its second stage; the run folder is returned."""
+    """Start a run with relative paths and stop it in its second stage; the run folder is
+    returned.
+    """
     bench = Path(__file__).parents[2] / "rig" / "config" / "benches" / "practical.yaml"
     place = tmp_path / "bench"
     (place / "files").mkdir(parents=True)
@@ -50,13 +53,19 @@ def stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return place / "runs" / "first"
 
 
-def test_a_run_goes_on_from_another_folder(stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_goes_on_from_another_folder(
+    stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     assert status(["resume", str(stopped), "--yes"]) == 0
-    assert {Path(entry["file"]).is_absolute() for entry in read_record(stopped).inputs.values()} == {True}
+    assert {
+        Path(entry["file"]).is_absolute() for entry in read_record(stopped).inputs.values()
+    } == {True}
 
 
-def test_a_run_of_an_older_program_does_too(stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_of_an_older_program_does_too(
+    stopped: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = stopped / "run.json"
     record = json.loads(file.read_text(encoding="utf-8"))
     record["inputs"]["bench.yaml"]["file"] = "files/own.yaml"
@@ -81,7 +90,9 @@ def test_a_relative_path_is_followed_from_here_and_from_above_the_run(
     assert recorded_input(folder, entry).samefile(tmp_path / "files" / "bench.yaml")
     (place / "files").mkdir()
     (place / "files" / "bench.yaml").write_bytes(b"another")
-    assert recorded_input(folder, entry).samefile(tmp_path / "files" / "bench.yaml"), "another file of that name"
+    assert recorded_input(folder, entry).samefile(tmp_path / "files" / "bench.yaml"), (
+        "another file of that name"
+    )
     (place / "files" / "bench.yaml").write_bytes(CONTENT)
     assert recorded_input(folder, entry) == Path("files/bench.yaml")
 

@@ -1,4 +1,6 @@
-"""The recording: exact round trip, readable by the MCAP library, and robust to being cut off anywhere."""
+"""The recording: exact round trip, readable by the MCAP library, and robust to being cut off
+anywhere.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,11 @@ def write(path: Path, count: int) -> Path:
     recorder.metadata("run", {"seed": "0"})
     recorder.attach("bench.yaml", "application/yaml", b"bench: 1")
     for k in range(count):
-        recorder.sample(k * 1_000_000, row(k), [RawFrame(k, 0x80, b"", True), RawFrame(k, 0x181, b"1234", False)])
+        recorder.sample(
+            k * 1_000_000,
+            row(k),
+            [RawFrame(k, 0x80, b"", True), RawFrame(k, 0x181, b"1234", False)],
+        )
     recorder.event(count * 1_000_000, "done", stage="x")
     recorder.close()
     return path
@@ -175,7 +181,9 @@ def test_reading_back(whole: Path) -> None:
     assert decode_frames(log.messages["/frames"][5].data)[1] == RawFrame(5, 0x181, b"1234", False)
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(share=st.floats(0, 1))
 def test_cut_off_anywhere(whole: Path, tmp_path: Path, share: float) -> None:
     path = tmp_path / "cut.mcap"
@@ -188,9 +196,13 @@ def test_cut_off_anywhere(whole: Path, tmp_path: Path, share: float) -> None:
     assert f"{n} samples recovered" in log.damage
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(share=st.floats(0, 1), value=st.integers(1, 255))
-def test_a_flipped_byte_never_gives_wrong_samples(whole: Path, tmp_path: Path, share: float, value: int) -> None:
+def test_a_flipped_byte_never_gives_wrong_samples(
+    whole: Path, tmp_path: Path, share: float, value: int
+) -> None:
     damaged = bytearray(whole.read_bytes())
     damaged[min(8 + int(share * len(damaged)), len(damaged) - 1)] ^= value
     path = tmp_path / "flipped.mcap"
@@ -234,7 +246,9 @@ def test_reading_goes_on_behind_a_bad_chunk(long: Path, tmp_path: Path) -> None:
     assert log.damage.endswith(f"{len(times)} samples recovered")
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 @given(share=st.floats(0, 1), value=st.integers(1, 255))
 def test_one_bad_byte_costs_one_chunk_at_most_and_is_never_silent(
     long: Path, tmp_path: Path, share: float, value: int
@@ -307,7 +321,9 @@ while True:
 
 def test_a_killed_writer_loses_less_than_a_fifth_of_a_second(tmp_path: Path) -> None:
     path = tmp_path / "killed.mcap"
-    with subprocess.Popen([sys.executable, "-c", CHILD, str(path)], stdout=subprocess.PIPE, text=True) as child:
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD, str(path)], stdout=subprocess.PIPE, text=True
+    ) as child:
         assert child.stdout is not None
         for _ in itertools.takewhile(lambda line: int(line) < 1550, child.stdout):
             pass

@@ -19,7 +19,12 @@ def recording(name: str, role: str = "fit") -> Recording:
     time = np.arange(500) / RATE
     velocity = 0.4 * np.cos(1.3 * time)
     torque = np.sign(velocity) * (7.0 + 5.0 * np.exp(-((velocity / 0.06) ** 2))) + 5.0 * velocity
-    channels = {"time": time, "angle": 0.4 / 1.3 * np.sin(1.3 * time), "velocity": velocity, "torque": torque}
+    channels = {
+        "time": time,
+        "angle": 0.4 / 1.3 * np.sin(1.3 * time),
+        "velocity": velocity,
+        "torque": torque,
+    }
     return Recording(name, channels, Bench(), role=role, notes=("one <b>correction</b>",))  # type: ignore[arg-type]
 
 
@@ -31,10 +36,14 @@ def dataset() -> Dataset:
 @pytest.fixture(scope="module")
 def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report")
-    result = identify_paper(dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=20)
+    result = identify_paper(
+        dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=20
+    )
     other = dataclasses.replace(result, method="default", warnings=("mind <the> gap",))
     provenance = Provenance.of(3, dataset.recordings, 0.5)
-    write_report(path, "Test & bench", dataset, [other, result], provenance, {"Mc": 7.0, "Ms": 12.0})
+    write_report(
+        path, "Test & bench", dataset, [other, result], provenance, {"Mc": 7.0, "Ms": 12.0}
+    )
     return path
 
 
@@ -48,7 +57,12 @@ def test_nothing_is_fetched_from_outside(folder: Path) -> None:
 
 def test_every_figure_is_a_file_too(folder: Path) -> None:
     names = {path.name for path in (folder / "figures").iterdir()}
-    assert {"intervals.png", "stribeck_default.png", "stribeck_paper.png", "convergence_paper_unloaded.png"} <= names
+    assert {
+        "intervals.png",
+        "stribeck_default.png",
+        "stribeck_paper.png",
+        "convergence_paper_unloaded.png",
+    } <= names
     assert {"response_a_1.png", "response_b_c.png", "residual_late.png"} <= names
     assert all((folder / "figures" / name).read_bytes().startswith(b"\x89PNG") for name in names)
 
@@ -62,18 +76,33 @@ def test_text_is_escaped(folder: Path) -> None:
 
 def test_it_says_what_the_records_say(folder: Path) -> None:
     page = (folder / "report.html").read_text(encoding="utf-8")
-    for words in ("not identifiable", "validate", "genetic algorithm", "true", "simulated bench", "seed"):
+    for words in (
+        "not identifiable",
+        "validate",
+        "genetic algorithm",
+        "true",
+        "simulated bench",
+        "seed",
+    ):
         assert words in page
 
 
 def test_without_truth_there_is_no_such_column(dataset: Dataset, tmp_path: Path) -> None:
-    result = identify_paper(dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2)
-    page = write_report(tmp_path, "t", dataset, [result], Provenance.of(0, dataset.recordings, 0.1)).read_text()
+    result = identify_paper(
+        dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
+    )
+    page = write_report(
+        tmp_path, "t", dataset, [result], Provenance.of(0, dataset.recordings, 0.1)
+    ).read_text()
     assert ">true<" not in page
 
 
 def test_many_recordings_are_cut_short_and_said(tmp_path: Path) -> None:
     many = Dataset(tuple(recording(f"r{k}") for k in range(8)))
-    result = identify_paper(many, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2)
-    page = write_report(tmp_path, "t", many, [result], Provenance.of(0, many.recordings, 0.1)).read_text()
+    result = identify_paper(
+        many, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
+    )
+    page = write_report(
+        tmp_path, "t", many, [result], Provenance.of(0, many.recordings, 0.1)
+    ).read_text()
     assert "2 more recordings" in page

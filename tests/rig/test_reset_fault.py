@@ -1,5 +1,6 @@
-"""A fault that the drive is in before a run: cleared only where that was asked for, after the prompt, and never into
-power."""
+"""A fault that the drive is in before a run: cleared only where that was asked for, after the
+prompt, and never into power.
+"""
 
 from __future__ import annotations
 
@@ -65,7 +66,9 @@ def test_no_fault_no_reset(runner: Any, fake_bench: Any) -> None:
 
 
 @pytest.mark.parametrize("mended_before", [True, False])
-def test_a_run_whose_writer_died_is_known_as_such(short_sequence: Path, tmp_path: Path, mended_before: bool) -> None:
+def test_a_run_whose_writer_died_is_known_as_such(
+    short_sequence: Path, tmp_path: Path, mended_before: bool
+) -> None:
     out = tmp_path / "out"
     assert status(["run", str(short_sequence), "--yes", "--out", str(out)]) == 0
     content = (out / "recording.mcap").read_bytes()

@@ -13,7 +13,9 @@ from rig.wiring.resources import resources
 
 
 def can_bench(interface: str, channel: str | None) -> Bench:
-    return load_bench("practical").value.model_copy(update={"bus": Bus(interface=interface, channel=channel)})
+    return load_bench("practical").value.model_copy(
+        update={"bus": Bus(interface=interface, channel=channel)}
+    )
 
 
 def serial_bench(drive: str, encoder: str) -> Bench:
@@ -22,7 +24,9 @@ def serial_bench(drive: str, encoder: str) -> Bench:
     return load_bench("practical_serial").value.model_copy(update=update)
 
 
-@pytest.mark.parametrize("name", ["practical", "practical_serial", "practical_dbc", "practical_hot", "literal"])
+@pytest.mark.parametrize(
+    "name", ["practical", "practical_serial", "practical_dbc", "practical_hot", "literal"]
+)
 def test_a_simulated_bench_uses_nothing_that_others_could(name: str) -> None:
     assert resources(load_bench(name).value) == ()
 
@@ -39,11 +43,17 @@ def test_a_simulated_bench_uses_nothing_that_others_could(name: str) -> None:
         ("robotell", "/dev/none0@115200", Resource("/dev/none0", "port /dev/none0")),
         ("seeedstudio", "/dev/../dev/none0", Resource("/dev/none0", "port /dev/../dev/none0")),
         ("unheard_of", "/dev/none0", Resource("/dev/none0", "port /dev/none0")),
-        ("slcan", "socket://10.0.0.1:23", Resource("slcan:socket://10.0.0.1:23", "slcan channel socket://10.0.0.1:23")),
+        (
+            "slcan",
+            "socket://10.0.0.1:23",
+            Resource("slcan:socket://10.0.0.1:23", "slcan channel socket://10.0.0.1:23"),
+        ),
         ("slcan", "/dev/no\0ne", Resource("/dev/no\0ne", "port /dev/no\0ne")),
     ],
 )
-def test_a_channel_is_a_device_or_a_name(interface: str, channel: str | None, expected: Resource) -> None:
+def test_a_channel_is_a_device_or_a_name(
+    interface: str, channel: str | None, expected: Resource
+) -> None:
     assert resources(can_bench(interface, channel)) == (expected,)
 
 
@@ -51,7 +61,9 @@ def test_a_bus_inside_this_process_is_nobody_elses() -> None:
     assert resources(can_bench("virtual", "x")) == ()
 
 
-def test_a_port_is_the_same_under_all_its_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_port_is_the_same_under_all_its_names(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     by_id = tmp_path / "usb-FTDI-port0"
     by_id.symlink_to(tmp_path / "ttyUSB0")
     monkeypatch.chdir(tmp_path)
@@ -70,7 +82,10 @@ def test_a_port_is_the_same_under_all_its_names(tmp_path: Path, monkeypatch: pyt
 
 def test_drive_and_encoder_each_have_a_port() -> None:
     found = resources(serial_bench("/dev/none1", "/dev/none0"))
-    assert found == (Resource("/dev/none0", "port /dev/none0"), Resource("/dev/none1", "port /dev/none1"))
+    assert found == (
+        Resource("/dev/none0", "port /dev/none0"),
+        Resource("/dev/none1", "port /dev/none1"),
+    )
 
 
 def test_an_encoder_line_beside_a_can_bus() -> None:

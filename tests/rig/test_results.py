@@ -31,7 +31,9 @@ def result() -> Identification:
         "Ms": Parameter("Ms", "N m", np.float64(12.0), at_bound=True),
     }
     fit = Fit("N m", 40.0, 0.1, 0.01)
-    return Identification("default", "rotary", 2.0, parameters, fit, (stage,), ("slow",), (), {"a": fit}, 80, 0.5)
+    return Identification(
+        "default", "rotary", 2.0, parameters, fit, (stage,), ("slow",), (), {"a": fit}, 80, 0.5
+    )
 
 
 def provenance() -> Provenance:
@@ -63,10 +65,15 @@ def test_round_trip_through_json(tmp_path: Path) -> None:
     assert read["parameters"]["Ms"]["at_bound"] is True
     assert read["fit"]["validate_rms"] is None
     assert read["stages"][0]["evaluations"] == 80
-    assert read["convergence"]["unloaded"] == {"cost": [None, 1.5], "parameters": {"Mc": [6.0, 6.9]}}
+    assert read["convergence"]["unloaded"] == {
+        "cost": [None, 1.5],
+        "parameters": {"Mc": [6.0, 6.9]},
+    }
     assert read["warnings"] == ["slow"]
 
 
-@pytest.mark.parametrize(("value", "expected"), [(None, None), (np.nan, None), (np.inf, None), (np.float64(2.0), 2.0)])
+@pytest.mark.parametrize(
+    ("value", "expected"), [(None, None), (np.nan, None), (np.inf, None), (np.float64(2.0), 2.0)]
+)
 def test_finite(value: float | None, expected: float | None) -> None:
     assert finite(value) == expected

@@ -1,4 +1,6 @@
-"""``rig resume``: into the same folder, at the first unfinished stage, after a stop, a trip or a crash."""
+"""``rig resume``: into the same folder, at the first unfinished stage, after a stop, a trip or a
+crash.
+"""
 
 from __future__ import annotations
 
@@ -71,7 +73,10 @@ def test_a_stopped_run_goes_on_at_its_stage(
         ("recording.mcap", "stopped", "Ann"),
         ("recording-2.mcap", "done", "Bob"),
     ]
-    assert [(s.index, s.name, s.part, s.kept) for s in record.segments][-2:] == [(3, "b", 1, False), (4, "b", 2, True)]
+    assert [(s.index, s.name, s.part, s.kept) for s in record.segments][-2:] == [
+        (3, "b", 1, False),
+        (4, "b", 2, True),
+    ]
     second = read_run(Path("out/recording-2.mcap"))
     assert set(np.unique(second.samples["segment"])) == {0, 4}
     assert second.metadata["run"]["part"] == "2"
@@ -141,7 +146,10 @@ def test_a_part_that_never_began_is_forgotten(monkeypatch: pytest.MonkeyPatch, l
     if left == "nothing":
         Path("out/recording-2.mcap").unlink()
     assert status(["resume", "out", "--yes"]) == 0
-    assert [p.file for p in read_record(Path("out")).parts] == ["recording.mcap", "recording-2.mcap"]
+    assert [p.file for p in read_record(Path("out")).parts] == [
+        "recording.mcap",
+        "recording-2.mcap",
+    ]
 
 
 def test_a_finished_run_has_nothing_to_go_on_with(capsys: pytest.CaptureFixture[str]) -> None:
@@ -152,7 +160,9 @@ def test_a_finished_run_has_nothing_to_go_on_with(capsys: pytest.CaptureFixture[
     assert Path("out/run.json").read_bytes() == before
 
 
-def test_a_changed_sequence_is_refused(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_changed_sequence_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     stopped_in_b(monkeypatch)
     Path("three.yaml").write_text(STAGES.replace("weight_kg: 10", "weight_kg: 12"))
     assert status(["resume", "out", "--yes"]) == 2
@@ -185,7 +195,13 @@ def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
     assert record.parts[0].devices["encoder"]["product_code"] == 0x406
     assert record.warnings == []
     page = Path("out/run.html").read_text()
-    for words in ("Ann", "C-17", "simulated drive", record.inputs["bench.yaml"]["sha256"], "How late cycles started"):
+    for words in (
+        "Ann",
+        "C-17",
+        "simulated drive",
+        record.inputs["bench.yaml"]["sha256"],
+        "How late cycles started",
+    ):
         assert words in page
 
 
@@ -197,14 +213,18 @@ def test_a_recording_says_where_it_comes_from(tmp_path: Path) -> None:
         ("practical_dbc", {"servo.dbc": DRIVE_DBC, "encoder.eds": ENCODER_EDS}),
     ],
 )
-def test_a_recording_says_by_which_device_files_it_was_made(bench: str, files: dict[str, Path]) -> None:
+def test_a_recording_says_by_which_device_files_it_was_made(
+    bench: str, files: dict[str, Path]
+) -> None:
     # Slowly enough for the serial bench, whose limits are lower.
     Path("three.yaml").write_text(STAGES.replace("frequency_Hz: 2", "frequency_Hz: 1"))
     assert start("--bench", bench) == 0
     metadata = read_run(Path("out/recording.mcap")).metadata
     digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
     own = {"bench.yaml", "sequence.yaml"}
-    assert {name: digest for name, digest in metadata["sha256"].items() if name not in own} == digests
+    assert {
+        name: digest for name, digest in metadata["sha256"].items() if name not in own
+    } == digests
     assert metadata["servo"]["name"]
     assert metadata["encoder"]["name"]
 
@@ -213,7 +233,9 @@ def test_a_device_file_that_changed_is_refused(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     shutil.copy(DRIVE_EDS, "drive.eds")
-    text = resolve("practical", "benches").read_text().replace("servo: {", "servo: {eds: drive.eds, ")
+    text = (
+        resolve("practical", "benches").read_text().replace("servo: {", "servo: {eds: drive.eds, ")
+    )
     Path("b.yaml").write_text(text)
     with monkeypatch.context() as context:
         stop_in(context, "b")
@@ -225,10 +247,15 @@ def test_a_device_file_that_changed_is_refused(
 
 
 @pytest.mark.parametrize(("rule", "expected"), [("warn", 0), ("refuse", 2)])
-def test_an_overdue_calibration(tmp_path: Path, capsys: pytest.CaptureFixture[str], rule: str, expected: int) -> None:
+def test_an_overdue_calibration(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], rule: str, expected: int
+) -> None:
     bench = tmp_path / "b.yaml"
     text = resolve("practical", "benches").read_text()
-    extra = f'calibrations: [{{device: lever, id: L-2, due: "2001-01-31"}}]\noverdue_calibration: {rule}\n'
+    extra = (
+        f'calibrations: [{{device: lever, id: L-2, due: "2001-01-31"}}]\noverdue_calibration: '
+        f"{rule}\n"
+    )
     bench.write_text(text + extra)
     assert start("--bench", str(bench)) == expected
     error = capsys.readouterr().err

@@ -62,7 +62,9 @@ def run(*arguments: str) -> int:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_every_command_has_help_with_an_example(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_has_help_with_an_example(
+    name: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert status([name, "--help"]) == 0
     text = capsys.readouterr().out
     assert f"rig {name}" in text.split("Example", 1)[1]
@@ -75,7 +77,10 @@ def test_the_group_lists_its_commands(capsys: pytest.CaptureFixture[str]) -> Non
 
 
 def test_help_imports_nothing_heavy() -> None:
-    code = "import sys, rig.cli.entry; rig.cli.entry.status(['--help']); print(sorted(sys.modules), file=sys.stderr)"
+    code = (
+        "import sys, rig.cli.entry; rig.cli.entry.status(['--help']); "
+        "print(sorted(sys.modules), file=sys.stderr)"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     for heavy in ("numpy", "numba", "canopen", "can", "pydantic", "yaml"):
         assert f"'{heavy}'" not in done.stderr
@@ -90,18 +95,28 @@ def test_a_run(short_sequence: Path, capsys: pytest.CaptureFixture[str]) -> None
     assert run(str(short_sequence), "--yes", "--out", "out", "--json", "copy.json") == 0
     assert "done: all 2 stages done; the drive is de-energised" in capsys.readouterr().out
     record = read_record(Path("out"))
-    assert (record.state, record.de_energised, record.overruns, record.stale) == ("done", True, 0, 0)
+    assert (record.state, record.de_energised, record.overruns, record.stale) == (
+        "done",
+        True,
+        0,
+        0,
+    )
     assert json.loads(Path("copy.json").read_text()) == json.loads(Path("out/run.json").read_text())
     log = read_run(Path("out/recording.mcap"))
     assert log.damage is None
     assert log.attachments["sequence.yaml"] == short_sequence.read_bytes()
     identifiers = {
-        frame.identifier for message in log.messages["/frames"][100:110] for frame in decode_frames(message.data)
+        frame.identifier
+        for message in log.messages["/frames"][100:110]
+        for frame in decode_frames(message.data)
     }
     assert {0x080, 0x181, 0x201} <= identifiers
     *_, heavy = load_run(Path("out")).recordings
-    np.testing.assert_allclose(heavy.channels["angle"], heavy.channels["command"], atol=np.radians(0.5))
-    # Moving under 1 kN takes clearly more than the friction of the empty joint, 6.8 N m over 3 N m/A.
+    np.testing.assert_allclose(
+        heavy.channels["angle"], heavy.channels["command"], atol=np.radians(0.5)
+    )
+    # Moving under 1 kN takes clearly more than the friction of the empty joint, 6.8 N m over 3 N
+    # m/A.
     assert np.median(np.abs(heavy.channels["current"])) > 2.5
     assert heavy.period == pytest.approx(0.001, rel=1e-3)
 
@@ -121,7 +136,9 @@ def test_the_default_folder_carries_the_name(short_sequence: Path) -> None:
     assert folder.name.endswith("Z-short")
 
 
-def test_dry_run_prints_the_plan_and_touches_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_dry_run_prints_the_plan_and_touches_nothing(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     assert run("figure10", "--dry-run") == 0
     lines = capsys.readouterr().out.splitlines()
     row = next(line for line in lines if line.startswith("case-2")).split()
@@ -130,10 +147,14 @@ def test_dry_run_prints_the_plan_and_touches_nothing(capsys: pytest.CaptureFixtu
     assert list(tmp_path.iterdir()) == []
 
 
-def test_bad_input_names_file_line_and_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bad_input_names_file_line_and_column(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "bad.yaml"
     path.write_text(
-        ONE_STAGE.replace("amplitude_deg: 5", "amplitude_deg: 50").replace("duration_s: 1", "duration_s: no")
+        ONE_STAGE.replace("amplitude_deg: 5", "amplitude_deg: 50").replace(
+            "duration_s: 1", "duration_s: no"
+        )
     )
     assert run(str(path), "--yes") == 2
     captured = capsys.readouterr()
@@ -145,7 +166,9 @@ def test_bad_input_names_file_line_and_column(tmp_path: Path, capsys: pytest.Cap
     assert not (tmp_path / "runs").exists()
 
 
-def test_a_folder_in_use_is_refused(short_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_folder_in_use_is_refused(
+    short_sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "notes.txt").write_text("mine")
     assert run(str(short_sequence), "--yes", "--out", "used") == 2
@@ -188,7 +211,9 @@ def test_ctrl_c_stops_at_once(short_sequence: Path, monkeypatch: pytest.MonkeyPa
     assert signal.getsignal(signal.SIGINT) is handler
 
 
-def test_a_tripped_limit_is_a_bad_verdict(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_tripped_limit_is_a_bad_verdict(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     path = tmp_path / "tight.yaml"
     path.write_text(ONE_STAGE + "limits: {encoder_disagreement_deg: 1.0e-9}\n")
     assert run(str(path), "--yes", "--out", "out") == 1
@@ -231,7 +256,9 @@ def test_a_bus_dead_from_the_start_ends_the_command_in_words(
 
 
 def test_an_operator_may_take_a_minute(runner: Any) -> None:
-    """The bus is silent while a person hangs a weight; the drive is off, and the run goes on afterwards."""
+    """The bus is silent while a person hangs a weight; the drive is off, and the run goes on
+    afterwards.
+    """
     with connect(runner.inputs.bench, 0, False) as devices:
 
         class Slow(AutomaticOperator):
@@ -242,7 +269,13 @@ def test_an_operator_may_take_a_minute(runner: Any) -> None:
 
         runner.folder.mkdir()
         folder, outcome = execute(
-            runner.inputs, runner.plan, devices, runner.folder, Slow(), StopButton(), lambda *_: None
+            runner.inputs,
+            runner.plan,
+            devices,
+            runner.folder,
+            Slow(),
+            StopButton(),
+            lambda *_: None,
         )
         assert outcome.ending.value == "done", outcome.message
         assert devices.servo.state() is ServoState.SWITCH_ON_DISABLED
@@ -255,7 +288,10 @@ def test_check_reads_the_bench_and_moves_nothing(capsys: pytest.CaptureFixture[s
     assert "simulated drive" in text
     assert "state of the drive: switch on disabled\n" in text
     assert text.splitlines()[-1] == "verdict: good: a run would start"
-    assert [line.split()[-3] for line in text.splitlines() if line.startswith("angle m")] == ["set", "set"]
+    assert [line.split()[-3] for line in text.splitlines() if line.startswith("angle m")] == [
+        "set",
+        "set",
+    ]
     assert "e+0" not in text
     found = json.loads(Path("check.json").read_text())
     assert found["schema"] == "loadrig.check/1"
@@ -271,7 +307,9 @@ def test_scales_that_differ_from_the_drive_are_refused(
     tmp_path: Path, short_sequence: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "b.yaml"
-    path.write_text(resolve("practical", "benches").read_text().replace("motor_turn: 4096", "motor_turn: 2048"))
+    path.write_text(
+        resolve("practical", "benches").read_text().replace("motor_turn: 4096", "motor_turn: 2048")
+    )
     assert run(str(short_sequence), "--bench", str(path), "--yes", "--out", "out") == 4
     assert "608Fh" in capsys.readouterr().err
     assert read_record(Path("out")).de_energised is True
@@ -309,9 +347,13 @@ def test_csv_is_one_file_a_recording_and_a_campaign_takes_it(
     assert [r.name for r in written] == ["empty[1]", "empty[2]", "heavy"]
     places = ["x-empty-1.csv", "x-empty-2.csv", "x-heavy.csv"]
     assert [line.partition(":")[0] for line in capsys.readouterr().out.splitlines()[-3:]] == places
-    columns = "{time: time, current: {column: current, average: true}, angle: angle, motor_angle: motor_angle}"
+    columns = (
+        "{time: time, current: {column: current, average: true}, angle: angle, motor_angle: "
+        "motor_angle}"
+    )
     Path("campaign.yaml").write_text(
-        "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, lever_ratio: 10}\n"
+        "campaign: 1\nbench: {torque_constant: 0.03, gear_ratio: 100, moment_arm: 0.095, "
+        "lever_ratio: 10}\n"
         "recordings:\n"
         f"  - {{file: [x-empty-1.csv, x-empty-2.csv], stage: unloaded, channels: {columns}}}\n"
         f"  - {{file: x-heavy.csv, stage: loaded, weight_mass: 10, channels: {columns}}}\n"
@@ -333,7 +375,9 @@ def test_export_does_not_overwrite(finished: Path, capsys: pytest.CaptureFixture
 
 
 def torn(finished: Path, share: float) -> Path:
-    """Copy a run as a killed writer leaves it: recording cut off, run.json from the middle of the run."""
+    """Copy a run as a killed writer leaves it: recording cut off, run.json from the middle of the
+    run.
+    """
     folder = Path("torn")
     folder.mkdir()
     content = (finished / "recording.mcap").read_bytes()
@@ -345,7 +389,9 @@ def torn(finished: Path, share: float) -> Path:
     return folder
 
 
-def test_recover_a_run_that_had_finished_its_stage(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_a_run_that_had_finished_its_stage(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     folder = torn(finished, 0.985)
     assert status(["recover", str(folder)]) == 0
     assert "kept as recording.damaged.mcap" in capsys.readouterr().out
@@ -380,7 +426,9 @@ def test_recover_without_run_json(finished: Path) -> None:
     assert len(load_run(folder).recordings) == 1
 
 
-def test_recover_leaves_a_whole_run_alone(finished: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_recover_leaves_a_whole_run_alone(
+    finished: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     before = {path.name: path.read_bytes() for path in finished.iterdir()}
     assert status(["recover", str(finished)]) == 0
     assert "recording whole" in capsys.readouterr().out
@@ -430,7 +478,9 @@ def test_a_hole_in_a_recording_is_mended_around_and_its_stage_done_again(
     assert len(load_run(holed).recordings) == 1
 
 
-def test_a_hole_in_a_stopped_run_is_not_read_silently(holed: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_hole_in_a_stopped_run_is_not_read_silently(
+    holed: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     raw = json.loads((holed / "run.json").read_text())
     raw["state"] = raw["parts"][0]["state"] = "stopped"
     (holed / "run.json").write_text(json.dumps(raw))
@@ -459,7 +509,9 @@ def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) 
         "sys.exit(rig.cli.entry.status(sys.argv[1:]))"
     )
     options = ["--verbose"] if verbose else []
-    done = subprocess.run([sys.executable, "-c", code, *options, "check", str(path)], capture_output=True, text=True)
+    done = subprocess.run(
+        [sys.executable, "-c", code, *options, "check", str(path)], capture_output=True, text=True
+    )
     assert done.returncode == 4
     spoken = done.stderr.splitlines()
     assert spoken[-1].startswith("device error: node 3")
@@ -469,7 +521,9 @@ def test_the_bus_libraries_speak_only_when_asked(tmp_path: Path, verbose: bool) 
 def test_a_real_bus_where_nobody_answers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """python-can's in-process bus, opened by name; time is simulated so that the time-out costs none."""
+    """python-can's in-process bus, opened by name; time is simulated so that the time-out costs
+    none.
+    """
     path = tmp_path / "b.yaml"
     text = resolve("practical", "benches").read_text().split("mock:  ")[0]
     text = text.replace("interface: mock", "interface: virtual, channel: nobody")

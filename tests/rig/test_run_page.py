@@ -1,4 +1,6 @@
-"""The page of a run that stopped: what it shows, and that it is there whatever the recording is like."""
+"""The page of a run that stopped: what it shows, and that it is there whatever the recording is
+like.
+"""
 
 from __future__ import annotations
 
@@ -73,10 +75,26 @@ TRIPS: dict[str, tuple[Callable[[Any], object], Check, str]] = {
         Check.DISAGREEMENT,
         "drive&#x27;s encoder less joint encoder",
     ),
-    "temperature": (lambda b: b.overrides.update(temperature_C=99.0), Check.TEMPERATURE, "motor temperature"),
-    "supply low": (lambda b: b.overrides.update(supply_voltage_V=20.0), Check.SUPPLY, "supply voltage (DC link)"),
-    "supply high": (lambda b: b.overrides.update(supply_voltage_V=90.0), Check.SUPPLY, "supply voltage (DC link)"),
-    "state": (lambda b: setattr(b, "drive_state", ServoState.FAULT), Check.DRIVE_STATE, "state of the drive"),
+    "temperature": (
+        lambda b: b.overrides.update(temperature_C=99.0),
+        Check.TEMPERATURE,
+        "motor temperature",
+    ),
+    "supply low": (
+        lambda b: b.overrides.update(supply_voltage_V=20.0),
+        Check.SUPPLY,
+        "supply voltage (DC link)",
+    ),
+    "supply high": (
+        lambda b: b.overrides.update(supply_voltage_V=90.0),
+        Check.SUPPLY,
+        "supply voltage (DC link)",
+    ),
+    "state": (
+        lambda b: setattr(b, "drive_state", ServoState.FAULT),
+        Check.DRIVE_STATE,
+        "state of the drive",
+    ),
     "age": (lambda b: setattr(b, "fresh", False), Check.SAMPLE_AGE, "age of the last whole answer"),
     "lateness": (late, Check.LATENESS, "lateness of the control cycle, beyond a period"),
 }
@@ -93,7 +111,9 @@ def tight(runner: Any, short_sequence: Path) -> Any:
 
 
 @pytest.mark.parametrize("what", TRIPS)
-def test_a_trip_is_shown_first_with_its_limit_and_its_moment(what: str, tight: Any, fake_bench: Any) -> None:
+def test_a_trip_is_shown_first_with_its_limit_and_its_moment(
+    what: str, tight: Any, fake_bench: Any
+) -> None:
     act, check, title = TRIPS[what]
     bench = fake_bench()
     bench.faults["exchange", INSIDE] = lambda: act(bench)
@@ -143,11 +163,14 @@ def test_the_page_says_on_what_by_whom_and_how_to_go_on(runner: Any, fake_bench:
         folder.record.created[:10],
     ):
         assert words in head
-    assert re.search(r"<td>heavy</td><td>planned</td><td class=\"n\">10</td><td>-</td><td>loaded</td>", head)
+    assert re.search(
+        r"<td>heavy</td><td>planned</td><td class=\"n\">10</td><td>-</td><td>loaded</td>", head
+    )
     assert "empty[1]: excite" in last_part(html)
     assert "braking" in last_part(html)
     assert "drive off" in last_part(html)
-    # Every channel twice, in the last seconds and as a whole, and the tripped one once more; there is no pressure.
+    # Every channel twice, in the last seconds and as a whole, and the tripped one once more; there
+    # is no pressure.
     assert len(titles(html)) == 2 * (len(panels.PANELS) - 2) + 1
     assert "chamber pressure" not in html
 
@@ -176,7 +199,9 @@ def test_the_end_of_a_run_waits_for_no_plotting_library() -> None:
         assert f"'{heavy}'" not in done.stdout
 
 
-def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(runner: Any, fake_bench: Any) -> None:
+def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(
+    runner: Any, fake_bench: Any
+) -> None:
     bench = fake_bench()
 
     def stop() -> None:
@@ -193,7 +218,9 @@ def test_a_stop_by_the_operator_marks_the_last_sample_of_the_excitation(runner: 
     assert titles(last_part(page_of(folder)))[0] == "joint angle"
 
 
-def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(runner: Any, fake_bench: Any) -> None:
+def test_a_stop_while_the_drive_is_off_shows_when_it_last_had_power(
+    runner: Any, fake_bench: Any
+) -> None:
     class GivesUp(AutomaticOperator):
         def confirm_weight(self, stage: str, weight_kg: float) -> float:
             if weight_kg:
@@ -238,7 +265,10 @@ def test_what_a_died_run_recorded_is_shown_once_it_is_recovered(
     (folder.path / "run.json").write_text(json.dumps(raw))
     assert status(["recover", str(folder.path)]) == 0
     told = capsys.readouterr().out.splitlines()
-    assert told[-2:] == [f"go on with: rig resume {folder.path}", f"page: {folder.path / 'run.html'}"]
+    assert told[-2:] == [
+        f"go on with: rig resume {folder.path}",
+        f"page: {folder.path / 'run.html'}",
+    ]
     assert told[-3].startswith("first: switch the main supply off")
     last = last_part((folder.path / "run.html").read_text())
     assert "recording ends" in last
@@ -291,8 +321,14 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunRecord]:
     path = folder / "short.yaml"
     path.write_text(BRIEF)
     faults = folder / "faults.yaml"
-    faults.write_text("faults: 1\nrows:\n  - {phase: excite, after_s: 0.1, target: encoder, fault: jump, value: 5}\n")
-    assert status(["run", str(path), "--yes", "--out", str(folder / "run"), "--faults", str(faults)]) == 1
+    faults.write_text(
+        "faults: 1\nrows:\n  - {phase: excite, after_s: 0.1, target: encoder, fault: jump, value: "
+        "5}\n"
+    )
+    assert (
+        status(["run", str(path), "--yes", "--out", str(folder / "run"), "--faults", str(faults)])
+        == 1
+    )
     return folder / "run", read_record(folder / "run")
 
 
@@ -323,7 +359,9 @@ def test_without_a_recording_the_page_says_so_and_the_rest_is_there(
     assert html.rstrip().endswith("</body></html>")
 
 
-def test_a_damaged_recording_is_drawn_as_far_as_it_is_sound(whole: tuple[Path, RunRecord], tmp_path: Path) -> None:
+def test_a_damaged_recording_is_drawn_as_far_as_it_is_sound(
+    whole: tuple[Path, RunRecord], tmp_path: Path
+) -> None:
     content = (whole[0] / "recording.mcap").read_bytes()
     html = broken(whole, tmp_path / "run", content[: int(0.6 * len(content))])
     assert "The recording is damaged: whole up to byte" in html
@@ -380,7 +418,9 @@ def test_an_edited_record_leaves_the_rest_of_the_page(
     whole: tuple[Path, RunRecord], tmp_path: Path, field: str
 ) -> None:
     changed: Any = {field: {"servo": 7, "answer": 1}}
-    record = dataclasses.replace(whole[1], parts=[dataclasses.replace(whole[1].parts[0], **changed)])
+    record = dataclasses.replace(
+        whole[1], parts=[dataclasses.replace(whole[1].parts[0], **changed)]
+    )
     html = broken((whole[0], record), tmp_path / "run", (whole[0] / "recording.mcap").read_bytes())
     assert "Here the " in html
     assert titles(html)
@@ -389,7 +429,9 @@ def test_an_edited_record_leaves_the_rest_of_the_page(
 def test_the_limits_over_time_are_those_that_were_judged_by(
     runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Every change of limits, first passes and the ways to them included, worked out from what is attached."""
+    """Every change of limits, first passes and the ways to them included, worked out from what is
+    attached.
+    """
     plan = make_plan(runner.inputs.sequence, runner.inputs.bench, first_pass=True)
     runner = dataclasses.replace(runner, plan=plan)
     used: list[tuple[float, Limits]] = []

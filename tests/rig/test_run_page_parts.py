@@ -1,4 +1,6 @@
-"""What the page of a run is put together from: bins that lose no extreme, phases, and charts that can be read."""
+"""What the page of a run is put together from: bins that lose no extreme, phases, and charts that
+can be read.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from rig.runs.run_record import SegmentRecord
 
 def samples(values: Array, broken: Flags | None = None) -> Bins:
     time = np.arange(len(values)) * 1e-3
-    return of_samples(time, values[:, None], np.zeros(len(values), dtype=bool) if broken is None else broken)
+    return of_samples(
+        time, values[:, None], np.zeros(len(values), dtype=bool) if broken is None else broken
+    )
 
 
 @given(
@@ -81,8 +85,17 @@ def test_columns_hold_the_least_and_the_greatest() -> None:
 def taken(count: int, **fields: Any) -> dict[str, Array]:
     time = np.arange(count) * 1e-3
     found = {name: np.zeros(count) for name in Sample._fields}
-    found |= {"time": time, "host_time": time + 4e-4, "device_time": time + 5.0, "encoder_time": 1.001 * time}
-    found |= {"fresh": np.ones(count), "statusword": np.full(count, 0x237), "pressure": np.full(count, math.nan)}
+    found |= {
+        "time": time,
+        "host_time": time + 4e-4,
+        "device_time": time + 5.0,
+        "encoder_time": 1.001 * time,
+    }
+    found |= {
+        "fresh": np.ones(count),
+        "statusword": np.full(count, 0x237),
+        "pressure": np.full(count, math.nan),
+    }
     return found | fields
 
 
@@ -95,7 +108,9 @@ def column(values: Array, name: str) -> Array:
 
 def test_derived_channels_are_those_of_the_safety_check() -> None:
     derive = Deriver(BENCH, 1e-3)
-    values = derive(taken(3, motor_angle=np.full(3, 10.0), angle=np.full(3, 0.09), current=np.full(3, -2.0)), []).values
+    values = derive(
+        taken(3, motor_angle=np.full(3, 10.0), angle=np.full(3, 0.09), current=np.full(3, -2.0)), []
+    ).values
     np.testing.assert_allclose(column(values, "disagreement"), 0.01)
     np.testing.assert_allclose(column(values, "torque"), -6.0)
     np.testing.assert_allclose(column(values, "error"), -0.09)
@@ -124,7 +139,14 @@ def test_a_step_of_time_is_lateness_but_for_a_pause() -> None:
 
 @pytest.mark.parametrize(
     ("statusword", "state"),
-    [(0x237, "enabled"), (0x217, "quick stop"), (0x218, "fault"), (0x21F, "fault"), (0x250, "off"), (0x231, "off")],
+    [
+        (0x237, "enabled"),
+        (0x217, "quick stop"),
+        (0x218, "fault"),
+        (0x21F, "fault"),
+        (0x250, "off"),
+        (0x231, "off"),
+    ],
 )
 def test_the_state_of_the_drive(statusword: int, state: str) -> None:
     values = Deriver(BENCH, 1e-3)(taken(1, statusword=np.full(1, statusword)), []).values
@@ -169,8 +191,14 @@ def test_phases_follow_from_events_and_excitations() -> None:
 
 
 def test_what_comes_after_the_end_is_braking() -> None:
-    cut = with_braking([Span(0.0, 1.0, "a", "excite"), Span(1.0, 2.0, "a", "hold")], Moment(1.5, "tripped"))
-    assert [(s.start, s.stop, s.phase) for s in cut] == [(0.0, 1.0, "excite"), (1.0, 1.5, "hold"), (1.5, 2.0, BRAKING)]
+    cut = with_braking(
+        [Span(0.0, 1.0, "a", "excite"), Span(1.0, 2.0, "a", "hold")], Moment(1.5, "tripped")
+    )
+    assert [(s.start, s.stop, s.phase) for s in cut] == [
+        (0.0, 1.0, "excite"),
+        (1.0, 1.5, "hold"),
+        (1.5, 2.0, BRAKING),
+    ]
 
 
 def current(*values: float) -> Bins:
@@ -196,7 +224,9 @@ def test_a_limit_far_away_is_written_and_not_drawn(limit: float, shown: bool) ->
     assert ("outside this chart" in made.reading) is not shown
 
 
-@pytest.mark.parametrize(("value", "beyond"), [(5.0, False), (5.001, True), (-5.0, False), (-5.001, True)])
+@pytest.mark.parametrize(
+    ("value", "beyond"), [(5.0, False), (5.001, True), (-5.0, False), (-5.001, True)]
+)
 def test_what_is_beyond_a_limit_is_said(value: float, beyond: bool) -> None:
     made = chart(with_limit(5.0), current(0.0, value), [(-math.inf, None)], None, tall=False)  # type: ignore[list-item]
     assert made is not None
@@ -218,7 +248,9 @@ def test_a_channel_that_was_not_recorded_has_no_chart() -> None:
 
 def drawn(values: Array, **more: Any) -> str:
     curve = Curve("x", samples(values))
-    return draw(Chart("title", "A", [curve], **more), TimeAxis([(0.0, 1e-3 * max(len(values) - 1, 1))]))
+    return draw(
+        Chart("title", "A", [curve], **more), TimeAxis([(0.0, 1e-3 * max(len(values) - 1, 1))])
+    )
 
 
 @given(st.lists(st.floats(allow_nan=True, allow_infinity=True, width=32), min_size=1, max_size=50))
@@ -255,7 +287,9 @@ def test_long_pauses_are_drawn_short_and_short_ones_to_scale() -> None:
     lengths=st.lists(st.floats(1e-3, 1e4), min_size=1, max_size=6),
     pause=st.floats(0.0, 1e4),
 )
-def test_labels_of_the_time_axis_leave_room_for_one_another(first: float, lengths: list[float], pause: float) -> None:
+def test_labels_of_the_time_axis_leave_room_for_one_another(
+    first: float, lengths: list[float], pause: float
+) -> None:
     powered, at = [], first
     for length in lengths:
         powered.append((at, at + length))
@@ -269,7 +303,10 @@ def test_labels_of_the_time_axis_leave_room_for_one_another(first: float, length
 
 def test_a_limit_that_changes_is_drawn_in_steps() -> None:
     bound = Bound([(-math.inf, 5.0), (0.5, 3.0)])
-    html = draw(Chart("t", "A", [Curve("x", samples(np.array([0.0, 1.0])))], [bound]), TimeAxis([(0.0, 1.0)]))
+    html = draw(
+        Chart("t", "A", [Curve("x", samples(np.array([0.0, 1.0])))], [bound]),
+        TimeAxis([(0.0, 1.0)]),
+    )
     paths = re.findall(r'<path d="(M[^"]*)" stroke="#a30000"', html)
     assert len(re.findall(r"M[\d.]+ [\d.]+H[\d.]+", paths[0])) == 2
     assert "limit 5 A" in html

@@ -1,4 +1,6 @@
-"""The samples of a run in a stream: what reading all at once gives, and what happens where the file is not whole."""
+"""The samples of a run in a stream: what reading all at once gives, and what happens where the file
+is not whole.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,16 @@ def recording(tmp_path: Path) -> Path:
     for k in range(CYCLES):
         segment = 1 if k < 1000 else 2 if k >= 1500 else 0
         values = rng.normal(size=9)
-        sample = Sample(k * 1e-3, k * 1e-3 + 4e-4, k * 1e-3, k * 1e-3, *values, 0x237, segment, fresh=k % 700 != 5)
+        sample = Sample(
+            k * 1e-3,
+            k * 1e-3 + 4e-4,
+            k * 1e-3,
+            k * 1e-3,
+            *values,
+            0x237,
+            segment,
+            fresh=k % 700 != 5,
+        )
         frames = [RawFrame(k, 0x80, b"", True)] * (k % 3)
         recorder.sample(k * 1_000_000, sample, frames)
         if k == 1200:
@@ -72,7 +83,9 @@ def test_a_very_long_run_leaves_out_what_identification_does_without(
     recording: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(run_samples, "MOST_SAMPLES", 2000)
-    streamed, _ = run_samples.by_segment(recording, [segment(1, 1000), segment(2, 1500)], whole=True)
+    streamed, _ = run_samples.by_segment(
+        recording, [segment(1, 1000), segment(2, 1500)], whole=True
+    )
     assert not set(run_samples.LEFT_OUT) & streamed[1].keys()
     assert {"command", "motor_angle", "angle", "current", "time"} <= streamed[1].keys()
 
@@ -85,7 +98,9 @@ def test_a_file_cut_short_is_damage_and_read_at_once(recording: Path, cut: float
         list(sample_blocks(recording, ["time"]))
     found, damage = run_samples.by_segment(recording, [segment(1, 1000)], whole=True)
     assert damage is not None
-    assert len(found[1]["time"]) == min(1000, np.count_nonzero(read_run(recording).samples["segment"] == 1))
+    assert len(found[1]["time"]) == min(
+        1000, np.count_nonzero(read_run(recording).samples["segment"] == 1)
+    )
 
 
 def test_a_flipped_byte_is_damage(recording: Path) -> None:
@@ -111,7 +126,9 @@ def test_what_run_json_says_of_the_length_only_makes_room(recording: Path, said:
     assert np.array_equal(found[1]["time"], 1e-3 * np.arange(1000))
 
 
-def test_a_stream_holds_little_beside_what_it_returns(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stream_holds_little_beside_what_it_returns(
+    recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(mcap_stream, "BLOCK_BYTES", 20_000)
     wanted = [segment(1, 1000), segment(2, 1500)]
     peaks = {}

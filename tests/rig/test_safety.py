@@ -67,7 +67,12 @@ def test_a_good_sample_passes() -> None:
         (Check.TORQUE, {"current": 20.0}, {"current": above(20.0)}, 60.0),
         (Check.TORQUE, {"current": -20.0}, {"current": -above(20.0)}, 60.0),
         (Check.FOLLOWING_ERROR, {"following_error": 0.03}, {"following_error": above(0.03)}, 0.03),
-        (Check.FOLLOWING_ERROR, {"following_error": -0.03}, {"following_error": -above(0.03)}, 0.03),
+        (
+            Check.FOLLOWING_ERROR,
+            {"following_error": -0.03},
+            {"following_error": -above(0.03)},
+            0.03,
+        ),
         (Check.DISAGREEMENT, {"motor_angle": 10.99}, {"motor_angle": 11.01}, 0.01),
         (Check.DISAGREEMENT, {"motor_angle": 9.01}, {"motor_angle": 8.99}, 0.01),
         (Check.TEMPERATURE, {"temperature": 80.0}, {"temperature": above(80.0)}, 80.0),
@@ -77,7 +82,9 @@ def test_a_good_sample_passes() -> None:
         (Check.DRIVE_STATE, {"statusword": 0x0027}, {"statusword": 0x0007}, 0x27),
     ],
 )
-def test_both_sides_of_a_limit(kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float) -> None:
+def test_both_sides_of_a_limit(
+    kind: Check, inside: dict[str, float], outside: dict[str, float], limit: float
+) -> None:
     assert check(sample(**inside), 0.0, 0.0, LIMITS) is None
     trip = check(sample(**outside), 0.0, 0.0, LIMITS)
     assert trip is not None
@@ -100,7 +107,16 @@ def test_sample_age() -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["angle", "velocity", "current", "following_error", "motor_angle", "temperature", "supply_voltage"]
+    "name",
+    [
+        "angle",
+        "velocity",
+        "current",
+        "following_error",
+        "motor_angle",
+        "temperature",
+        "supply_voltage",
+    ],
 )
 def test_not_a_number_trips(name: str) -> None:
     assert check(sample(**{name: math.nan}), 0.0, 0.0, LIMITS) is not None
@@ -115,7 +131,12 @@ def test_lateness() -> None:
     assert check(sample(), 0.0, 0.02, LIMITS) is None
     trip = check(sample(), 0.0, above(0.02), LIMITS)
     assert trip is not None
-    assert (trip.check, trip.value, trip.limit, trip.unit) == (Check.LATENESS, above(0.02), 0.02, "s")
+    assert (trip.check, trip.value, trip.limit, trip.unit) == (
+        Check.LATENESS,
+        above(0.02),
+        0.02,
+        "s",
+    )
 
 
 def test_time_under_power() -> None:
@@ -123,7 +144,9 @@ def test_time_under_power() -> None:
     trip = check_stage_time(above(30.0), 30.0, 7.0)
     assert trip == Trip(Check.STAGE_TIME, above(30.0), 30.0, "s", 7.0)
     assert trip is not None
-    assert "time under power in this stage 30 s is beyond its limit 30 s at 7.000 s; " in trip.message
+    assert (
+        "time under power in this stage 30 s is beyond its limit 30 s at 7.000 s; " in trip.message
+    )
     assert check_stage_time(math.nan, 30.0, 7.0) is not None
 
 
@@ -157,12 +180,17 @@ def test_a_trip_says_what_it_saw(
         ((Check.SPEED, Check.CURRENT), {"velocity": 9.0, "current": 99.0}),
         ((Check.CURRENT, Check.TORQUE), {"current": 99.0}),
         ((Check.TORQUE, Check.FOLLOWING_ERROR), {"current": 22.0, "following_error": 1.0}),
-        ((Check.FOLLOWING_ERROR, Check.DISAGREEMENT), {"following_error": 1.0, "motor_angle": 90.0}),
+        (
+            (Check.FOLLOWING_ERROR, Check.DISAGREEMENT),
+            {"following_error": 1.0, "motor_angle": 90.0},
+        ),
         ((Check.DISAGREEMENT, Check.TEMPERATURE), {"motor_angle": 90.0, "temperature": 99.0}),
         ((Check.TEMPERATURE, Check.SUPPLY), {"temperature": 99.0, "supply_voltage": 0.0}),
     ],
 )
-def test_of_two_broken_limits_the_cause_is_named(order: tuple[Check, Check], changes: dict[str, float]) -> None:
+def test_of_two_broken_limits_the_cause_is_named(
+    order: tuple[Check, Check], changes: dict[str, float]
+) -> None:
     trip = check(sample(**changes), 0.0, 0.0, LIMITS)
     assert trip is not None
     assert trip.check is order[0]
@@ -170,7 +198,12 @@ def test_of_two_broken_limits_the_cause_is_named(order: tuple[Check, Check], cha
 
 HOT = dataclasses.replace(
     LIMITS,
-    gas=GasLimits(pressure=6e6, contact_force=4000.0, back_pressure=0.5e6, area=lambda angle: 8e-4 - 1e-3 * angle),
+    gas=GasLimits(
+        pressure=6e6,
+        contact_force=4000.0,
+        back_pressure=0.5e6,
+        area=lambda angle: 8e-4 - 1e-3 * angle,
+    ),
 )
 """At 0.1 rad the area is 7e-4 m^2, and 4000 N are 6.214 MPa; at 0 rad they are 5.5 MPa."""
 
@@ -179,7 +212,12 @@ HOT = dataclasses.replace(
     ("kind", "inside", "outside", "limit"),
     [
         (Check.PRESSURE, {"pressure": 6e6}, {"pressure": above(6e6)}, 6e6),
-        (Check.CONTACT_FORCE, {"pressure": 5.5e6, "angle": 0.0}, {"pressure": 5.5e6 + 1.0, "angle": 0.0}, 4000.0),
+        (
+            Check.CONTACT_FORCE,
+            {"pressure": 5.5e6, "angle": 0.0},
+            {"pressure": 5.5e6 + 1.0, "angle": 0.0},
+            4000.0,
+        ),
     ],
 )
 def test_both_sides_of_the_gas_limits(
@@ -216,7 +254,9 @@ def test_messages_in_full() -> None:
         "reduce amplitude or frequency, or check the drive gains for oscillation"
     )
     state = Trip(Check.DRIVE_STATE, 0x0618, 0x27, "1", 0.5)
-    assert state.message.startswith("statusword 0618h is not OPERATION ENABLED at 0.500 s; read the drive's")
+    assert state.message.startswith(
+        "statusword 0618h is not OPERATION ENABLED at 0.500 s; read the drive's"
+    )
     assert Trip(Check.ANGLE, 0.7, 0.6, "rad", 0.0).message.startswith(
         "joint angle 0.7 rad (40.11 deg) is beyond its limit 0.6 rad (34.38 deg) at 0.000 s"
     )
@@ -225,12 +265,21 @@ def test_messages_in_full() -> None:
 WORDS = {
     Check.NOT_RESET: ("not reset", "confirm the weight at the prompt"),
     Check.SAMPLE_AGE: ("sample age", "check the bus cabling, termination and load, then run again"),
-    Check.DRIVE_STATE: ("drive state", "read the drive's error code (603Fh), remove its cause, then run again"),
+    Check.DRIVE_STATE: (
+        "drive state",
+        "read the drive's error code (603Fh), remove its cause, then run again",
+    ),
     Check.ANGLE: ("joint angle", "reduce the amplitude or the centre, or check the encoder offset"),
-    Check.SPEED: ("joint speed", "reduce amplitude or frequency, or check the drive gains for oscillation"),
+    Check.SPEED: (
+        "joint speed",
+        "reduce amplitude or frequency, or check the drive gains for oscillation",
+    ),
     Check.CURRENT: ("motor current", "look for jamming or a weight above the plan, then run again"),
     Check.TORQUE: ("joint torque", "look for jamming or a weight above the plan, then run again"),
-    Check.FOLLOWING_ERROR: ("following error", "check the drive gains and that the joint moves freely"),
+    Check.FOLLOWING_ERROR: (
+        "following error",
+        "check the drive gains and that the joint moves freely",
+    ),
     Check.DISAGREEMENT: (
         "encoder against drive",
         "check the coupling, and sign, counts and offset of encoder and drive in the bench file",
@@ -279,7 +328,8 @@ def test_a_disagreement_of_exactly_the_limit_passes() -> None:
 
 
 @pytest.mark.parametrize(
-    "record", [LIMITS, GasLimits(6e6, 4000.0, 0.5e6, abs), Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)]
+    "record",
+    [LIMITS, GasLimits(6e6, 4000.0, 0.5e6, abs), Trip(Check.SPEED, 3.0, 2.0, "rad/s", 1.25)],
 )
 def test_limits_and_trips_cannot_be_changed(record: Limits | GasLimits | Trip) -> None:
     assert not hasattr(record, "__dict__")
@@ -324,7 +374,9 @@ def test_a_good_sample_alone_does_not_close_it() -> None:
         ({}, 0.0, 1.0, Check.LATENESS),
     ],
 )
-def test_reset_needs_good_inputs(changes: dict[str, float], age: float, late: float, why: Check) -> None:
+def test_reset_needs_good_inputs(
+    changes: dict[str, float], age: float, late: float, why: Check
+) -> None:
     latch = asked()
     assert latch.reset(sample(**changes), age, late, LIMITS) is latch.trip
     assert latch.trip is not None

@@ -1,4 +1,6 @@
-"""The screen: nothing that a terminal or pipe does can hold it up, and what is shown is readable."""
+"""The screen: nothing that a terminal or pipe does can hold it up, and what is shown is
+readable.
+"""
 
 from __future__ import annotations
 
@@ -178,7 +180,9 @@ def test_what_the_encoding_lacks_is_escaped() -> None:
     os.close(reading)
 
 
-def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(terminal: Terminal) -> None:
+def test_the_status_line_fits_the_width_and_is_drawn_four_times_a_second(
+    terminal: Terminal,
+) -> None:
     clock = SimulatedClock()
     terminal.resize(40)
     screen = on(terminal, clock)

@@ -14,7 +14,9 @@ from rig.planning.plan import make_plan
 from rig.results.diagnose.separate import RECIPES, separating_sequence
 
 BY_HAND = {"inverter_dead_time", "brush_drop", "supply_sag", "encoder_eccentricity", "encoder_slip"}
-"""Effects that only another supply voltage, or the encoder moved by hand, splits from their likes."""
+"""Effects that only another supply voltage, or the encoder moved by hand, splits from their
+likes.
+"""
 
 
 def test_every_effect_has_an_experiment_or_needs_a_hand() -> None:
@@ -34,12 +36,17 @@ def test_the_experiment_is_a_plan_within_the_bench_s_limits(name: str, tmp_path:
 
 
 def test_a_group_that_no_sequence_splits_has_none() -> None:
-    assert separating_sequence(["brush_drop", "inverter_dead_time"], load_bench("practical").value) is None
+    assert (
+        separating_sequence(["brush_drop", "inverter_dead_time"], load_bench("practical").value)
+        is None
+    )
 
 
 def test_it_is_sized_by_the_bench(tmp_path: Path) -> None:
     bench = load_bench("practical").value
-    narrow = bench.model_copy(update={"limits": bench.limits.model_copy(update={"angle_max_deg": 10.0})})
+    narrow = bench.model_copy(
+        update={"limits": bench.limits.model_copy(update={"angle_max_deg": 10.0})}
+    )
     wide, short = (separating_sequence(["return_spring"], b) for b in (bench, narrow))
     assert wide is not None
     assert short is not None

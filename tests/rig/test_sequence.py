@@ -43,8 +43,17 @@ def test_packaged_benches_load(name: str) -> None:
 def test_the_literal_bench_has_the_printed_values() -> None:
     mock = load_bench("literal").value.mock
     assert mock is not None
-    assert (mock.motor.gear_ratio, mock.joint.inertia_kg_m2, mock.joint.omega_sf_rad_s) == (1.0, 0.000204, 0.0557)
-    assert mock.sensing.motor_counts_per_turn == mock.sensing.joint_counts_per_turn == mock.sensing.current_noise_A == 0
+    assert (mock.motor.gear_ratio, mock.joint.inertia_kg_m2, mock.joint.omega_sf_rad_s) == (
+        1.0,
+        0.000204,
+        0.0557,
+    )
+    assert (
+        mock.sensing.motor_counts_per_turn
+        == mock.sensing.joint_counts_per_turn
+        == mock.sensing.current_noise_A
+        == 0
+    )
 
 
 def test_figure10_is_the_papers_two_cases() -> None:
@@ -54,7 +63,9 @@ def test_figure10_is_the_papers_two_cases() -> None:
     assert second.contact_force_N == pytest.approx(3000, rel=1e-3)
     assert first.duration_s == second.duration_s == 20.0
     t = np.arange(1000, 19000) * 1e-3
-    np.testing.assert_allclose(first.targets[1000:19000], math.radians(20) * np.sin(0.4 * math.pi * t), atol=1e-12)
+    np.testing.assert_allclose(
+        first.targets[1000:19000], math.radians(20) * np.sin(0.4 * math.pi * t), atol=1e-12
+    )
     assert first.targets[0] == 0.0
     assert abs(first.targets[-1]) < 1e-6
 
@@ -107,7 +118,10 @@ def test_an_excitation_starts_and_ends_at_rest_on_its_centre(stage: StageSection
 def test_a_ramp_that_goes_nowhere_stays() -> None:
     ramp = Ramp(travel_deg=0.0, speed_deg_s=1.0, rest_s=0.0, times=3)
     with np.errstate(all="raise"):
-        assert np.all(excitation(StageSection(name="s", stage="unloaded", ramp=ramp, duration_s=1.0), 0.01) == 0.0)
+        assert np.all(
+            excitation(StageSection(name="s", stage="unloaded", ramp=ramp, duration_s=1.0), 0.01)
+            == 0.0
+        )
 
 
 @settings(deadline=None)
@@ -124,7 +138,11 @@ def test_a_ramp_goes_there_and_back_at_its_speed(
 ) -> None:
     ramp = Ramp(travel_deg=travel, speed_deg_s=speed, rest_s=rest, times=times)
     stage = StageSection(
-        name="s", stage="unloaded", ramp=ramp, center_deg=center, duration_s=min(ramp.moving_s + left, 3600.0)
+        name="s",
+        stage="unloaded",
+        ramp=ramp,
+        center_deg=center,
+        duration_s=min(ramp.moving_s + left, 3600.0),
     )
     away = np.degrees(excitation(stage, 0.01)) - center
     assert away[0] == pytest.approx(0.0, abs=1e-9)
@@ -139,7 +157,9 @@ def test_a_ramp_goes_there_and_back_at_its_speed(
 
 @settings(deadline=None)
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), st.floats(0.05, 2.0))
-def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float, speed: float) -> None:
+def test_an_approach_arrives_smoothly_within_its_speed(
+    start: float, end: float, speed: float
+) -> None:
     path = np.concatenate([[start], approach(start, end, speed, 0.001)])
     assert path[-1] == pytest.approx(end, abs=1e-12) or len(path) == 1
     assert np.abs(np.diff(path)).max(initial=0.0) <= speed * 0.001 * (1 + 1e-9)
@@ -153,27 +173,49 @@ def test_an_approach_arrives_smoothly_within_its_speed(start: float, end: float,
             "{name: a, stage: loaded, weight_kg: 41, TONES}",
             ["weight_kg: above the bench limit weight_kg 40 kg", "4021 N"],
         ),
-        ("{name: a, stage: unloaded, tones: [{amplitude_deg: 31, frequency_Hz: 0.2}], duration_s: 20}", ["31 deg"]),
-        ("{name: a, stage: unloaded, center_deg: 29, TONES}", ["33.35 deg"]),
-        ("{name: a, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 2}], duration_s: 5}", ["251.3 deg/s"]),
         (
-            "{name: a, stage: unloaded, tones: [{amplitude_deg: 0.01, frequency_Hz: 60}], duration_s: 5}",
+            "{name: a, stage: unloaded, tones: [{amplitude_deg: 31, frequency_Hz: 0.2}], "
+            "duration_s: 20}",
+            ["31 deg"],
+        ),
+        ("{name: a, stage: unloaded, center_deg: 29, TONES}", ["33.35 deg"]),
+        (
+            "{name: a, stage: unloaded, tones: [{amplitude_deg: 20, frequency_Hz: 2}], "
+            "duration_s: 5}",
+            ["251.3 deg/s"],
+        ),
+        (
+            "{name: a, stage: unloaded, tones: [{amplitude_deg: 0.01, frequency_Hz: 60}], "
+            "duration_s: 5}",
             ["above 50 Hz, 20 control cycles a period"],
         ),
-        ("{name: a, stage: unloaded, TONES, ramp_in_s: 1.5}", ["2.5 s is longer than duration_s 2 s"]),
+        (
+            "{name: a, stage: unloaded, TONES, ramp_in_s: 1.5}",
+            ["2.5 s is longer than duration_s 2 s"],
+        ),
         ("{name: a, stage: unloaded, weight_kg: 3, TONES}", ["an unloaded stage has no weight"]),
         ("{name: a, stage: loaded, TONES}", ["a loaded stage needs weight_kg above 0"]),
         ("{name: a, stage: loaded, weight_kg: -1, TONES}", ["weight_kg"]),
         ("{name: a, stage: unloaded, duration_s: 3}", ["needs tones, a ramp or a flow"]),
-        ("{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}", ["only one of them"]),
-        ("{name: a, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 2}, duration_s: 5}", ["ramp takes 6 s"]),
         (
-            "{name: a, stage: unloaded, ramp: {travel_deg: 1, speed_deg_s: 1}, duration_s: 5, ramp_in_s: 1}",
+            "{name: a, stage: unloaded, TONES, ramp: {travel_deg: 1, speed_deg_s: 1}}",
+            ["only one of them"],
+        ),
+        (
+            "{name: a, stage: unloaded, ramp: {travel_deg: 5, speed_deg_s: 2}, duration_s: 5}",
+            ["ramp takes 6 s"],
+        ),
+        (
+            "{name: a, stage: unloaded, ramp: {travel_deg: 1, speed_deg_s: 1}, duration_s: 5, "
+            "ramp_in_s: 1}",
             ["ramp_in_s fade tones"],
         ),
         (
             "{name: a, stage: unloaded, ramp: {travel_deg: -31, speed_deg_s: 125}, duration_s: 5}",
-            ["ramp.travel_deg: the joint would go to -31 deg", "ramp.speed_deg_s: peak speed 125 deg/s"],
+            [
+                "ramp.travel_deg: the joint would go to -31 deg",
+                "ramp.speed_deg_s: peak speed 125 deg/s",
+            ],
         ),
     ],
 )
@@ -186,7 +228,10 @@ def test_asking_for_too_much(tmp_path: Path, stage: str, expected: list[str]) ->
 
 def test_all_problems_at_once(tmp_path: Path) -> None:
     text = f"{HEAD}  - {{name: a, stage: loaded, weight_kg: 99, {GOOD}}}\n"
-    text += "  - {name: b, stage: unloaded, tones: [{amplitude_deg: 45, frequency_Hz: 3}], duration_s: 9}\n"
+    text += (
+        "  - {name: b, stage: unloaded, tones: [{amplitude_deg: 45, frequency_Hz: 3}], "
+        "duration_s: 9}\n"
+    )
     text += "limits: {speed_deg_s: 500}\n"
     problems = problems_of(tmp_path / "s.yaml", text)
     assert {problem.split(":")[0] for problem in problems} == {"4", "5", "6"}
@@ -198,7 +243,10 @@ def test_repeated_names_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_sequence_tightens_a_limit(tmp_path: Path) -> None:
-    text = f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{speed_deg_s: 50, angle_min_deg: -10}}\n"
+    text = (
+        f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{speed_deg_s: 50, "
+        f"angle_min_deg: -10}}\n"
+    )
     plan = plan_of(tmp_path / "s.yaml", text)
     assert plan.limits.speed == pytest.approx(math.radians(50))
     assert plan.servo_limits.speed_rad_s == plan.limits.speed
@@ -207,7 +255,14 @@ def test_a_sequence_tightens_a_limit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "limit", ["speed_deg_s: 121", "angle_min_deg: -31", "angle_max_deg: 31", "current_A: 26", "sample_age_ms: 6"]
+    "limit",
+    [
+        "speed_deg_s: 121",
+        "angle_min_deg: -31",
+        "angle_max_deg: 31",
+        "current_A: 26",
+        "sample_age_ms: 6",
+    ],
 )
 def test_a_sequence_may_not_loosen_a_limit(tmp_path: Path, limit: str) -> None:
     text = f"{HEAD}  - {{name: a, stage: unloaded, {GOOD}}}\nlimits: {{{limit}}}\n"
@@ -247,9 +302,18 @@ def test_mock_without_a_machine_follows_the_bench(tmp_path: Path) -> None:
 
 def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> None:
     """A default that changes in the plant must not silently change a packaged bench."""
-    records = (constants.Motor, constants.Joint, constants.Loops, constants.Sensing, constants.Machine)
+    records = (
+        constants.Motor,
+        constants.Joint,
+        constants.Loops,
+        constants.Sensing,
+        constants.Machine,
+    )
     gas = (constants.GasGenerator, constants.Valve, constants.Transmitter)
-    for name, written, left_out in (("practical", records, {"gas"}), ("practical_hot", (*records, *gas), set())):
+    for name, written, left_out in (
+        ("practical", records, {"gas"}),
+        ("practical_hot", (*records, *gas), set()),
+    ):
         text = resolve(name, "benches").read_text()
         for record in written:
             for item in dataclasses.fields(record):
@@ -259,7 +323,9 @@ def test_every_constant_of_the_machine_is_written_in_the_practical_bench() -> No
 def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_path: Path) -> None:
     path = tmp_path / "b.yaml"
     text = resolve("practical", "benches").read_text()
-    path.write_text(text.replace("    Mc_N_m:", "    Mc_Nm:").replace("  steps_per_loop:", "  steps_pr_loop:"))
+    path.write_text(
+        text.replace("    Mc_N_m:", "    Mc_Nm:").replace("  steps_per_loop:", "  steps_pr_loop:")
+    )
     with pytest.raises(InputError) as caught:
         load_bench(path)
     joint, steps = caught.value.problems
@@ -268,18 +334,24 @@ def test_unknown_keys_of_the_simulated_machine_are_named_with_the_nearest(tmp_pa
 
 
 @pytest.mark.parametrize(
-    ("bitrate", "rate", "fits"), [(1_000_000, 1000, True), (500_000, 500, True), (500_000, 1000, False)]
+    ("bitrate", "rate", "fits"),
+    [(1_000_000, 1000, True), (500_000, 500, True), (500_000, 1000, False)],
 )
 def test_a_cycle_must_fit_the_bus(tmp_path: Path, bitrate: int, rate: int, fits: bool) -> None:
     path = tmp_path / "b.yaml"
-    text = resolve("practical", "benches").read_text().replace("bitrate: 1000000", f"bitrate: {bitrate}")
+    text = (
+        resolve("practical", "benches")
+        .read_text()
+        .replace("bitrate: 1000000", f"bitrate: {bitrate}")
+    )
     path.write_text(text.replace("cycle_Hz: 1000", f"cycle_Hz: {rate}"))
     if fits:
         assert load_bench(path).value.cycle_Hz == rate
         return
     line = next(n for n, line in enumerate(text.splitlines(), 1) if "bitrate" in line)
     with pytest.raises(
-        InputError, match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500"
+        InputError,
+        match=rf":{line}:\d+: bus.bitrate: .* 132% of the bus, limit 80%; .*cycle_Hz to 500",
     ):
         load_bench(path)
 

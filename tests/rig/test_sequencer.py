@@ -94,7 +94,9 @@ def test_a_run_becomes_recordings(runner: Any, fake_bench: Any) -> None:
         ({"current_A": float("nan")}, "motor current nan A"),
     ],
 )
-def test_a_limit_trips_mid_motion(runner: Any, fake_bench: Any, change: dict[str, float], words: str) -> None:
+def test_a_limit_trips_mid_motion(
+    runner: Any, fake_bench: Any, change: dict[str, float], words: str
+) -> None:
     bench = fake_bench()
     bench.faults["exchange", 700] = lambda: bench.overrides.update(change)
     folder, outcome = runner(bench)
@@ -104,7 +106,8 @@ def test_a_limit_trips_mid_motion(runner: Any, fake_bench: Any, change: dict[str
     assert_safe_and_readable(runner, bench, folder, outcome)
     value = abs(next(iter(change.values())))
     assert read_record(folder.path).trip["value"] == (None if np.isnan(value) else value)
-    # Nothing was commanded after the sample that tripped it; what follows in the recording is the drive braking.
+    # Nothing was commanded after the sample that tripped it; what follows in the recording is the
+    # drive braking.
     assert len(bench.targets) == 700
     segment = read_run(folder.recording).samples["segment"]
     assert segment[699] != 0
@@ -135,7 +138,9 @@ def test_encoder_disagreement_trips_before_the_first_motion(runner: Any, fake_be
         ("state", 1, LinkError("no answer")),
     ],
 )
-def test_a_device_error_anywhere(runner: Any, fake_bench: Any, verb: str, count: int, error: Exception) -> None:
+def test_a_device_error_anywhere(
+    runner: Any, fake_bench: Any, verb: str, count: int, error: Exception
+) -> None:
     bench = fake_bench()
     bench.faults[verb, count] = throw(error)
     folder, outcome = runner(bench)
@@ -228,8 +233,12 @@ def test_a_drive_that_drops_out_is_a_device_failure(runner: Any, fake_bench: Any
 
 
 @pytest.mark.parametrize("nth", [3, 8, 20])
-def test_a_full_disk(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, nth: int) -> None:
-    """Out of space at the n-th flush after the run's head: stopped, safe, and what got through reads back."""
+def test_a_full_disk(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, nth: int
+) -> None:
+    """Out of space at the n-th flush after the run's head: stopped, safe, and what got through
+    reads back.
+    """
     flush, calls = McapWriter.flush, itertools.count()
 
     def full(self: McapWriter) -> None:
@@ -258,7 +267,10 @@ def test_a_defect_in_the_loop_still_leaves_the_drive_off(runner: Any, fake_bench
     assert outcome.ending is Ending.CRASHED
     assert isinstance(outcome.error, ZeroDivisionError)
     assert outcome.safe.verified
-    assert "the program broke down (ZeroDivisionError: a defect); the drive is de-energised" in outcome.message
+    assert (
+        "the program broke down (ZeroDivisionError: a defect); the drive is de-energised"
+        in outcome.message
+    )
     assert bench.drive_state is ServoState.SWITCH_ON_DISABLED
     assert bench.order[-2:] == ["state", "write_limits"]
     assert read_run(runner.folder / "recording.mcap").damage is None
@@ -302,7 +314,9 @@ class Pacer:
 
 
 def test_real_time_holds_every_cycle_to_its_instant(runner: Any, fake_bench: Any) -> None:
-    """Prompts and state changes take no simulated time; each stage starts its own real-time grid."""
+    """Prompts and state changes take no simulated time; each stage starts its own real-time
+    grid.
+    """
     pacer = Pacer()
     folder, outcome = runner(fake_bench(pacer=pacer))
     assert outcome.ending is Ending.DONE
@@ -313,7 +327,9 @@ def test_real_time_holds_every_cycle_to_its_instant(runner: Any, fake_bench: Any
 
 def test_a_late_cycle_is_counted_and_not_made_up_for(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_500_000)
+    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(
+        bench.clock.now_ns() + 3_500_000
+    )
     folder, outcome = runner(bench)
     assert outcome.ending is Ending.DONE
     assert folder.record.overruns == 1
@@ -325,7 +341,9 @@ def test_a_late_cycle_is_counted_and_not_made_up_for(runner: Any, fake_bench: An
 
 def test_a_cycle_that_is_far_too_late_ends_the_run(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
-    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(bench.clock.now_ns() + 30_000_000)
+    bench.faults["exchange", 700] = lambda: bench.clock.sleep_until_ns(
+        bench.clock.now_ns() + 30_000_000
+    )
     folder, outcome = runner(bench)
     assert outcome.ending is Ending.FAILED
     assert "lateness of the control cycle 0.0294 s is beyond its limit 0.025 s" in outcome.message
@@ -335,14 +353,19 @@ def test_a_cycle_that_is_far_too_late_ends_the_run(runner: Any, fake_bench: Any)
 
 def test_lateness_and_losses_are_counted(runner: Any, fake_bench: Any) -> None:
     bench = fake_bench()
-    bench.faults["exchange", 300] = lambda: bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_500_000)
+    bench.faults["exchange", 300] = lambda: bench.clock.sleep_until_ns(
+        bench.clock.now_ns() + 3_500_000
+    )
     bench.faults["exchange", 700] = lambda: setattr(bench, "fresh", False)
     bench.faults["exchange", 703] = lambda: setattr(bench, "fresh", True)
     folder, _ = runner(bench)
     timing = read_record(folder.path).parts[0].timing
     late = timing["lateness"]
     assert sum(late["counts"]) == folder.record.cycles
-    assert (late["counts"][0], late["worst_us"]) == (folder.record.cycles - 1, pytest.approx(2900.0))
+    assert (late["counts"][0], late["worst_us"]) == (
+        folder.record.cycles - 1,
+        pytest.approx(2900.0),
+    )
     assert timing["missed_syncs"] == 2
     assert (timing["lost_servo"], timing["lost_encoder"]) == (3, 3)
     assert timing["oldest_sample_s"] == pytest.approx(0.003)
@@ -353,7 +376,9 @@ def test_lateness_and_losses_are_counted(runner: Any, fake_bench: Any) -> None:
 def test_lateness_against_real_time_is_counted_and_judged(
     runner: Any, fake_bench: Any, busy_ms: int, ending: Ending
 ) -> None:
-    """A simulated bench that is held to real time is judged by this computer's lateness; its limit is 25 ms."""
+    """A simulated bench that is held to real time is judged by this computer's lateness; its limit
+    is 25 ms.
+    """
     pacer = Pacer()
     bench = fake_bench(pacer=pacer)
 
@@ -368,4 +393,6 @@ def test_lateness_against_real_time_is_counted_and_judged(
     assert timing["lateness"]["worst_us"] == pytest.approx(1000.0 * (busy_ms - 1))
     assert folder.record.overruns == 1
     if ending is Ending.FAILED:
-        assert "lateness of the control cycle 0.026 s is beyond its limit 0.025 s" in outcome.message
+        assert (
+            "lateness of the control cycle 0.026 s is beyond its limit 0.025 s" in outcome.message
+        )

@@ -16,7 +16,8 @@ SEQUENCE = """
 sequence: 1
 name: short
 stages:
-  - {name: swing, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 1, ramp_in_s: 0.3,
+  - {name: swing, stage: unloaded, tones: [{amplitude_deg: 5, frequency_Hz: 1}], duration_s: 1,
+     ramp_in_s: 0.3,
      ramp_out_s: 0.3}
 """
 BUS = "bus: {interface: epos_serial, port: mock, baud: 1000000, round_trip_ms: 0}"
@@ -42,7 +43,10 @@ def test_the_packaged_bench_is_simulated_and_unwatched() -> None:
 
 
 def test_limits_are_cut_where_the_drive_has_no_watchdog(tmp_path: Path) -> None:
-    limits, watched = load_bench("practical_serial").value.limits, load_bench("practical").value.limits
+    limits, watched = (
+        load_bench("practical_serial").value.limits,
+        load_bench("practical").value.limits,
+    )
     assert limits.torque_N_m == UNWATCHED_SHARE * watched.torque_N_m == 45
     assert limits.current_A == UNWATCHED_SHARE * watched.current_A == 15
     assert limits.speed_deg_s == UNWATCHED_SHARE * watched.speed_deg_s == 72
@@ -54,7 +58,8 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog(tmp_path: Path) -> None:
     [
         (
             [("cycle_Hz: 500", "cycle_Hz: 1000")],
-            r":13:49: bus.baud: too slow: 5 objects a cycle take up to 1580 bits and 1.58 ms, 158% of a cycle of 1 "
+            r":13:49: bus.baud: too slow: 5 objects a cycle take up to 1580 bits and 1.58 ms, "
+            r"158% of a cycle of 1 "
             r"ms, limit 80%; .* cycle_Hz to 500 \(got 1000000\)",
         ),
         ([("baud: 1000000", "baud: 115200")], r"13.72 ms, 686% .* cycle_Hz to 55.5556"),
@@ -72,9 +77,21 @@ def test_limits_are_cut_where_the_drive_has_no_watchdog(tmp_path: Path) -> None:
         ),
         ([("address: 84", "address: 85")], r"encoder.address: .*multiple of 4"),
     ],
-    ids=["cycle", "baud", "round trip", "no port", "CAN key", "CAN encoder", "kind", "mixed", "address"],
+    ids=[
+        "cycle",
+        "baud",
+        "round trip",
+        "no port",
+        "CAN key",
+        "CAN encoder",
+        "kind",
+        "mixed",
+        "address",
+    ],
 )
-def test_a_bench_that_cannot_work_is_refused(tmp_path: Path, changes: list[tuple[str, str]], words: str) -> None:
+def test_a_bench_that_cannot_work_is_refused(
+    tmp_path: Path, changes: list[tuple[str, str]], words: str
+) -> None:
     with pytest.raises(InputError, match=words):
         load_bench(variant(tmp_path, *changes))
 
@@ -98,15 +115,25 @@ def test_an_encoder_line_beside_a_can_servo(tmp_path: Path) -> None:
 
 def test_a_real_port_needs_the_makers_eds(tmp_path: Path) -> None:
     path = variant(tmp_path, ("port: mock", "port: /dev/no_such_port"))
-    with pytest.raises(InputError, match=r"servo\.eds: missing"), connect(load_bench(path), 0, False):
+    with (
+        pytest.raises(InputError, match=r"servo\.eds: missing"),
+        connect(load_bench(path), 0, False),
+    ):
         pass
 
 
-def test_a_run_over_serial_tells_the_operator(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_over_serial_tells_the_operator(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     sequence = tmp_path / "short.yaml"
     sequence.write_text(SEQUENCE)
     out = tmp_path / "run"
-    assert cli.status(["run", str(sequence), "--bench", "practical_serial", "--yes", "--out", str(out)]) == 0
+    assert (
+        cli.status(
+            ["run", str(sequence), "--bench", "practical_serial", "--yes", "--out", str(out)]
+        )
+        == 0
+    )
     assert "this drive has no watchdog" in capsys.readouterr().err
     record = read_record(out)
     assert record.state == "done"

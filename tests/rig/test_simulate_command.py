@@ -31,7 +31,12 @@ def write_recording(path: Path, frequency: float) -> None:
     time = np.arange(4001) / 500.0
     command = 0.35 * np.sin(2.0 * math.pi * frequency * time)
     loop = Controller("torque", 4000.0, 100.0)
-    start = Recording("made", {"time": time, "command": command, "angle": np.zeros(4001)}, Bench(), controller=loop)
+    start = Recording(
+        "made",
+        {"time": time, "command": command, "angle": np.zeros(4001)},
+        Bench(),
+        controller=loop,
+    )
     out = replay(start, FRICTION, 2.0)
     rows = np.column_stack([time, command, out.angle, out.torque])
     np.savetxt(path, rows, delimiter=",", header="t,c,q,tau", comments="", fmt="%.12g")
@@ -61,7 +66,11 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
     assert status([*arguments, "--json", str(record_file)]) == 0
     record = json.loads(record_file.read_text())
     assert record == json.loads((tmp_path / "out" / "simulate.json").read_text())
-    assert (record["schema"], record["unit"], record["angle_unit"]) == ("loadrig.simulate/1", "N m", "rad")
+    assert (record["schema"], record["unit"], record["angle_unit"]) == (
+        "loadrig.simulate/1",
+        "N m",
+        "rad",
+    )
     cases = {case["friction_share"]: case for case in record["cases"]}
     assert set(cases) == {1.0, 0.5, 0.0}
     for role in ("fit", "validate"):
@@ -69,7 +78,11 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
         assert cases[1.0][role]["torque_rms"] < 1e-6
         assert cases[0.5][role]["torque_rms"] < 0.7 * cases[0.0][role]["torque_rms"]
         assert cases[0.0][role]["torque_relative"] > 0.5
-    assert {Path(entry["file"]).name for entry in record["inputs"]} >= {"fit.csv", "later.csv", "fitted.json"}
+    assert {Path(entry["file"]).name for entry in record["inputs"]} >= {
+        "fit.csv",
+        "later.csv",
+        "fitted.json",
+    }
     printed = capsys.readouterr().out
     assert "half of it" in printed
     assert "angle error (mrad)" in printed
@@ -86,8 +99,14 @@ def test_a_simulation_with_the_right_model_errs_by_nothing_and_says_what_no_fric
             "schema: must be loadrig.identify/1 or loadrig.diagnose/1 (got 'loadrig.run/1')",
         ),
         ('{"schema": "loadrig.identify/1", "fitted": {}}', "parameters: no value to simulate with"),
-        ('{"schema": "loadrig.identify/1", "fitted": {"J": "x"}}', "J: must be a finite number (got 'x')"),
-        ('{"schema": "loadrig.identify/1", "parameters": {"Mc": {"value": 1}}}', "an inertia of 0 cannot be simulated"),
+        (
+            '{"schema": "loadrig.identify/1", "fitted": {"J": "x"}}',
+            "J: must be a finite number (got 'x')",
+        ),
+        (
+            '{"schema": "loadrig.identify/1", "parameters": {"Mc": {"value": 1}}}',
+            "an inertia of 0 cannot be simulated",
+        ),
     ],
 )
 def test_result_files_that_cannot_be_simulated(
@@ -118,7 +137,17 @@ def test_ladder_and_score_are_printed_recorded_and_reported(
     other = tmp_path / "friday.yaml"
     other.write_text("".join(CAMPAIGN.splitlines(keepends=True)[:6]) + "  - {file: friday.csv}\n")
     out = tmp_path / "out"
-    arguments = ["identify", str(campaign), "--ladder", "--score", str(other), "--bandwidth", "40", "--out", str(out)]
+    arguments = [
+        "identify",
+        str(campaign),
+        "--ladder",
+        "--score",
+        str(other),
+        "--bandwidth",
+        "40",
+        "--out",
+        str(out),
+    ]
     assert status(arguments) == 0
     printed = capsys.readouterr().out
     assert "Ladder of friction models" in printed
@@ -139,7 +168,9 @@ def test_ladder_and_score_are_printed_recorded_and_reported(
     assert "Transfer" in page
 
 
-def test_score_on_what_was_fitted_is_refused(campaign: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_score_on_what_was_fitted_is_refused(
+    campaign: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     assert status(["identify", str(campaign), "--bandwidth", "40", "--score", str(campaign)]) == 2
     assert "was fitted to already" in capsys.readouterr().err
     assert status(["identify", str(campaign), "--method", "paper", "--ladder"]) == 2

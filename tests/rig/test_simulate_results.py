@@ -34,7 +34,14 @@ def campaign(tmp_path: Path) -> Path:
         torque = -0.2 * w * w * angle + 6.0 * np.sign(speed) + 5.0 * speed + LARGER
         motor = 100.0 * (angle + 0.5 * GAP * np.sign(torque))
         rows = np.column_stack([time, angle, motor, torque / 3.0])
-        np.savetxt(tmp_path / f"{name}.csv", rows, delimiter=",", header="t,q,phi,i", comments="", fmt="%.9g")
+        np.savetxt(
+            tmp_path / f"{name}.csv",
+            rows,
+            delimiter=",",
+            header="t,q,phi,i",
+            comments="",
+            fmt="%.9g",
+        )
     path = tmp_path / "bench.yaml"
     path.write_text(CAMPAIGN)
     return path
@@ -49,7 +56,10 @@ def result(tmp_path: Path, **more: Any) -> Path:
         "schema": "loadrig.diagnose/1",
         "parameters": PARAMETERS,
         "alpha": 2.0,
-        "effects": [effect("asymmetric_coulomb", torque_Nm=LARGER), effect("backlash", gap_rad=GAP)],
+        "effects": [
+            effect("asymmetric_coulomb", torque_Nm=LARGER),
+            effect("backlash", gap_rad=GAP),
+        ],
         "curve": None,
         **more,
     }
@@ -83,14 +93,19 @@ def test_the_corrected_model_predicts_what_the_nominal_one_does_not(
 def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Path) -> None:
     grid = [-0.5, 0.5]
     curve = {
-        "equation": "torque", "coordinate": "angle", "unit": "rad", "residual_unit": "N m", "grid": grid,
+        "equation": "torque", "coordinate": "angle", "unit": "rad", "residual_unit": "N m",
+         "grid": grid,
         "value": [LARGER, LARGER],
     }  # fmt: skip
     file = tmp_path / "sim.json"
     found = result(tmp_path, effects=[], curve=curve)
     arguments = ["simulate", str(campaign), "--result", str(found), "--bandwidth", "10"]
     assert status([*arguments, "--out", str(tmp_path / "out"), "--json", str(file)]) == 0
-    rows = {tuple(r["effects"]): r for r in json.loads(file.read_text())["equations"] if r["equation"] == "torque"}
+    rows = {
+        tuple(r["effects"]): r
+        for r in json.loads(file.read_text())["equations"]
+        if r["equation"] == "torque"
+    }
     assert rows["curve",]["rms"] < 0.02
     assert rows[()]["rms"] == pytest.approx(LARGER, abs=0.03)
 
@@ -104,20 +119,38 @@ def test_a_curve_is_carried_where_there_is_no_name(campaign: Path, tmp_path: Pat
         ),
         ({"parameters": {}}, "parameters: no value to simulate with"),
         ({"parameters": {"J": "much"}}, "parameters.J: must be a finite number (got 'much')"),
-        ({"effects": [{"name": "witchcraft", "parameters": {}}]}, "witchcraft is no effect of the catalogue"),
-        ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
-        ({"motion": "linear"}, "motion: a result of a linear bench, and the recordings are of a rotary one"),
         (
-            {"parameters": {"J": {"value": 95.1, "unit": "kg"}, "Mc": {"value": 20.4, "unit": "N"}}},
+            {"effects": [{"name": "witchcraft", "parameters": {}}]},
+            "witchcraft is no effect of the catalogue",
+        ),
+        ({"effects": [{"name": "backlash", "parameters": {}}]}, "backlash lacks gap_rad"),
+        (
+            {"motion": "linear"},
+            "motion: a result of a linear bench, and the recordings are of a rotary one",
+        ),
+        (
+            {
+                "parameters": {
+                    "J": {"value": 95.1, "unit": "kg"},
+                    "Mc": {"value": 20.4, "unit": "N"},
+                }
+            },
             "motion: a result of a linear bench",
         ),
     ],
 )
 def test_a_file_that_is_no_result(
-    more: dict[str, Any], said: str, campaign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    more: dict[str, Any],
+    said: str,
+    campaign: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     found = result(tmp_path, **more)
-    assert status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "out")]) == 2
+    assert (
+        status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "out")])
+        == 2
+    )
     error = capsys.readouterr().err
     assert error.startswith(str(found))
     assert said in error
@@ -126,13 +159,31 @@ def test_a_file_that_is_no_result(
 def test_a_diagnosis_says_which_motion_it_is_of(campaign: Path, tmp_path: Path) -> None:
     """And a rotary one is refused for a linear bench, where its numbers mean something else."""
     found = tmp_path / "diagnosed.json"
-    arguments = ["diagnose", str(campaign), "--no-refine", "--out", str(tmp_path / "out"), "--json", str(found)]
+    arguments = [
+        "diagnose",
+        str(campaign),
+        "--no-refine",
+        "--out",
+        str(tmp_path / "out"),
+        "--json",
+        str(found),
+    ]
     assert status(arguments) == 0
     assert json.loads(found.read_text())["motion"] == "rotary"
-    assert status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "same")]) == 0
+    assert (
+        status(["simulate", str(campaign), "--result", str(found), "--out", str(tmp_path / "same")])
+        == 0
+    )
     linear = tmp_path / "linear.yaml"
-    linear.write_text(campaign.read_text().replace("torque_constant: 0.03,", "torque_constant: 0.03, motion: linear,"))
-    assert status(["simulate", str(linear), "--result", str(found), "--out", str(tmp_path / "other")]) == 2
+    linear.write_text(
+        campaign.read_text().replace(
+            "torque_constant: 0.03,", "torque_constant: 0.03, motion: linear,"
+        )
+    )
+    assert (
+        status(["simulate", str(linear), "--result", str(found), "--out", str(tmp_path / "other")])
+        == 2
+    )
 
 
 def test_help_has_an_example(capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,6 @@
-"""The current loop of a simulated drive is called unstable where the simulation shows that it is."""
+"""The current loop of a simulated drive is called unstable where the simulation shows that it
+is.
+"""
 
 from __future__ import annotations
 
@@ -11,11 +13,20 @@ from drivers.mock.plant.machine import SimulatedMachine
 from drivers.mock.plant.parts.constants import Loops, Machine, Motor, Sensing
 from rig.config.simulated_loops import unstable_current_loop
 
-SMALL = Motor(resistance_ohm=0.6, inductance_H=1e-4, torque_constant_N_m_A=0.02, back_emf_constant_V_s_rad=0.02)
+SMALL = Motor(
+    resistance_ohm=0.6,
+    inductance_H=1e-4,
+    torque_constant_N_m_A=0.02,
+    back_emf_constant_V_s_rad=0.02,
+)
 
 
 def machine(motor: Motor, gain: float, **loops: float) -> Machine:
-    return Machine(motor=motor, loops=Loops(current_gain_V_A=gain, **loops), sensing=Sensing(current_noise_A=1e-6))
+    return Machine(
+        motor=motor,
+        loops=Loops(current_gain_V_A=gain, **loops),
+        sensing=Sensing(current_noise_A=1e-6),
+    )
 
 
 def swing(bench: Machine) -> float:
@@ -34,7 +45,11 @@ def edge(motor: Motor, **loops: float) -> float:
     low, high = 1e-3, 1e4
     for _ in range(60):
         middle = (low * high) ** 0.5
-        low, high = (middle, high) if unstable_current_loop(machine(motor, middle, **loops)) is None else (low, middle)
+        low, high = (
+            (middle, high)
+            if unstable_current_loop(machine(motor, middle, **loops)) is None
+            else (low, middle)
+        )
     return low
 
 
@@ -54,7 +69,10 @@ def test_the_paper_s_motor_is_stable_with_a_wide_margin() -> None:
 def test_the_words_name_a_gain_that_is_stable() -> None:
     words = unstable_current_loop(machine(SMALL, 5.0))
     assert words is not None
-    assert "with 0.0001 H and 0.6 ohm at 20000 Hz the current loop of the simulated drive is unstable" in words
+    assert (
+        "with 0.0001 H and 0.6 ohm at 20000 Hz the current loop of the simulated drive is unstable"
+        in words
+    )
     advised = float(words.split("lower it to ")[1].split(" or less")[0])
     assert unstable_current_loop(machine(SMALL, advised)) is None
     assert swing(machine(SMALL, advised)) < 1e-3

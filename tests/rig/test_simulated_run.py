@@ -29,7 +29,9 @@ def sequence(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_recordings_come_back(sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_recordings_come_back(
+    sequence: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     dataset = run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")
     assert [r.name for r in dataset.recordings] == ["empty"]
     assert capsys.readouterr() == ("", "")
@@ -39,7 +41,9 @@ def test_a_real_bench_does_not_run_unattended(sequence: Path, tmp_path: Path) ->
     text = resolve("practical", "benches").read_text()
     path = tmp_path / "bench.yaml"
     path.write_text(text.replace("interface: mock", "interface: virtual"))
-    with pytest.raises(InputError, match="bus: this runs unattended, so the bench must be simulated"):
+    with pytest.raises(
+        InputError, match="bus: this runs unattended, so the bench must be simulated"
+    ):
         run_simulated(load_bench(path), load_sequence(sequence), 0, tmp_path / "run")
 
 
@@ -49,7 +53,9 @@ def test_a_run_that_trips_is_an_error(sequence: Path, tmp_path: Path) -> None:
         run_simulated(load_bench("practical"), load_sequence(sequence), 0, tmp_path / "run")
 
 
-def test_ctrl_c_goes_on_outward(sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_goes_on_outward(
+    sequence: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def press(stage: str, cycles: int, sample: object) -> None:
         raise KeyboardInterrupt
 

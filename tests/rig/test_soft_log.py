@@ -1,4 +1,6 @@
-"""What a log of soft gains tells: the joint waits and slips, and its breakaways hold what the equation error misses."""
+"""What a log of soft gains tells: the joint waits and slips, and its breakaways hold what the
+equation error misses.
+"""
 
 from __future__ import annotations
 
@@ -22,10 +24,14 @@ stages:
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_rise_is_found_where_the_equation_error_sees_none(seed: int, tmp_path: Path) -> None:
-    """The first start has no rise, and nothing pins its Stribeck speed there; those of the breakaways do."""
+    """The first start has no rise, and nothing pins its Stribeck speed there; those of the
+    breakaways do.
+    """
     path = tmp_path / "sine.yaml"
     path.write_text(SINE)
-    dataset = run_simulated(load_bench("practical_soft"), load_sequence(path), seed, tmp_path / "run")
+    dataset = run_simulated(
+        load_bench("practical_soft"), load_sequence(path), seed, tmp_path / "run"
+    )
     found = identify(dataset)
     assert found.warnings == ()
     bounds = {"Mc": 0.002, "Ms": 0.003, "omega_sf": 0.03, "sigma_2": 0.005, "J": 0.005}

@@ -39,12 +39,15 @@ def campaign(folder: Path, *recordings: str, extra: str = "") -> Path:
     path = folder / "campaign.yaml"
     listed = "".join(f"  - {item}\n" for item in recordings or ("file: a.csv",))
     path.write_text(
-        f"campaign: 1\nbench: {{moment_arm: 0.1}}\ndefaults: {{channels: {CHANNELS}}}\nrecordings:\n{listed}{extra}"
+        f"campaign: 1\nbench: {{moment_arm: 0.1}}\ndefaults: {{channels: "
+        f"{CHANNELS}}}\nrecordings:\n{listed}{extra}"
     )
     return path
 
 
-def load(folder: Path, change: Callable[[Columns], object], *recordings: str) -> tuple[Recording, ...]:
+def load(
+    folder: Path, change: Callable[[Columns], object], *recordings: str
+) -> tuple[Recording, ...]:
     columns = motion()
     change(columns)
     write_csv(folder / "a.csv", columns)
@@ -98,9 +101,13 @@ def test_scale_offset_rate_and_average(tmp_path: Path) -> None:
 
 
 def test_missing_column_lists_what_is_there(tmp_path: Path) -> None:
-    lines = problems(tmp_path, nothing, "{file: a.csv, channels: {angle: aa, velocity: 9, torque: zzz}}")
+    lines = problems(
+        tmp_path, nothing, "{file: a.csv, channels: {angle: aa, velocity: 9, torque: zzz}}"
+    )
     assert len(lines) == 3
-    assert lines[0].startswith(f"{tmp_path}/campaign.yaml:5:37: recordings[0].channels.angle: no such column in ")
+    assert lines[0].startswith(
+        f"{tmp_path}/campaign.yaml:5:37: recordings[0].channels.angle: no such column in "
+    )
     assert "did you mean 'a'? columns are t, a, w, m (got \"aa\")" in lines[0]
     assert "recordings[0].channels.torque: no such column in" in lines[1]
     assert lines[1].endswith('columns are t, a, w, m (got "zzz")')
@@ -125,7 +132,9 @@ def test_the_longest_run_that_is_interpolated(tmp_path: Path, run: int, refused:
         assert load(tmp_path, change)[0].notes == (f"`torque`: {run} missing samples interpolated",)
         return
     (line,) = problems(tmp_path, change)
-    assert line.startswith(f"{tmp_path}/a.csv:102: `torque`: 6 of 2000 samples are missing, the longest run 6")
+    assert line.startswith(
+        f"{tmp_path}/a.csv:102: `torque`: 6 of 2000 samples are missing, the longest run 6"
+    )
 
 
 @pytest.mark.parametrize(("step", "refused"), [(20, False), (19, True)])
@@ -171,9 +180,13 @@ def test_repeated_stamps(tmp_path: Path) -> None:
     (recording,) = load(tmp_path, repeat(20))
     assert recording.notes[0] == "20 samples with a repeated time stamp dropped"
     assert len(recording.time) == N - 20
-    np.testing.assert_allclose(recording.channels["angle"], np.sin(2 * np.pi * recording.time), atol=1e-6)
+    np.testing.assert_allclose(
+        recording.channels["angle"], np.sin(2 * np.pi * recording.time), atol=1e-6
+    )
     (line,) = problems(tmp_path, repeat(21))
-    assert line.startswith(f"{tmp_path}/a.csv:3: 21 repeated time stamps (1.1 % of the rows, at most 1 %)")
+    assert line.startswith(
+        f"{tmp_path}/a.csv:3: 21 repeated time stamps (1.1 % of the rows, at most 1 %)"
+    )
 
 
 def shift(*starts: int) -> Callable[[Columns], object]:
@@ -220,9 +233,13 @@ def test_milliseconds_are_suspected(tmp_path: Path) -> None:
 
 
 def test_constant_channel_is_noted(tmp_path: Path) -> None:
-    (recording,) = load(tmp_path, nothing, "{file: a.csv, channels: {temperature: {column: m, scale: 1e-300}}}")
+    (recording,) = load(
+        tmp_path, nothing, "{file: a.csv, channels: {temperature: {column: m, scale: 1e-300}}}"
+    )
     assert recording.notes == ()
-    (recording,) = load(tmp_path, put("w", slice(None), 21.0), "{file: a.csv, channels: {temperature: w}}")
+    (recording,) = load(
+        tmp_path, put("w", slice(None), 21.0), "{file: a.csv, channels: {temperature: w}}"
+    )
     assert recording.notes == ("`temperature` is constant (21)",)
 
 
@@ -246,7 +263,9 @@ def test_voltage_is_missing_by_right_while_the_power_is_off(tmp_path: Path) -> N
     item = "{file: a.csv, channels: {voltage: u, enabled: 'on'}}"
     (recording,) = load(tmp_path, off, item)
     assert recording.notes == ("`voltage`: 1 missing samples interpolated",)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(recording.channels["voltage"])), np.arange(500, 900))
+    np.testing.assert_array_equal(
+        np.flatnonzero(np.isnan(recording.channels["voltage"])), np.arange(500, 900)
+    )
     (line,) = problems(tmp_path, off, "{file: a.csv, channels: {voltage: u}}")
     assert line.startswith(f"{tmp_path}/a.csv:502: `voltage`: 401 of 2000 samples are missing")
     assert "say so with an `enabled` channel" in line
@@ -265,7 +284,9 @@ def test_torque_of_the_wrong_sign(tmp_path: Path) -> None:
     (line,) = problems(tmp_path, flip("m"))
     assert line.startswith(f"{tmp_path}/a.csv: `torque` opposes the motion (correlation -1.00")
     assert "negate the scale of `torque` or of `angle`" in line
-    (recording,) = load(tmp_path, flip("m"), "{file: a.csv, channels: {torque: {column: m, scale: -1}}}")
+    (recording,) = load(
+        tmp_path, flip("m"), "{file: a.csv, channels: {torque: {column: m, scale: -1}}}"
+    )
     assert recording.channels["torque"][0] > 0
     assert load(tmp_path, flip("m"), "{file: a.csv, gravity: {mass: 1, length: 1}}")
 
@@ -300,7 +321,9 @@ def test_motor_angle_against_angle(tmp_path: Path) -> None:
         return change
 
     assert load(tmp_path, geared(1.04), item)[0].notes == ()
-    assert load(tmp_path, geared(1.06), item)[0].notes == ("motor_angle / angle is 1.06, bench.gear_ratio says 1",)
+    assert load(tmp_path, geared(1.06), item)[0].notes == (
+        "motor_angle / angle is 1.06, bench.gear_ratio says 1",
+    )
     assert "`motor_angle` runs against `angle`" in problems(tmp_path, geared(-1), item)[0]
 
 
@@ -309,29 +332,41 @@ def test_globs_names_and_roles(tmp_path: Path) -> None:
         (tmp_path / folder).mkdir()
         write_csv(tmp_path / folder / "a.csv", motion())
         write_csv(tmp_path / folder / f"b[{folder}].csv", motion())
-    data = load_source(campaign(tmp_path, "file: '*/a.csv'", "{file: ['one/b[one].csv', 'two/b*'], role: validate}"))
+    data = load_source(
+        campaign(
+            tmp_path, "file: '*/a.csv'", "{file: ['one/b[one].csv', 'two/b*'], role: validate}"
+        )
+    )
     assert [r.name for r in data.part("fit")] == ["one/a", "two/a"]
     assert [r.name for r in data.part("validate")] == ["b[one]", "b[two]"]
-    with pytest.raises(InputError, match=r"recordings\[1\]\.file: .*one/a\.csv is used both to fit and to validate"):
+    with pytest.raises(
+        InputError, match=r"recordings\[1\]\.file: .*one/a\.csv is used both to fit and to validate"
+    ):
         load_source(campaign(tmp_path, "file: '*/a.csv'", "{file: one/a.csv, role: validate}"))
     with pytest.raises(
-        InputError, match=r"recordings\[0\]\.file: no file matches this pattern in .* \(got \"\*\.mat\"\)"
+        InputError,
+        match=r"recordings\[0\]\.file: no file matches this pattern in .* \(got \"\*\.mat\"\)",
     ):
         load_source(campaign(tmp_path, "file: '*.mat'"))
     with pytest.raises(InputError, match=r"one is a folder"):
         load_source(campaign(tmp_path, "file: one"))
     (tmp_path / "a.xlsx").write_text("x")
-    with pytest.raises(InputError, match=r"a\.xlsx: unknown format; readable are csv, tsv, txt, mat"):
+    with pytest.raises(
+        InputError, match=r"a\.xlsx: unknown format; readable are csv, tsv, txt, mat"
+    ):
         load_source(campaign(tmp_path, "file: a.xlsx"))
 
 
 @pytest.mark.parametrize("partial", [False, True])
-def test_a_run_folder_goes_to_its_own_reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, partial: bool) -> None:
+def test_a_run_folder_goes_to_its_own_reader(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, partial: bool
+) -> None:
     (tmp_path / "run.json").write_text("{}")
     loaded = Dataset(())
     asked = (tmp_path, partial)
     monkeypatch.setattr(
-        "rig.runs.run.load_run", lambda folder, *, partial: loaded if (folder, partial) == asked else None
+        "rig.runs.run.load_run",
+        lambda folder, *, partial: loaded if (folder, partial) == asked else None,
     )
     assert load_source(tmp_path, partial=partial) is loaded
 
@@ -342,7 +377,9 @@ def test_sources_that_are_none(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("1,2\n")
     with pytest.raises(InputError, match="describe recordings made elsewhere in a campaign file"):
         load_source(tmp_path / "a.csv")
-    with pytest.raises(InputError, match=r"no such file; a source is a run folder or a campaign file$"):
+    with pytest.raises(
+        InputError, match=r"no such file; a source is a run folder or a campaign file$"
+    ):
         load_source(tmp_path / "b.mcap")
     with pytest.raises(InputError, match="no such file"):
         load_source(tmp_path / "b.yaml")
@@ -351,7 +388,9 @@ def test_sources_that_are_none(tmp_path: Path) -> None:
 def test_arrays_of_different_length(tmp_path: Path) -> None:
     columns = motion()
     scipy.io.savemat(tmp_path / "a.mat", {**columns, "m": columns["m"][:-1]})
-    with pytest.raises(InputError, match=r"channels differ in length: time 2000, angle 2000, torque 1999"):
+    with pytest.raises(
+        InputError, match=r"channels differ in length: time 2000, angle 2000, torque 1999"
+    ):
         load_source(campaign(tmp_path, "file: a.mat"))
 
 
@@ -375,10 +414,16 @@ def test_the_shortest_recording(tmp_path: Path, samples: int, refused: bool) -> 
 
 def test_a_file_is_not_counted_twice(tmp_path: Path) -> None:
     write_csv(tmp_path / "a.csv", motion())
-    with pytest.raises(InputError, match=r"recordings\[1\]\.file: .*a\.csv is used twice; keep one entry"):
+    with pytest.raises(
+        InputError, match=r"recordings\[1\]\.file: .*a\.csv is used twice; keep one entry"
+    ):
         load_source(campaign(tmp_path, "file: a.csv", "file: './a.csv'"))
-    both = campaign(tmp_path, "file: a.csv", "{file: a.csv, channels: {torque: {column: m, scale: 2}}}")
-    assert len(load_source(both).recordings) == 2  # another column, another scale: another axis of one log
+    both = campaign(
+        tmp_path, "file: a.csv", "{file: a.csv, channels: {torque: {column: m, scale: 2}}}"
+    )
+    assert (
+        len(load_source(both).recordings) == 2
+    )  # another column, another scale: another axis of one log
 
 
 def test_shuffled_rows_under_a_rate_are_refused(tmp_path: Path) -> None:

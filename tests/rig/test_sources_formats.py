@@ -28,7 +28,9 @@ from rig.sources.table import format_of
 PLAIN = ReadSection()
 
 
-def delimited(folder: Path, text: str | bytes, options: ReadSection = PLAIN, name: str = "a.csv") -> DelimitedTable:
+def delimited(
+    folder: Path, text: str | bytes, options: ReadSection = PLAIN, name: str = "a.csv"
+) -> DelimitedTable:
     path = folder / name
     raw = text if isinstance(text, bytes) else text.encode()
     path.write_bytes(gzip.compress(raw) if name.endswith(".gz") else raw)
@@ -82,7 +84,12 @@ def test_without_header_only_indices(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "raw", [b"t,\xb0C\n1,2\n3,4\n", b"\xef\xbb\xbft,\xc2\xb0C\n1,2\n3,4\n", b"# t,\xc2\xb0C\r\n1,2\r\n3,4"]
+    "raw",
+    [
+        b"t,\xb0C\n1,2\n3,4\n",
+        b"\xef\xbb\xbft,\xc2\xb0C\n1,2\n3,4\n",
+        b"# t,\xc2\xb0C\r\n1,2\r\n3,4",
+    ],
 )
 def test_encodings_of_the_header(tmp_path: Path, raw: bytes) -> None:
     table = delimited(tmp_path, raw)
@@ -93,7 +100,10 @@ def test_encodings_of_the_header(tmp_path: Path, raw: bytes) -> None:
 @pytest.mark.parametrize(
     ("bad", "expected"),
     [
-        ("0.4,oops,1", "a.csv:402: column 'b' is not a number (got 'oops'); repair or remove the line"),
+        (
+            "0.4,oops,1",
+            "a.csv:402: column 'b' is not a number (got 'oops'); repair or remove the line",
+        ),
         ("0.4,1_000,1", "a.csv:402: column 'b' is not a number (got '1_000')"),
         ("0.4", "a.csv:402: 1 columns, but column 'b' is needed (got '0.4')"),
         ("0.4,2020-07-08 21:24:28,1", "column 'b' is not a number (got '2020-07-08 21:24:28')"),
@@ -111,7 +121,9 @@ def test_one_bad_line_is_named(tmp_path: Path, bad: str, expected: str) -> None:
 
 
 def test_a_units_line_below_the_header_suggests_skip_rows(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\); skip header lines"):
+    with pytest.raises(
+        InputError, match=r"a\.csv:2: column 't' is not a number \(got 's'\); skip header lines"
+    ):
         delimited(tmp_path, "t,x\ns,m\n0,1\n").read([0])
 
 
@@ -142,7 +154,11 @@ def test_a_cut_gzip_file(tmp_path: Path) -> None:
 
 @settings(deadline=None)
 @given(
-    arrays(np.float64, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(allow_infinity=False)),
+    arrays(
+        np.float64,
+        st.tuples(st.integers(1, 20), st.integers(1, 4)),
+        elements=st.floats(allow_infinity=False),
+    ),
     st.sampled_from([",", ";", "\t"]),
     st.booleans(),
 )
@@ -152,14 +168,18 @@ def test_written_numbers_come_back_exactly(
     quote = '"' if quoted else ""
     header = delimiter.join(f"c{k}" for k in range(values.shape[1]))
     rows = [delimiter.join(f"{quote}{float(v)!r}{quote}" for v in row) for row in values]
-    table = delimited(tmp_path_factory.mktemp("csv"), "\n".join([header, *rows]), ReadSection(delimiter=delimiter))
+    table = delimited(
+        tmp_path_factory.mktemp("csv"), "\n".join([header, *rows]), ReadSection(delimiter=delimiter)
+    )
     read = table.read(range(values.shape[1]))
     np.testing.assert_array_equal(np.column_stack(read), values)
 
 
 @settings(deadline=None)
 @given(st.binary(max_size=200))
-def test_any_bytes_are_numbers_or_an_input_error(tmp_path_factory: pytest.TempPathFactory, raw: bytes) -> None:
+def test_any_bytes_are_numbers_or_an_input_error(
+    tmp_path_factory: pytest.TempPathFactory, raw: bytes
+) -> None:
     folder = tmp_path_factory.mktemp("raw")
     try:
         table = delimited(folder, raw)
@@ -175,7 +195,10 @@ def write_mcap(path: Path, messages: list[tuple[str, int, bytes]], encoding: str
         writer = Writer(stream)
         writer.start()
         schema = writer.register_schema("s", "jsonschema", b"{}")
-        channels = {t: writer.register_channel(t, encoding, schema) for t in dict.fromkeys(m[0] for m in messages)}
+        channels = {
+            t: writer.register_channel(t, encoding, schema)
+            for t in dict.fromkeys(m[0] for m in messages)
+        }
         for topic, when, data in messages:
             writer.add_message(channels[topic], when, data, when)
         writer.finish()
@@ -190,11 +213,20 @@ def test_mat_in_any_orientation(tmp_path: Path) -> None:
     both = np.vstack([TIME, VALUE])
     scipy.io.savemat(
         path,
-        {"row": TIME[None, :], "column": VALUE[:, None], "wide": both, "tall": both.T, "one": 3.0, "text": "abc",
+        {"row": TIME[None, :], "column": VALUE[:, None], "wide": both, "tall": both.T, "one": 3.0,
+        "text": "abc",
          "count": np.arange(6, dtype=np.uint8)},
     )  # fmt: skip
     table = MatTable(path)
-    assert set(table.names) == {"row", "column", "wide[0]", "wide[1]", "tall[0]", "tall[1]", "count"}
+    assert set(table.names) == {
+        "row",
+        "column",
+        "wide[0]",
+        "wide[1]",
+        "tall[0]",
+        "tall[1]",
+        "count",
+    }
     columns = dict(zip(table.names, table.read(range(len(table.names))), strict=True))
     for name in ("row", "wide[0]", "tall[0]"):
         np.testing.assert_array_equal(columns[name], TIME)
@@ -243,7 +275,9 @@ def test_parquet(tmp_path: Path) -> None:
     path = tmp_path / "a.parquet"
     stamps = arrow.array([1_700_000_000_000 + 100 * k for k in range(6)], arrow.timestamp("ms"))
     values = arrow.array([1.0, None, 3.5, 0.0, 7.0, 9.0])
-    parquet.write_table(arrow.table({"when": stamps, "x": values, "text": ["a"] * 6, "n": list(range(6))}), path)
+    parquet.write_table(
+        arrow.table({"when": stamps, "x": values, "text": ["a"] * 6, "n": list(range(6))}), path
+    )
     table = ParquetTable(path)
     assert table.names == ("when", "x", "text", "n")
     time, x, n = table.read([0, 1, 3])
@@ -269,12 +303,22 @@ def test_parquet_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 def test_mcap_json(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     messages = [
-        ("/drive", 10**18 + k * 10**8, json.dumps({"x": v, "in": {"on": k > 2}, "id": "d"}).encode())
+        (
+            "/drive",
+            10**18 + k * 10**8,
+            json.dumps({"x": v, "in": {"on": k > 2}, "id": "d"}).encode(),
+        )
         for k, v in enumerate(VALUE)
     ]
     write_mcap(path, [*messages, ("/other", 10**18, b'{"y": 1}')])
     table = McapTable(path)
-    assert table.names == ("/drive.x", "/drive.in.on", "/drive.log_time", "/other.y", "/other.log_time")
+    assert table.names == (
+        "/drive.x",
+        "/drive.in.on",
+        "/drive.log_time",
+        "/other.y",
+        "/other.log_time",
+    )
     x, on, time = table.read([0, 1, 2])
     np.testing.assert_array_equal(x, VALUE)
     np.testing.assert_array_equal(on, [0, 0, 0, 1, 1, 1])
@@ -286,7 +330,9 @@ def test_mcap_json(tmp_path: Path) -> None:
 def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     write_mcap(path, [("/sample", 0, b"\x01")], "protobuf")
-    with pytest.raises(InputError, match=r"no JSON messages; found /sample \(protobuf\); .* opened by its folder"):
+    with pytest.raises(
+        InputError, match=r"no JSON messages; found /sample \(protobuf\); .* opened by its folder"
+    ):
         McapTable(path)
     path.write_bytes(path.read_bytes()[:40])
     with pytest.raises(InputError, match="cannot be read"):
@@ -297,9 +343,17 @@ def test_mcap_without_json_or_damaged(tmp_path: Path) -> None:
 
 
 def test_format_and_digest(tmp_path: Path) -> None:
-    assert [format_of(Path(p)) for p in ("a.CSV", "b.csv.gz", "c", "d.gz")] == ["csv", "csv", "", ""]
+    assert [format_of(Path(p)) for p in ("a.CSV", "b.csv.gz", "c", "d.gz")] == [
+        "csv",
+        "csv",
+        "",
+        "",
+    ]
     (tmp_path / "a").write_bytes(b"abc")
-    assert sha256_file(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    assert (
+        sha256_file(tmp_path / "a")
+        == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+    )
 
 
 def test_decimal_commas_when_told(tmp_path: Path) -> None:
@@ -312,7 +366,9 @@ def test_decimal_commas_when_told(tmp_path: Path) -> None:
 
 
 def test_decimal_commas_when_not_told_suggest_it(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r'a\.csv:2: column \'t\' is not a number .*set read\.decimal: ","'):
+    with pytest.raises(
+        InputError, match=r'a\.csv:2: column \'t\' is not a number .*set read\.decimal: ","'
+    ):
         delimited(tmp_path, "t;x\n0,5;1\n").read([0, 1])
 
 
@@ -327,5 +383,7 @@ def test_a_mat_file_that_would_end_the_process(tmp_path: Path) -> None:
     raw = bytearray(path.read_bytes())
     raw[128 + 48] = 14  # the numbers' element says it is a matrix
     path.write_bytes(raw)
-    with pytest.raises(InputError, match=r"a\.mat: cannot be read \(values of the impossible type 14"):
+    with pytest.raises(
+        InputError, match=r"a\.mat: cannot be read \(values of the impossible type 14"
+    ):
         MatTable(path)

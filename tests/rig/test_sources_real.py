@@ -33,12 +33,15 @@ def test_emps() -> None:
         assert len(recording.time) == 24841
         assert recording.period == pytest.approx(1e-3, rel=1e-3)
         assert recording.notes == ()
-    # 0.2 m of travel, and about 20 N of Coulomb friction plus 204 N s/m: the force is some tens of newtons.
+    # 0.2 m of travel, and about 20 N of Coulomb friction plus 204 N s/m: the force is some tens of
+    # newtons.
     assert 0.1 < np.ptp(fit.channels["angle"]) < 0.5
     assert 20 < np.std(fit.channels["torque"]) < 100
 
 
-@pytest.mark.parametrize(("name", "light", "heavy"), [("to_heavy", "fit", "validate"), ("to_light", "validate", "fit")])
+@pytest.mark.parametrize(
+    ("name", "light", "heavy"), [("to_heavy", "fit", "validate"), ("to_light", "validate", "fit")]
+)
 def test_sts3032(name: str, light: str, heavy: str) -> None:
     data = load_source(CAMPAIGNS / f"sts3032_{name}.yaml")
     assert len(data.recordings) == 54
@@ -63,7 +66,8 @@ def test_every_sts3032_file_loads_and_falls_freely_while_off(tmp_path: Path) -> 
         "recordings:\n"
         "  - file: RECORDINGS/sts3032_lever/m*.csv\n"
         "    gravity: {mass: 0.3, length: 0.07}\n"
-        "    channels: {time: time_s, angle: angle_rad, enabled: torque_enabled, voltage: voltage_V}\n",
+        "    channels: {time: time_s, angle: angle_rad, enabled: torque_enabled, voltage: "
+        "voltage_V}\n",
     )
     assert len(data.recordings) == 96
     for recording in data.recordings:
@@ -97,7 +101,9 @@ def test_epos_exports_as_they_are(tmp_path: Path, skip_rows: int, time: str, tor
         assert len(recording.time) == 500
         if "start_stop" not in recording.source:
             speed = float(Path(recording.source).stem.replace("n", "-")) * np.pi / 30
-            assert np.mean(recording.channels["velocity"]) == pytest.approx(speed, rel=0.15, abs=0.1)
+            assert np.mean(recording.channels["velocity"]) == pytest.approx(
+                speed, rel=0.15, abs=0.1
+            )
 
 
 def test_odrive(tmp_path: Path) -> None:

@@ -1,4 +1,6 @@
-"""The stop and pause buttons: which signal does what, on a system that lacks some, and what is given back."""
+"""The stop and pause buttons: which signal does what, on a system that lacks some, and what is
+given back.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ TAKEN = (*CAUSES, "SIGTTOU", "SIGUSR1")
 
 
 def handlers() -> dict[str, object]:
-    return {name: signal.getsignal(getattr(signal, name)) for name in TAKEN if hasattr(signal, name)}
+    return {
+        name: signal.getsignal(getattr(signal, name)) for name in TAKEN if hasattr(signal, name)
+    }
 
 
 @pytest.fixture(autouse=True)
@@ -42,7 +46,8 @@ def test_what_ends_a_run_and_how_that_is_said(name: str) -> None:
         signal.raise_signal(getattr(signal, name))
         assert stop.cause == CAUSES[name]
         assert stop.words == f"stopped by the operator ({CAUSES[name]})"
-        # A drive that brakes is taken off the power at once by two presses, of which SIGQUIT is both.
+        # A drive that brakes is taken off the power at once by two presses, of which SIGQUIT is
+        # both.
         assert stop.presses == (2 if name == "SIGQUIT" else 1)
         with pytest.raises(OperatorStopError) as caught:
             stop.check()
@@ -77,7 +82,10 @@ def test_of_what_was_ignored_at_the_start_only_a_hangup_stays_so() -> None:
     for name in CAUSES:
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     with StopButton():
-        assert [name for name, handler in handlers().items() if handler is signal.SIG_IGN] == ["SIGHUP", "SIGTTOU"]
+        assert [name for name, handler in handlers().items() if handler is signal.SIG_IGN] == [
+            "SIGHUP",
+            "SIGTTOU",
+        ]
 
 
 @pytest.mark.parametrize("missing", [*CAUSES, "SIGTTOU"])
@@ -96,7 +104,9 @@ def test_a_system_may_lack_the_pause_signal(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("rig.terminal.stop_button.PAUSE_SIGNAL", None)
     before = handlers()
     with StopButton():
-        assert [name for name, handler in handlers().items() if handler is before[name]] == ["SIGUSR1"]
+        assert [name for name, handler in handlers().items() if handler is before[name]] == [
+            "SIGUSR1"
+        ]
 
 
 def test_outside_the_main_thread_the_methods_do_it() -> None:
@@ -125,7 +135,8 @@ def test_a_pause_is_asked_for_and_taken_back() -> None:
         assert not stop.pausing
         assert not stop.pressed
     assert told == [
-        "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes it back",
+        "pause asked for: at the end of this stage, where the drive is off; SIGUSR1 again takes "
+        "it back",
         "no pause",
     ]
 

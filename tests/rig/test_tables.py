@@ -54,7 +54,9 @@ J = Parameter("J", "kg m^2", None, identifiable=False, reason="too slow")
 
 
 def test_the_floor_stands_beside_the_interval() -> None:
-    made = parameter_table([result("default", Mc=Parameter("Mc", "N m", 6.9, 6.8, 7.0, floor=0.0823), J=J)])
+    made = parameter_table(
+        [result("default", Mc=Parameter("Mc", "N m", 6.9, 6.8, 7.0, floor=0.0823), J=J)]
+    )
     assert made.header == ("parameter", "value", "90 % interval", "floor", "unit", "note")
     assert made.rows[0] == ("Mc", "6.9", "[6.8, 7]", "+-0.082", "N m", "")
     assert made.rows[1][3] == "-"
@@ -70,7 +72,8 @@ def test_one_method() -> None:
 
 def test_two_methods_and_the_truth() -> None:
     made = parameter_table(
-        [result("default", Mc=MC, J=J), result("paper", Mc=Parameter("Mc", "N m", 7.5))], {"Mc": 7.5}
+        [result("default", Mc=MC, J=J), result("paper", Mc=Parameter("Mc", "N m", 7.5))],
+        {"Mc": 7.5},
     )
     assert len(made.header) == len(made.rows[0]) == len(made.rows[1])
     cells = dict(zip(made.header, made.rows[0], strict=True))

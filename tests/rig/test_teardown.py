@@ -1,4 +1,6 @@
-"""The teardown: whatever a step raises, every later step runs, and the verdict says what was read back."""
+"""The teardown: whatever a step raises, every later step runs, and the verdict says what was read
+back.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,11 @@ from rig.common.errors import StorageError
 from rig.wiring.teardown import SafeState, attempt_all, give_back, make_safe
 
 CYCLE_NS = 10_000_000
-OFF, ON, BRAKING = ServoState.SWITCH_ON_DISABLED, ServoState.OPERATION_ENABLED, ServoState.QUICK_STOP_ACTIVE
+OFF, ON, BRAKING = (
+    ServoState.SWITCH_ON_DISABLED,
+    ServoState.OPERATION_ENABLED,
+    ServoState.QUICK_STOP_ACTIVE,
+)
 LIMITS = ServoLimits(-1.0, 1.0, 3.0, 80.0, 30.0, None, 2, 10.0)
 
 
@@ -35,7 +41,12 @@ def all_exceptions() -> list[type[BaseException]]:
     return sorted(set(found), key=lambda kind: (kind.__module__, kind.__qualname__))
 
 
-EXCEPTIONS = [*all_exceptions(), lambda: LinkError("gone"), lambda: StateError("no"), lambda: StorageError("full")]
+EXCEPTIONS = [
+    *all_exceptions(),
+    lambda: LinkError("gone"),
+    lambda: StateError("no"),
+    lambda: StorageError("full"),
+]
 
 
 class Servo:
@@ -104,7 +115,9 @@ def test_whatever_one_step_raises_every_later_step_runs(
 
 
 @given(raising=st.dictionaries(st.sampled_from(STEPS), st.sampled_from(EXCEPTIONS)))
-def test_whatever_several_steps_raise_each_is_tried(raising: dict[str, Callable[[], BaseException]]) -> None:
+def test_whatever_several_steps_raise_each_is_tried(
+    raising: dict[str, Callable[[], BaseException]],
+) -> None:
     servo = Servo(raising)
     found = safe(servo)
     order = [verb for verb in servo.order if verb in ("quick_stop", "disable")]
@@ -231,7 +244,9 @@ UNVERIFIED = "it could NOT be verified that the drive is de-energised (state unk
         (SafeState(True, "fault"), "the drive is de-energised (read back: fault)"),
         (
             SafeState(False, "unknown", ("gone", "full"), watched=False),
-            UNVERIFIED + "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main supply off now",
+            UNVERIFIED
+            + "it has no watch of its own and may go on HOLDING UNDER POWER: switch the main "
+            "supply off now",
         ),
         (
             SafeState(False, "unknown", ("gone", "full")),

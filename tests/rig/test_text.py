@@ -30,7 +30,12 @@ stages:
 """
 LOCALES = {
     "C": {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
-    "POSIX, ascii": {"LC_ALL": "POSIX", "PYTHONIOENCODING": "ascii", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"},
+    "POSIX, ascii": {
+        "LC_ALL": "POSIX",
+        "PYTHONIOENCODING": "ascii",
+        "PYTHONUTF8": "0",
+        "PYTHONCOERCECLOCALE": "0",
+    },
 }
 WHO = "Jürgen ☃"
 
@@ -40,9 +45,23 @@ def test_names_of_every_language_go_through_a_run(tmp_path: Path, locale: str) -
     place = tmp_path / WHO
     place.mkdir()
     (place / "kurz µ.yaml").write_text(SEQUENCE, encoding="utf-8")
-    run = ["run", f"{WHO}/kurz µ.yaml", "--yes", "--operator", WHO, "--out", f"{WHO}/Lauf", "--json", f"{WHO}/µ.json"]
+    run = [
+        "run",
+        f"{WHO}/kurz µ.yaml",
+        "--yes",
+        "--operator",
+        WHO,
+        "--out",
+        f"{WHO}/Lauf",
+        "--json",
+        f"{WHO}/µ.json",
+    ]
     identify = ["identify", f"{WHO}/Lauf", "--out", f"{WHO}/erkannt", "--json", f"{WHO}/é.json"]
-    commands = [run, ["export", f"{WHO}/Lauf", "--out", f"{WHO}/ü.csv"], *([identify] if locale == "C" else [])]
+    commands = [
+        run,
+        ["export", f"{WHO}/Lauf", "--out", f"{WHO}/ü.csv"],
+        *([identify] if locale == "C" else []),
+    ]
     for arguments in commands:
         ended = rig(*arguments, folder=tmp_path, environment=LOCALES[locale])
         assert_in_words(ended)
@@ -63,7 +82,9 @@ def test_a_stopped_run_of_such_names_goes_on(tmp_path: Path) -> None:
     place.mkdir()
     (place / "kurz µ.yaml").write_text(SEQUENCE, encoding="utf-8")
     arguments = ["run", f"{WHO}/kurz µ.yaml", "--out", f"{WHO}/Lauf"]
-    assert rig(*arguments, folder=tmp_path, environment=LOCALES["C"]).returncode == 3, "no answer at the prompt"
+    assert rig(*arguments, folder=tmp_path, environment=LOCALES["C"]).returncode == 3, (
+        "no answer at the prompt"
+    )
     ended = rig("resume", f"{WHO}/Lauf", "--yes", folder=tmp_path, environment=LOCALES["C"])
     assert_in_words(ended)
     assert ended.returncode == 0, ended.stderr
@@ -95,20 +116,27 @@ def test_valid_text_is_utf_8_and_stays_as_it_is(text: str) -> None:
 
 
 def test_records_are_repaired_throughout() -> None:
-    record = {"J\udcfc": ["\udcc3\udcbc", ("\udcc2\udcb5", 1, None)], "plain": {"deep": "\udcc3\udcbc"}}
+    record = {
+        "J\udcfc": ["\udcc3\udcbc", ("\udcc2\udcb5", 1, None)],
+        "plain": {"deep": "\udcc3\udcbc"},
+    }
     assert valid_record(record) == {"J\\xfc": ["ü", ["µ", 1, None]], "plain": {"deep": "ü"}}
 
 
 def test_files_are_written_as_utf_8(tmp_path: Path) -> None:
     write_text(tmp_path / "page.html", "\udcc3\udcbc µ")
     assert (tmp_path / "page.html").read_bytes() == "ü µ".encode()
-    write_json(tmp_path / "record.json", {"file": "\udcc3\udcbc", "emoji": "😀", "escape": "\\udcc3"})
+    write_json(
+        tmp_path / "record.json", {"file": "\udcc3\udcbc", "emoji": "😀", "escape": "\\udcc3"}
+    )
     content = (tmp_path / "record.json").read_bytes()
     assert b"\\udc" not in content.replace(b"\\\\udcc3", b"").replace(b"\\ud83d\\ude00", b"")
     assert json.loads(content) == {"file": "ü", "emoji": "😀", "escape": "\\udcc3"}
 
 
-def test_a_stored_path_leads_back_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stored_path_leads_back_to_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     file = tmp_path / WHO
     file.write_bytes(b"")
     assert stored_path(str(file)) == file
@@ -123,7 +151,11 @@ def test_every_text_file_is_opened_with_its_encoding() -> None:
     """The default is that of the locale."""
     root = Path(rig_package.__file__).parents[1]
     found = []
-    for file in (file for package in ("rig", "drivers", "identification") for file in (root / package).rglob("*.py")):
+    for file in (
+        file
+        for package in ("rig", "drivers", "identification")
+        for file in (root / package).rglob("*.py")
+    ):
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Call) and _opens_text(node):
                 found.append(f"{file.relative_to(root)}:{node.lineno}")
@@ -136,6 +168,12 @@ def _opens_text(call: ast.Call) -> bool:
         return False
     constants = [argument.value for argument in call.args if isinstance(argument, ast.Constant)]
     if isinstance(call.func, ast.Name):
-        return call.func.id == "open" and not any("b" in value for value in constants if isinstance(value, str))
+        return call.func.id == "open" and not any(
+            "b" in value for value in constants if isinstance(value, str)
+        )
     # A device's objects have texts too, which are read by their number.
-    return isinstance(call.func, ast.Attribute) and call.func.attr in ("write_text", "read_text") and not constants
+    return (
+        isinstance(call.func, ast.Attribute)
+        and call.func.attr in ("write_text", "read_text")
+        and not constants
+    )

@@ -51,7 +51,9 @@ def test_it_is_what_the_simulated_machine_was_given(run: Path) -> None:
 def test_the_dataset_holds_nothing_of_it(run: Path) -> None:
     dataset = load_source(run)
     assert dataset.model.fixed == {}
-    constants = {value for value in vars(dataset.recordings[0].bench).values() if isinstance(value, float)}
+    constants = {
+        value for value in vars(dataset.recordings[0].bench).values() if isinstance(value, float)
+    }
     truth = truth_of(run)
     assert truth is not None
     assert constants.isdisjoint(truth.values())
@@ -61,7 +63,9 @@ def test_a_bench_that_was_changed_or_is_gone_has_none(run: Path, tmp_path: Path)
     copy = tmp_path / "run"
     shutil.copytree(run, copy)
     record = json.loads((copy / "run.json").read_text())
-    record["inputs"]["bench.yaml"]["file"] = str(tmp_path / "practical.yaml")  # elsewhere: the packaged one answers
+    record["inputs"]["bench.yaml"]["file"] = str(
+        tmp_path / "practical.yaml"
+    )  # elsewhere: the packaged one answers
     (copy / "run.json").write_text(json.dumps(record))
     assert truth_of(copy) == truth_of(run)
     record["inputs"]["bench.yaml"]["sha256"] = "0" * 64
@@ -74,21 +78,33 @@ EFFECTS = {
     "backlash": {"gap_rad": 0.0023456},
     "x_root_drag": {"coefficient_Nms05_rad05": 0.87654},
 }
-TRUE = {"Mc_N_m": "5.83791", "Ms_N_m": "11.83791", "sigma_2_N_m_s_rad": "4.83791", "inertia_kg_m2": "0.183791"}
+TRUE = {
+    "Mc_N_m": "5.83791",
+    "Ms_N_m": "11.83791",
+    "sigma_2_N_m_s_rad": "4.83791",
+    "inertia_kg_m2": "0.183791",
+}
 
 
 @pytest.fixture(scope="module")
 def hiding(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return a run, identified too, on a bench whose file hides physics and has constants of its own."""
+    """Return a run, identified too, on a bench whose file hides physics and has constants of its
+    own.
+    """
     folder = tmp_path_factory.mktemp("hiding")
     text = resolve("practical", "benches").read_text()
     for name, value in TRUE.items():
         text = re.sub(rf" {name}: .*", f" {name}: {value}", text)
-    (folder / "bench.yaml").write_text(re.sub("effects: .*", f"effects: {json.dumps(EFFECTS)}", text))
+    (folder / "bench.yaml").write_text(
+        re.sub("effects: .*", f"effects: {json.dumps(EFFECTS)}", text)
+    )
     (folder / "short.yaml").write_text(SEQUENCE)
     arguments = ["--bench", str(folder / "bench.yaml"), "--yes", "--out", str(folder / "run")]
     assert status(["run", str(folder / "short.yaml"), *arguments]) == 0
-    assert status(["identify", str(folder / "run"), "--json", str(folder / "run" / "identified.json")]) == 0
+    assert (
+        status(["identify", str(folder / "run"), "--json", str(folder / "run" / "identified.json")])
+        == 0
+    )
     return folder / "run"
 
 
@@ -97,15 +113,24 @@ def test_what_a_bench_hides_is_in_no_file_of_the_run(hiding: Path) -> None:
     log = read_run(hiding / "recording.mcap")
     kept |= {Path(name): content for name, content in log.attachments.items()}
     kept[Path("metadata")] = json.dumps(log.metadata, default=str).encode()
-    assert {"run.json", "recording.mcap", "report.html", "identified.json"} <= {path.name for path in kept}
+    assert {"run.json", "recording.mcap", "report.html", "identified.json"} <= {
+        path.name for path in kept
+    }
     secret = [*EFFECTS, *TRUE.values(), "effects"]
     secret += [str(value) for given in EFFECTS.values() for value in given.values()]
-    told = [(path, word) for path, content in kept.items() for word in secret if word.encode() in content]
+    told = [
+        (path, word)
+        for path, content in kept.items()
+        for word in secret
+        if word.encode() in content
+    ]
     assert told == []
     assert truth_of(hiding) is None
 
 
-def test_the_attached_bench_is_one_that_an_engineer_could_write(hiding: Path, tmp_path: Path) -> None:
+def test_the_attached_bench_is_one_that_an_engineer_could_write(
+    hiding: Path, tmp_path: Path
+) -> None:
     attached = tmp_path / "attached.yaml"
     attached.write_bytes(read_run(hiding / "recording.mcap").attachments["bench.yaml"])
     bench, original = load_bench(attached).value, load_bench("practical").value
@@ -135,14 +160,16 @@ def test_effects_that_cannot_be_are_refused_with_their_place(
     effects: str, where: str, says: str, tmp_path: Path
 ) -> None:
     path = tmp_path / "bench.yaml"
-    text = re.sub("effects: .*", f"effects:\n    {effects}", resolve("practical", "benches").read_text())
+    text = re.sub(
+        "effects: .*", f"effects:\n    {effects}", resolve("practical", "benches").read_text()
+    )
     path.write_text(text)
     with pytest.raises(InputError) as caught:
         load_bench(path)
     line = len(text.splitlines())
-    assert any(f"{path}:{line}:" in p and where in p and says in p for p in caught.value.problems), (
-        caught.value.problems
-    )
+    assert any(
+        f"{path}:{line}:" in p and where in p and says in p for p in caught.value.problems
+    ), caught.value.problems
 
 
 def test_a_transmission_that_gives_needs_inertia_on_both_sides(tmp_path: Path) -> None:

@@ -45,7 +45,10 @@ RESULT = Identification(
         Profile("Mc", "N m", np.array([6.8, 7.0, 7.4]), np.array([4.0, 0.0, 4.0]), 6.9, 7.3, 0.5),
         Profile("J", "kg m^2", np.array([0.0, 0.1]), np.array([0.0, np.inf]), None, 0.05, 1.0),
     ),
-    resampled=(Resampled("Mc", "N m", 6.95, 7.08, 100, 98), Resampled("J", "kg m^2", None, None, 100, 3)),
+    resampled=(
+        Resampled("Mc", "N m", 6.95, 7.08, 100, 98),
+        Resampled("J", "kg m^2", None, None, 100, 3),
+    ),
 )
 
 
@@ -54,7 +57,8 @@ def test_notes_name_what_trades_off_bounds_and_starts() -> None:
         "default: Mc and sigma_2 trade off",
         "default: least pinned is Mc alone",
         "default: bounds hit: J",
-        "default: noise, as the prediction errors ask for it: torque 0.07 N m rms, white, and 0.06 N m rms, correlated "
+        "default: noise, as the prediction errors ask for it: torque 0.07 N m rms, white, and "
+        "0.06 N m rms, correlated "
         "over 9.5 ms; encoder step 0.00115 deg, and 5.73e-05 deg rms beyond it",
         "default: starts of the unloaded stage: 1 of 2 solved its equations (defect up to 3)",
         "default: starts of the loaded stage: 2 of 3 ended at the best",
@@ -82,10 +86,21 @@ def test_the_record_is_json_without_infinities() -> None:
     assert [s["reached_best"] for s in record["starts"]] == [1, 2]
     assert record["profiles"]["J"]["deviance"] == [0.0, None]
     assert record["profiles"]["Mc"]["high"] == 7.3
-    assert record["bootstrap"]["J"] == {"unit": "kg m^2", "low": None, "high": None, "draws": 100, "solved": 3}
+    assert record["bootstrap"]["J"] == {
+        "unit": "kg m^2",
+        "low": None,
+        "high": None,
+        "draws": 100,
+        "solved": 3,
+    }
 
 
 def test_a_single_start_makes_no_waterfall() -> None:
-    assert [p.name for p in uncertainty_pictures([RESULT])] == ["profiles_default", "starts_default"]
-    bare = Identification("paper", "rotary", 2.0, {}, RESULT.fit, (), starts=(Starts("loaded", "cost", (1.0,), 2.0),))
+    assert [p.name for p in uncertainty_pictures([RESULT])] == [
+        "profiles_default",
+        "starts_default",
+    ]
+    bare = Identification(
+        "paper", "rotary", 2.0, {}, RESULT.fit, (), starts=(Starts("loaded", "cost", (1.0,), 2.0),)
+    )
     assert uncertainty_pictures([bare]) == []

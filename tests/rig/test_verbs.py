@@ -22,7 +22,9 @@ from rig.terminal.stop_button import PAUSE_SIGNAL, StopButton
 class Scripted(AutomaticOperator):
     """Answers boundaries and prompts from lists; None is the planned mass."""
 
-    def __init__(self, boundaries: list[Verb] | None = None, prompts: list[Verb | None] | None = None) -> None:
+    def __init__(
+        self, boundaries: list[Verb] | None = None, prompts: list[Verb | None] | None = None
+    ) -> None:
         super().__init__()
         self.boundaries = iter(boundaries or [])
         self.prompts: Iterator[Verb | None] = iter(prompts or [])
@@ -162,12 +164,16 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> ConsoleOperator:
         ("ten\n-10\n10\n", 10.0),
     ],
 )
-def test_answers_at_the_prompt(monkeypatch: pytest.MonkeyPatch, text: str, answer: float | Verb) -> None:
+def test_answers_at_the_prompt(
+    monkeypatch: pytest.MonkeyPatch, text: str, answer: float | Verb
+) -> None:
     assert typed(monkeypatch, text).confirm_weight("heavy", 10.0) == answer
 
 
 @pytest.mark.parametrize("text", ["abort\n", ""])
-def test_giving_up_at_the_prompt(runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+def test_giving_up_at_the_prompt(
+    runner: Any, fake_bench: Any, monkeypatch: pytest.MonkeyPatch, text: str
+) -> None:
     bench = fake_bench()
     _, outcome = runner(bench, typed(monkeypatch, text))
     assert outcome.ending is Ending.STOPPED
@@ -193,7 +199,9 @@ def test_answers_to_a_pause(monkeypatch: pytest.MonkeyPatch, text: str, verb: Ve
 
 
 @pytest.mark.parametrize("presses", [1, 2])
-def test_ctrl_c_while_braking_takes_the_power_off_at_once(runner: Any, fake_bench: Any, presses: int) -> None:
+def test_ctrl_c_while_braking_takes_the_power_off_at_once(
+    runner: Any, fake_bench: Any, presses: int
+) -> None:
     bench, stop = fake_bench(), StopButton()
     bench.faults["exchange", 700] = stop.press
     if presses == 2:

@@ -1,4 +1,6 @@
-"""The weight check: friction against the confirmed mass, by an identification or by the other stages of a day."""
+"""The weight check: friction against the confirmed mass, by an identification or by the other
+stages of a day.
+"""
 
 from __future__ import annotations
 
@@ -39,14 +41,21 @@ REFERENCE = Reference(TRUE, dict.fromkeys(TRUE, 1e-4), 2.0, moment_per_kg(BENCH)
 PERIOD_S = 0.001
 
 
-def level(mass_kg: float, amplitude: float = 0.3, seconds: float = 5.0, extra: float = 0.0) -> FrictionLevel:
+def level(
+    mass_kg: float, amplitude: float = 0.3, seconds: float = 5.0, extra: float = 0.0
+) -> FrictionLevel:
     """Measure a sine under the true friction of a mass, inertia included, without noise."""
     t = np.arange(0.0, seconds, PERIOD_S)
     rate = 0.4 * np.pi
-    angle, between = amplitude * np.sin(rate * t), amplitude * rate * np.cos(rate * (t - 0.5 * PERIOD_S))
+    angle, between = (
+        amplitude * np.sin(rate * t),
+        amplitude * rate * np.cos(rate * (t - 0.5 * PERIOD_S)),
+    )
     speed = np.abs(between)
     friction = REFERENCE.unloaded(speed) + mass_kg * REFERENCE.per_kg(speed) + extra
-    torque = np.sign(between) * friction - 0.204 * amplitude * rate**2 * np.sin(rate * (t - 0.5 * PERIOD_S))
+    torque = np.sign(between) * friction - 0.204 * amplitude * rate**2 * np.sin(
+        rate * (t - 0.5 * PERIOD_S)
+    )
     found = friction_level(angle, torque, PERIOD_S)
     assert found is not None
     return found
@@ -57,8 +66,16 @@ def item(name: str, label_kg: float, hung_kg: float | None = None) -> LoadedLeve
 
 
 def write_result(path: Path, **changes: object) -> Path:
-    parameters = {name: {"value": value, "low": value - 1e-4, "high": value + 1e-4} for name, value in TRUE.items()}
-    raw = {"schema": "loadrig.identify/1", "motion": "rotary", "alpha": 2.0, "parameters": parameters}
+    parameters = {
+        name: {"value": value, "low": value - 1e-4, "high": value + 1e-4}
+        for name, value in TRUE.items()
+    }
+    raw = {
+        "schema": "loadrig.identify/1",
+        "motion": "rotary",
+        "alpha": 2.0,
+        "parameters": parameters,
+    }
     path.write_text(json.dumps({**raw, **changes}))
     return path
 
@@ -84,7 +101,9 @@ def test_the_right_weight_is_right(label: float) -> None:
     assert found.measured_kg == pytest.approx(label, abs=0.01 * label + 0.01)
 
 
-@pytest.mark.parametrize(("share", "verdict"), [(0.07, Verdict.RIGHT), (0.08, Verdict.WRONG), (0.15, Verdict.WRONG)])
+@pytest.mark.parametrize(
+    ("share", "verdict"), [(0.07, Verdict.RIGHT), (0.08, Verdict.WRONG), (0.15, Verdict.WRONG)]
+)
 @pytest.mark.parametrize("side", [1, -1])
 def test_both_sides_of_the_tolerance(share: float, verdict: Verdict, side: int) -> None:
     assert weigh(item("a", 20.0, 20.0 * (1 + side * share)), REFERENCE, ()).verdict is verdict
@@ -139,7 +158,10 @@ def test_speeds_that_a_light_stage_hardly_reached_do_not_decide_on_a_heavy_one()
     torque[last] -= 1.5
     off = LoadedLevel("light", 5.0, dataclasses.replace(light, path=path, torque=torque))
     assert suspects([item("empty", 0.0), off, item("heavy", 40.0)], None) == []
-    assert {f.stage for f in suspects([item("empty", 0.0), off, item("heavy", 40.0, hung_kg=34.0)], None)} == {
+    assert {
+        f.stage
+        for f in suspects([item("empty", 0.0), off, item("heavy", 40.0, hung_kg=34.0)], None)
+    } == {
         "light",
         "heavy",
     }
@@ -245,7 +267,9 @@ def run_hanging(wrong: dict[str, float], *arguments: str) -> int:
         return status(["run", *arguments, "--yes"])
 
 
-def test_a_wrong_weight_is_refused_before_full_amplitude(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_wrong_weight_is_refused_before_full_amplitude(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     known = str(write_result(tmp_path / "known.json"))
     path, out = sequence(tmp_path / "s.yaml", 0, 20), tmp_path / "out"
     assert run_hanging({"m20": 24.0}, path, "--identification", known, "--out", str(out)) == 1
@@ -264,7 +288,9 @@ def test_a_wrong_weight_is_refused_before_full_amplitude(tmp_path: Path, capsys:
     assert [w["verdict"] for w in read_record(out).weights] == ["right", "wrong", "right"]
 
 
-def test_on_a_first_run_the_operator_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_on_a_first_run_the_operator_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20)
     assert run_hanging({"m20": 26.0}, path, "--out", str(out)) == 1
@@ -272,7 +298,9 @@ def test_on_a_first_run_the_operator_is_told(tmp_path: Path, capsys: pytest.Capt
     assert capsys.readouterr().err.count("cannot be checked yet") == 2
 
 
-def test_after_the_run_the_stage_off_its_label_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_after_the_run_the_stage_off_its_label_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     out = tmp_path / "out"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
     assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
@@ -293,7 +321,16 @@ def test_identifying_a_run_names_the_stage_off_its_label(tmp_path: Path) -> None
     out, result = tmp_path / "out", tmp_path / "result.json"
     path = sequence(tmp_path / "s.yaml", 0, 10, 20, 30, first_pass=False)
     assert run_hanging({"m20": 25.0}, path, "--out", str(out)) == 1
-    quick = ["--method", "paper", "--seed", "1", "--out", str(tmp_path / "page"), "--json", str(result)]
+    quick = [
+        "--method",
+        "paper",
+        "--seed",
+        "1",
+        "--out",
+        str(tmp_path / "page"),
+        "--json",
+        str(result),
+    ]
     assert status(["identify", str(out), *quick]) == 0
     warnings = json.loads(result.read_text())["warnings"]
     assert any(words.startswith("stage m20: its friction is that of 2") for words in warnings)

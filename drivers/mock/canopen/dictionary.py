@@ -1,4 +1,6 @@
-"""A device's object dictionary as it lives in the device: values, types, access rights and ranges from an EDS file."""
+"""A device's object dictionary as it lives in the device: values, types, access rights and ranges
+from an EDS file.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,9 @@ DEVICE_STATE: Final = 0x08000022
 _CODES: Final = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
 """CiA 301 data type -> struct code, for the integer types this device uses."""
 _ENDS: Final = {
-    code: (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1) if code.islower() else (0, (1 << 8 * size) - 1)
+    code: (-(1 << 8 * size - 1), (1 << 8 * size - 1) - 1)
+    if code.islower()
+    else (0, (1 << 8 * size) - 1)
     for code, size in ((code, struct.calcsize(code)) for code in _CODES.values())
 }
 """Struct code -> the smallest and the largest value it holds."""
@@ -67,13 +71,17 @@ def key(index: int, subindex: int = 0) -> int:
 
 
 def held(code: str, value: int) -> int:
-    """Return what an object of a struct code holds of a value: its nearest end where the value does not fit."""
+    """Return what an object of a struct code holds of a value: its nearest end where the value does
+    not fit.
+    """
     low, high = _ENDS[code]
     return min(max(value, low), high)
 
 
 def clamp_i16(value: int) -> int:
-    """Return what a device shows of a value in an INTEGER16 object: its nearest end where it does not fit."""
+    """Return what a device shows of a value in an INTEGER16 object: its nearest end where it does
+    not fit.
+    """
     if -32768 <= value <= 32767:
         return value
     return 32767 if value > 0 else -32768
@@ -82,7 +90,8 @@ def clamp_i16(value: int) -> int:
 class DeviceDictionary:
     """Values of one device, checked the way a device checks them.
 
-    ``check`` hooks run before a value is stored and may raise :class:`SdoAbortError`; ``written`` hooks run after.
+    ``check`` hooks run before a value is stored and may raise :class:`SdoAbortError`; ``written``
+    hooks run after.
 
     Attributes:
         values: Key (``index << 8 | subindex``) to value, of the integer objects.
@@ -101,7 +110,9 @@ class DeviceDictionary:
         self.reset(0, 0xFFFF)
 
     def reset(self, first: int, last: int) -> None:
-        """Put the objects of indices ``first`` to ``last`` back to their defaults, without running hooks."""
+        """Put the objects of indices ``first`` to ``last`` back to their defaults, without running
+        hooks.
+        """
         for number, entry in self.entries.items():
             if first <= number >> 8 <= last:
                 if isinstance(entry.default, str):
@@ -141,7 +152,8 @@ class DeviceDictionary:
         """Store a value as it came over the wire.
 
         Raises:
-            SdoAbortError: There is no such object, it cannot be written, or the value has the wrong length or range.
+            SdoAbortError: There is no such object, it cannot be written, or the value has the wrong
+                length or range.
         """
         entry = self.entry(index, subindex)
         if not entry.writable:
@@ -149,7 +161,9 @@ class DeviceDictionary:
         if entry.code is None or len(data) != entry.size:
             raise SdoAbortError(WRONG_LENGTH)
         value: int = struct.unpack(f"<{entry.code}", data)[0]
-        if (entry.low is not None and value < entry.low) or (entry.high is not None and value > entry.high):
+        if (entry.low is not None and value < entry.low) or (
+            entry.high is not None and value > entry.high
+        ):
             raise SdoAbortError(OUT_OF_RANGE)
         if check := self.checks.get(index):
             check(subindex, value)
@@ -160,7 +174,8 @@ class DeviceDictionary:
 
 @lru_cache(maxsize=8)
 def _load(eds: Path, node_id: int) -> Mapping[int, Entry]:
-    # Reading an EDS takes some 20 ms, and a campaign of simulated benches reads the same two again and again.
+    # Reading an EDS takes some 20 ms, and a campaign of simulated benches reads the same two again
+    # and again.
     variables = _variables(canopen.import_od(str(eds), node_id))
     return {key(variable.index, variable.subindex): _entry(variable) for variable in variables}
 

@@ -1,4 +1,6 @@
-"""What every simulated CANopen device does: NMT, heartbeat both ways, EMCY, SDO server, SYNC and process data."""
+"""What every simulated CANopen device does: NMT, heartbeat both ways, EMCY, SDO server, SYNC and
+process data.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,14 @@ class SimulatedNode:
         clock_offset_us: What the device's own microsecond clock shows when simulated time is 0.
     """
 
-    def __init__(self, bus: SimulatedBus, clock: SimulatedClock, node_id: int, eds: Path, clock_offset_us: int) -> None:
+    def __init__(
+        self,
+        bus: SimulatedBus,
+        clock: SimulatedClock,
+        node_id: int,
+        eds: Path,
+        clock_offset_us: int,
+    ) -> None:
         self.node_id = node_id
         self.state = Nmt.INITIALISING
         self.objects = DeviceDictionary(eds, node_id)
@@ -56,7 +65,9 @@ class SimulatedNode:
         self._clock = clock
         self._clock_offset_us = clock_offset_us
         self._port = bus.attach()
-        self._process_data = ProcessData(self.objects, self._port, clock, self._outputs, self._rpdo_too_short)
+        self._process_data = ProcessData(
+            self.objects, self._port, clock, self._outputs, self._rpdo_too_short
+        )
         self._sdo = SdoServer(self.objects, self.refresh)
         self._producer = Timer(clock, self._send_heartbeat)
         self._watch = Timer(clock, self._check_heartbeat)
@@ -123,7 +134,9 @@ class SimulatedNode:
         self._process_data.send_changes()
 
     def stamp(self, time_ns: int) -> None:
-        """Put the device's own time (1013h, microseconds modulo 2^32) at ``time_ns`` into the dictionary."""
+        """Put the device's own time (1013h, microseconds modulo 2^32) at ``time_ns`` into the
+        dictionary.
+        """
         self._values[_TIME_STAMP] = (time_ns // 1000 + self._clock_offset_us) & 0xFFFFFFFF
 
     def _rpdo_too_short(self, length: int) -> None:
@@ -226,4 +239,6 @@ class SimulatedNode:
         """Make safe at once, before a restart."""
 
     def restore(self) -> None:
-        """Put the device's own state back to that after power-on; the dictionary holds its defaults."""
+        """Put the device's own state back to that after power-on; the dictionary holds its
+        defaults.
+        """

@@ -1,4 +1,6 @@
-"""Process data of a simulated device: PDO communication and mapping objects (1400h-1BFFh) put to work."""
+"""Process data of a simulated device: PDO communication and mapping objects (1400h-1BFFh) put to
+work.
+"""
 
 from __future__ import annotations
 
@@ -46,13 +48,17 @@ class Transmit:
     sent: bytes = field(default=b"")
 
     def content(self, values: dict[int, int]) -> bytes:
-        """Return what goes over the wire; of a value that its object cannot hold, the nearest that it can."""
+        """Return what goes over the wire; of a value that its object cannot hold, the nearest that
+        it can.
+        """
         picked = self.pick(values)
         try:
             return self.layout.pack(*picked)
         except struct.error:
             codes = self.layout.format.lstrip("<")
-            return self.layout.pack(*(od.held(code, value) for code, value in zip(codes, picked, strict=True)))
+            return self.layout.pack(
+                *(od.held(code, value) for code, value in zip(codes, picked, strict=True))
+            )
 
 
 class ProcessData:

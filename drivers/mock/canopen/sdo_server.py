@@ -1,4 +1,6 @@
-"""SDO server of a simulated device: expedited and segmented transfers of CiA 301, with its abort codes."""
+"""SDO server of a simulated device: expedited and segmented transfers of CiA 301, with its abort
+codes.
+"""
 
 from __future__ import annotations
 
@@ -82,7 +84,9 @@ class SdoServer:
         transfer = self._expect(command, upload=True)
         chunk, transfer.data = transfer.data[:7], transfer.data[7:]
         last = not transfer.data
-        response = bytes([transfer.toggle | (7 - len(chunk)) << 1 | (_LAST if last else 0)]) + chunk.ljust(7, b"\0")
+        response = bytes(
+            [transfer.toggle | (7 - len(chunk)) << 1 | (_LAST if last else 0)]
+        ) + chunk.ljust(7, b"\0")
         transfer.toggle ^= _TOGGLE
         if last:
             self._transfer = None
@@ -93,7 +97,9 @@ class SdoServer:
         sized = command & 0x01
         if command & 0x02:
             # Without a size the client means as many bytes as the object has.
-            size = 4 - (command >> 2 & 0x03) if sized else self._dictionary.entry(index, subindex).size
+            size = (
+                4 - (command >> 2 & 0x03) if sized else self._dictionary.entry(index, subindex).size
+            )
             self._dictionary.write(index, subindex, data[:size])
         else:
             self._dictionary.entry(index, subindex)

@@ -1,7 +1,8 @@
-"""The machine under whatever loads it: nominal or hiding, under a weight or under a burning gas generator (Fig. 5, 11).
+"""The machine under whatever loads it: nominal or hiding, under a weight or under a burning gas
+generator (Fig. 5, 11).
 
-While it burns, valve angle and pressure make the contact force of eq. 10, that makes the friction the valve moves
-against, and where the valve goes the pressure follows.
+While it burns, valve angle and pressure make the contact force of eq. 10, that makes the friction
+the valve moves against, and where the valve goes the pressure follows.
 """
 
 from __future__ import annotations
@@ -41,10 +42,12 @@ def advance_loaded(
     noise: Vector,
     path: Vector,
 ) -> None:
-    """Advance ``loops`` drive-loop periods; arguments as of the two kernels, ``y`` and ``g`` of the gas generator.
+    """Advance ``loops`` drive-loop periods; arguments as of the two kernels, ``y`` and ``g`` of the
+    gas generator.
 
-    The force is that at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100 microseconds. Steps are
-    counted from ignition, so that it does not matter in what pieces time passes.
+    The force is that at the start of each gas step; at 50 deg/s it changes by 0.5 N in 100
+    microseconds. Steps are counted from ignition, so that it does not matter in what pieces time
+    passes.
     """
     burns = y[MASS] > 0.0
     done = 0

@@ -1,4 +1,6 @@
-"""The machine run straight, without a bus: exact channels for the literal bench, and fast figures."""
+"""The machine run straight, without a bus: exact channels for the literal bench, and fast
+figures.
+"""
 
 from __future__ import annotations
 
@@ -34,8 +36,9 @@ def simulate(
         rng: Only needed with current noise.
 
     Returns:
-        ``time``, ``command``, ``angle``, ``velocity`` (joint), ``current`` (at the instant), ``mean_current`` (over the
-        period that ends there), ``voltage``, ``pressure`` and ``contact_force``; each of shape (n,), SI units.
+        ``time``, ``command``, ``angle``, ``velocity`` (joint), ``current`` (at the instant),
+        ``mean_current`` (over the period that ends there), ``voltage``, ``pressure`` and
+        ``contact_force``; each of shape (n,), SI units.
 
     Raises:
         ValueError: The rates do not divide.
@@ -49,7 +52,9 @@ def simulate(
         plant.press(contact_force_N)
     loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
     if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
-        raise ValueError(f"the loop rate {machine.loops.rate_Hz:g} Hz is not a multiple of {rate_Hz:g} Hz")
+        raise ValueError(
+            f"the loop rate {machine.loops.rate_Hz:g} Hz is not a multiple of {rate_Hz:g} Hz"
+        )
     n = round(duration_s * rate_Hz) + 1
     time = np.arange(n) / rate_Hz
     path = command(np.arange(1, (n - 1) * loops_per_sample + 1) / machine.loops.rate_Hz)
@@ -59,7 +64,13 @@ def simulate(
     for k in range(1, n):
         plant.follow(path[(k - 1) * loops_per_sample : k * loops_per_sample])
         state, reading = plant.truth(), plant.latch()
-        motion = state.angle_rad, state.velocity_rad_s, state.current_A, reading.current_A, reading.voltage_V
+        motion = (
+            state.angle_rad,
+            state.velocity_rad_s,
+            state.current_A,
+            reading.current_A,
+            reading.voltage_V,
+        )
         out[:, k] = *motion, state.pressure_Pa, state.contact_force_N
     return {
         "time": time,

@@ -2,10 +2,11 @@
 
     dm/dt = rho_b A_b r - p A_t / C_r,    dV/dt = A_b r,    p = m R_g T_g / V,    r = a p^n
 
-is eq. 7 with the gas density in it. Eq. 8 leaves that out, which amounts to gas that comes from nowhere at the rate
-rho_g A_b r; the same step does both. SDIRK of second order (Alexander), L-stable: a small free volume or an open throat
-make the pressure as fast as they like, and a step can then be longer than it takes. Stages and sums are linear in
-m, V, burnt and outflow, so that the books balance to rounding whatever the step.
+is eq. 7 with the gas density in it. Eq. 8 leaves that out, which amounts to gas that comes from
+nowhere at the rate rho_g A_b r; the same step does both. SDIRK of second order (Alexander),
+L-stable: a small free volume or an open throat make the pressure as fast as they like, and a step
+can then be longer than it takes. Stages and sums are linear in m, V, burnt and outflow, so that the
+books balance to rounding whatever the step.
 """
 
 from __future__ import annotations
@@ -62,15 +63,26 @@ _GAMMA = 1.0 - math.sqrt(0.5)
 
 @inlined
 def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]:
-    """Return what holds over the coming step: shares of throat, burning area, burning rate and heat, and leak, m^2."""
-    throat, burning, rate, heat, leak = g[THROAT_SHARE], g[BURNING_SHARE], g[RATE_SHARE], g[HEAT_SHARE], g[LEAK_AREA]
+    """Return what holds over the coming step: shares of throat, burning area, burning rate and
+    heat, and leak, m^2.
+    """
+    throat, burning, rate, heat, leak = (
+        g[THROAT_SHARE],
+        g[BURNING_SHARE],
+        g[RATE_SHARE],
+        g[HEAT_SHARE],
+        g[LEAK_AREA],
+    )
     if g[HIDING] == 0.0:
         return throat, burning, rate, heat, leak
     web, at = y[MEMORY + hidden.WEB], HIDDEN
     heat *= 1.0 - y[MEMORY + hidden.COOLED]
     leak += g[at + hidden.LEAK]
-    # Gas leaves the burning surface at the speed at which the outflow empties the chamber's cross-section.
-    speed = (y[THROAT] * throat + leak) * g[ENERGY] * math.sqrt(heat) / (g[VELOCITY] * g[BURNING_AREA])
+    # Gas leaves the burning surface at the speed at which the outflow empties the chamber's
+    # cross-section.
+    speed = (
+        (y[THROAT] * throat + leak) * g[ENERGY] * math.sqrt(heat) / (g[VELOCITY] * g[BURNING_AREA])
+    )
     throat *= hidden.open_share(y[BURN_TIME], g, at)
     burning *= hidden.burning_share(web, g, at)
     rate *= hidden.rate_share(y[BURN_TIME], web, speed, g, at)
@@ -79,22 +91,34 @@ def conditions(y: Vector, g: Vector) -> tuple[float, float, float, float, float]
 
 @inlined
 def remember(y: Vector, g: Vector, grown: float, burning_area: float, h: float) -> None:
-    """Note what a step of ``h`` s that burnt ``grown`` m^3 over ``burning_area`` m^2 leaves for the next."""
+    """Note what a step of ``h`` s that burnt ``grown`` m^3 over ``burning_area`` m^2 leaves for the
+    next.
+    """
     web, cooled, warmed = MEMORY + hidden.WEB, MEMORY + hidden.COOLED, MEMORY + hidden.WARMED
     y[web] += grown / burning_area
     if g[HIDDEN + hidden.HEAT_FLOW] > 0.0:
         burnt = g[DENSITY] * grown / h
-        y[cooled], y[warmed] = hidden.cool(y[cooled], y[warmed], burnt, y[MASS], g[ENTHALPY], h, g, HIDDEN)
+        y[cooled], y[warmed] = hidden.cool(
+            y[cooled], y[warmed], burnt, y[MASS], g[ENTHALPY], h, g, HIDDEN
+        )
 
 
 @inlined
 def solve_stage(
-    mass: float, volume: float, h: float, grown: float, flow: float, energy: float, guess: float, g: Vector
+    mass: float,
+    volume: float,
+    h: float,
+    grown: float,
+    flow: float,
+    energy: float,
+    guess: float,
+    g: Vector,
 ) -> tuple[float, float]:
     """Solve an implicit stage: from ``mass`` and ``volume``, ``h`` s at the rates of its own end.
 
-    (V + h q) p / RT = m + h (rho_b q - flow p) with q = grown p^n; eq. 8 has no h q on the left. What is solved is
-    convex in p and negative at 0, so it has one positive root, and Newton from above falls on it.
+    (V + h q) p / RT = m + h (rho_b q - flow p) with q = grown p^n; eq. 8 has no h q on the left.
+    What is solved is convex in p and negative at 0, so it has one positive root, and Newton from
+    above falls on it.
 
     Args:
         mass: Positive, kg.
@@ -124,19 +148,26 @@ def solve_stage(
         change = min(change, 0.5 * p)
         p -= change
         rate -= slope * change
-        if abs(change) <= 1e-8 * p:  # Newton converges quadratically: what is left is below rounding
+        if (
+            abs(change) <= 1e-8 * p
+        ):  # Newton converges quadratically: what is left is below rounding
             break
     return p, rate
 
 
 @inlined
 def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
-    """Advance the gas generator by ``h`` s, the throat going to that of ``angle`` (rad) meanwhile."""
+    """Advance the gas generator by ``h`` s, the throat going to that of ``angle`` (rad)
+    meanwhile.
+    """
     throat_share, burning_share, rate_share, heat_share, leak = conditions(y, g)
     energy, velocity = g[ENERGY] * heat_share, g[VELOCITY] * math.sqrt(heat_share)
     grown = g[BURNING_AREA] * burning_share * g[RATE] * rate_share
     grows = hidden.layer(y[BURN_TIME] + h, g, HIDDEN)
-    before, after = y[THROAT], throat_area(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH])
+    before, after = (
+        y[THROAT],
+        throat_area(angle, g[ARM], g[HOLE] - grows, g[OPENING] - grows, g[HALF_WIDTH]),
+    )
     mass, volume, pressure = y[MASS], y[VOLUME], y[PRESSURE]
     made = 1.0 / energy if g[SIMPLIFIED] != 0.0 else 0.0
     early = (throat_share * (before + _GAMMA * (after - before)) + leak) / velocity
@@ -144,10 +175,13 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
     p1, q1 = solve_stage(mass, volume, _GAMMA * h, grown, early, energy, pressure, g)
     first = 1.0 - _GAMMA
     base = mass + first * h * ((g[DENSITY] + made * p1) * q1 - early * p1)
-    # A step far longer than the gas takes to settle would start its second stage below zero: one implicit Euler step.
+    # A step far longer than the gas takes to settle would start its second stage below zero: one
+    # implicit Euler step.
     share = first if base > 0.0 else 0.0
     base = base if base > 0.0 else mass
-    p2, q2 = solve_stage(base, volume + share * h * q1, (1.0 - share) * h, grown, late, energy, p1, g)
+    p2, q2 = solve_stage(
+        base, volume + share * h * q1, (1.0 - share) * h, grown, late, energy, p1, g
+    )
     burnt = h * (share * q1 + (1.0 - share) * q2)
     out = h * (share * early * p1 + (1.0 - share) * late * p2)
     y[BURN_TIME] += h
@@ -165,15 +199,17 @@ def step_gas(y: Vector, g: Vector, angle: float, h: float) -> None:
 @inlined
 def contact_force(pressure: float, throat: float, g: Vector) -> float:
     """Return F_P = (p_g - p_c0) A_s, eq. 10, N; none where the gas would lift the valve."""
-    return float(max(pressure - g[BACK_PRESSURE], 0.0) * (math.pi * g[OPENING] * g[OPENING] - throat))
+    return float(
+        max(pressure - g[BACK_PRESSURE], 0.0) * (math.pi * g[OPENING] * g[OPENING] - throat)
+    )
 
 
 @inlined
 def steady_pressure(throat: float, g: Vector) -> float:
     """Return the pressure at which the generator burns steadily, Pa.
 
-    By eq. 8 (rho_b A_b a C_r / A_t)^(1/(1-n)); by eq. 7 the root of (rho_b - p/RT) A_b a p^n = p A_t / C_r, which lies
-    a little below.
+    By eq. 8 (rho_b A_b a C_r / A_t)^(1/(1-n)); by eq. 7 the root of (rho_b - p/RT) A_b a p^n = p
+    A_t / C_r, which lies a little below.
     """
     n = g[EXPONENT]
     energy, velocity = g[ENERGY] * g[HEAT_SHARE], g[VELOCITY] * math.sqrt(g[HEAT_SHARE])
@@ -185,7 +221,9 @@ def steady_pressure(throat: float, g: Vector) -> float:
     for _ in range(60):
         # Over p^n: flow p^(1-n) + grown p / RT = rho_b grown.
         power = flow * p ** (1.0 - n)
-        change = (power + grown * (p / energy - g[DENSITY])) / ((1.0 - n) * power / p + grown / energy)
+        change = (power + grown * (p / energy - g[DENSITY])) / (
+            (1.0 - n) * power / p + grown / energy
+        )
         p -= min(change, 0.5 * p)
         if abs(change) <= 1e-14 * p:
             break

@@ -1,4 +1,6 @@
-"""The gas generator alone: the valve's angle in, pressure and masses out, without motor, drive or bus."""
+"""The gas generator alone: the valve's angle in, pressure and masses out, without motor, drive or
+bus.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.mock.plant.gas import BURNT, FORCE, GAS_SIZE, MASS, OUTFLOW, PRESSURE, THROAT, VOLUME, step_gas
+from drivers.mock.plant.gas import (
+    BURNT,
+    FORCE,
+    GAS_SIZE,
+    MASS,
+    OUTFLOW,
+    PRESSURE,
+    THROAT,
+    VOLUME,
+    step_gas,
+)
 from drivers.mock.plant.gas_pack import gas_vector, lit, steady_pressures, valve_throat
 from drivers.mock.plant.parts import constants
 from drivers.mock.plant.parts.compiled import Vector, compiled
@@ -16,7 +28,10 @@ Array = NDArray[np.float64]
 
 
 class Burn(NamedTuple):
-    """A burn at the times of its angles; arrays of shape (n,). Burnt and outflow count from the first sample."""
+    """A burn at the times of its angles; arrays of shape (n,).
+
+    Burnt and outflow count from the first sample.
+    """
 
     pressure_Pa: Array
     throat_m2: Array
@@ -75,7 +90,9 @@ def steady_pressure(machine: constants.Machine, angle_rad: Array) -> Array:
 
 
 @compiled
-def _follow(y: Vector, g: Vector, angle: Vector, period: float, steps: int, out: NDArray[np.float64]) -> None:
+def _follow(
+    y: Vector, g: Vector, angle: Vector, period: float, steps: int, out: NDArray[np.float64]
+) -> None:
     out[0] = y
     for k in range(1, len(angle)):
         for j in range(1, steps + 1):

@@ -53,7 +53,9 @@ def unlit(machine: constants.Machine) -> Array:
     return y
 
 
-def lit(machine: constants.Machine, g: Array, angle_rad: float, pressure_Pa: float | None = None) -> Array:
+def lit(
+    machine: constants.Machine, g: Array, angle_rad: float, pressure_Pa: float | None = None
+) -> Array:
     """Return the state at ignition.
 
     Args:
@@ -64,12 +66,18 @@ def lit(machine: constants.Machine, g: Array, angle_rad: float, pressure_Pa: flo
     """
     y = np.zeros(gas.GAS_SIZE)
     y[gas.THROAT] = valve_throat(g, np.array([angle_rad]))[0]
-    y[gas.PRESSURE] = steady_pressures(g, y[gas.THROAT : gas.THROAT + 1])[0] if pressure_Pa is None else pressure_Pa
+    y[gas.PRESSURE] = (
+        steady_pressures(g, y[gas.THROAT : gas.THROAT + 1])[0]
+        if pressure_Pa is None
+        else pressure_Pa
+    )
     y[gas.VOLUME] = machine.gas.free_volume_m3
     burnt = g[gas.DENSITY] * g[gas.BURNING_AREA] * g[gas.RATE] * y[gas.PRESSURE] ** g[gas.EXPONENT]
     cooled = hidden.settled_chill(burnt, g[gas.ENTHALPY], g, gas.HIDDEN)
     y[gas.MEMORY + hidden.COOLED] = cooled
-    y[gas.MASS] = y[gas.PRESSURE] * y[gas.VOLUME] / (g[gas.ENERGY] * g[gas.HEAT_SHARE] * (1.0 - cooled))
+    y[gas.MASS] = (
+        y[gas.PRESSURE] * y[gas.VOLUME] / (g[gas.ENERGY] * g[gas.HEAT_SHARE] * (1.0 - cooled))
+    )
     y[gas.FORCE] = gas.contact_force(y[gas.PRESSURE], y[gas.THROAT], g)
     return y
 

@@ -40,7 +40,8 @@ _NO_PATH = np.zeros(0)
 class Reading(NamedTuple):
     """What drive and joint encoder see at one instant.
 
-    ``current_A`` and ``voltage_V`` are means since the previous latch; the others are values at the instant.
+    ``current_A`` and ``voltage_V`` are means since the previous latch; the others are values at the
+    instant.
     """
 
     motor_counts: int
@@ -55,7 +56,9 @@ class Reading(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """The machine's exact state, for tests and for benches with exact channels; never goes over a bus."""
+    """The machine's exact state, for tests and for benches with exact channels; never goes over a
+    bus.
+    """
 
     angle_rad: float
     velocity_rad_s: float
@@ -109,10 +112,12 @@ def drive_vector(machine: constants.Machine) -> NDArray[np.float64]:
 
 
 class SimulatedMachine:
-    """Motor, gear, friction, lever with weights and the drive's loops, integrated with a fixed step.
+    """Motor, gear, friction, lever with weights and the drive's loops, integrated with a fixed
+    step.
 
-    Starts at rest at angle 0 with the power off and nothing on the lever. With exact sensors (zero counts) a motor
-    count is 1 microradian of the joint for the interface's sake, and the loops see the exact angle.
+    Starts at rest at angle 0 with the power off and nothing on the lever. With exact sensors (zero
+    counts) a motor count is 1 microradian of the joint for the interface's sake, and the loops see
+    the exact angle.
 
     Attributes:
         motor_count_rad: Joint angle of one count of the motor encoder, rad.
@@ -141,7 +146,9 @@ class SimulatedMachine:
         self.joint_count_rad = 2.0 * math.pi / (machine.sensing.joint_counts_per_turn or 1 << 22)
 
     def hang(self, mass_kg: float) -> None:
-        """Hang a total of ``mass_kg``, as its label says, on the lever: contact force (L3/L4) m_w g (eq. 17)."""
+        """Hang a total of ``mass_kg``, as its label says, on the lever: contact force (L3/L4) m_w g
+        (eq. 17).
+        """
         self._label_kg, self._force_N = mass_kg, None
         self._y = unlit(self.constants)
         self._load()
@@ -153,7 +160,9 @@ class SimulatedMachine:
         self._load()
 
     def ignite(self) -> None:
-        """Light the gas generator instead of a weight; it burns steadily at once, and until something else presses."""
+        """Light the gas generator instead of a weight; it burns steadily at once, and until
+        something else presses.
+        """
         self._label_kg, self._force_N = 0.0, None
         self._y = lit(self.constants, self._g, self._angle())
         self._load()
@@ -162,23 +171,35 @@ class SimulatedMachine:
         return float(self._x[extra.JOINT] if self._e.size else self._s[loops.THETA])
 
     def fix_weight(self, mass_kg: float, length_m: float, zero_rad: float) -> None:
-        """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m l^2."""
+        """Fix a weight to the joint that turns with it: torque -m g l sin(theta - zero), inertia m
+        l^2.
+        """
         if not self._e.size:
             self._e = bare_vector(self.constants)
             self._x[extra.JOINT] = self._x[extra.SEEN] = self._s[loops.THETA]
         # Two sines of the angle make one: the weight and an imbalance that is hidden.
-        hidden = self.constants.effects.get("gravity_imbalance", {"torque_Nm": 0.0, "zero_rad": 0.0})
+        hidden = self.constants.effects.get(
+            "gravity_imbalance", {"torque_Nm": 0.0, "zero_rad": 0.0}
+        )
         weight_N_m = mass_kg * self.constants.joint.gravity_m_s2 * length_m
-        both = cmath.rect(weight_N_m, zero_rad) + cmath.rect(hidden["torque_Nm"], hidden["zero_rad"])
+        both = cmath.rect(weight_N_m, zero_rad) + cmath.rect(
+            hidden["torque_Nm"], hidden["zero_rad"]
+        )
         self._e[table.GRAVITY_TORQUE], self._e[table.GRAVITY_ZERO] = cmath.polar(both)
         self._fixed_inertia = mass_kg * length_m**2
         self._load()
 
     def _load(self) -> None:
-        """Pack the friction vector for what presses on the valve in the recording that is on, or comes next."""
+        """Pack the friction vector for what presses on the valve in the recording that is on, or
+        comes next.
+        """
         joint, e = self.constants.joint, self._e
         per_kg = joint.lever_ratio * joint.gravity_m_s2
-        force = joint.lever_ratio * self._label_kg * joint.gravity_m_s2 if self._force_N is None else self._force_N
+        force = (
+            joint.lever_ratio * self._label_kg * joint.gravity_m_s2
+            if self._force_N is None
+            else self._force_N
+        )
         force += float(self._y[gas.FORCE])
         if not e.size:
             self._p = friction_vector(joint, force)
@@ -188,7 +209,9 @@ class SimulatedMachine:
             force = per_kg * e[table.WEIGHT_MASS]
         self._p = friction_vector(joint, felt_force(force, e))
         hanging = 0.0 if self._y[gas.MASS] > 0.0 else force / per_kg
-        self._p[friction.INERTIA] += e[table.LOAD_INERTIA] * hanging / _REFERENCE_MASS_KG + self._fixed_inertia
+        self._p[friction.INERTIA] += (
+            e[table.LOAD_INERTIA] * hanging / _REFERENCE_MASS_KG + self._fixed_inertia
+        )
         if e[table.STRIBECK_ALPHA] > 0.0:
             self._p[friction.ALPHA] = e[table.STRIBECK_ALPHA]
         if self._s[loops.OMEGA] == 0.0:
@@ -200,7 +223,10 @@ class SimulatedMachine:
         self._d[loops.CURRENT_LIMIT] = min(self.constants.loops.current_limit_A, current_A)
 
     def power(self, on: bool) -> None:
-        """Switch the power stage. Off: the motor is open-circuit and coasts. On: it holds where it is."""
+        """Switch the power stage.
+
+        Off: the motor is open-circuit and coasts. On: it holds where it is.
+        """
         s = self._s
         if on and s[loops.MODE] == loops.OFF:
             s[loops.MODE] = loops.TRACK
@@ -215,14 +241,18 @@ class SimulatedMachine:
             s[loops.OFFSET] = 0.0
 
     def rest(self, seconds: float) -> None:
-        """Let time pass with the power off and the joint at rest: what is warm cools, the campaign goes on."""
+        """Let time pass with the power off and the joint at rest: what is warm cools, the campaign
+        goes on.
+        """
         self._x[extra.RUN] += seconds
         e = self._e
         if e.size and e[table.HEATING_RISE] > 0.0:
             self._x[extra.HEAT] *= math.exp(-seconds / e[table.HEATING_TIME])
 
     def track(self, target_counts: float, over_ns: int) -> None:
-        """Follow ``target_counts`` (motor encoder), reached by linear interpolation ``over_ns`` from now."""
+        """Follow ``target_counts`` (motor encoder), reached by linear interpolation ``over_ns``
+        from now.
+        """
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
@@ -237,7 +267,9 @@ class SimulatedMachine:
             self._s[loops.OFFSET] = current_A
 
     def brake(self, deceleration_rad_s2: float) -> None:
-        """Ramp the commanded joint speed to zero at this deceleration and hold there (quick stop)."""
+        """Ramp the commanded joint speed to zero at this deceleration and hold there (quick
+        stop).
+        """
         s = self._s
         if s[loops.MODE] == loops.OFF:
             return
@@ -258,11 +290,15 @@ class SimulatedMachine:
     def _loops_in(self, duration_ns: int) -> int:
         count, rest = divmod(duration_ns, self.loop_ns)
         if rest or count < 0:
-            raise ValueError(f"{duration_ns} ns is not a whole number of loop periods of {self.loop_ns} ns")
+            raise ValueError(
+                f"{duration_ns} ns is not a whole number of loop periods of {self.loop_ns} ns"
+            )
         return count
 
     def follow(self, path_rad: NDArray[np.float64]) -> None:
-        """Integrate one loop period for each joint angle of ``path_rad``, asked for one after another."""
+        """Integrate one loop period for each joint angle of ``path_rad``, asked for one after
+        another.
+        """
         self._advance(len(path_rad), path_rad)
 
     def _advance(self, count: int, path: NDArray[np.float64]) -> None:
@@ -281,7 +317,8 @@ class SimulatedMachine:
             count -= n
 
     def record(self, target_counts: NDArray[np.float64], cycle_ns: int) -> Latches:
-        """Advance one cycle, latch and obey one target (motor encoder counts), for each of ``target_counts``.
+        """Advance one cycle, latch and obey one target (motor encoder counts), for each of
+        ``target_counts``.
 
         Raises:
             ValueError: The cycle is no whole number of loop periods.
@@ -291,7 +328,21 @@ class SimulatedMachine:
         targets = target_counts * self.motor_count_rad
         x, histories, d, p, e = self._x, self._histories, self._d, self._p, self._e
         noise = self._take_noise(per_cycle * len(targets))
-        record_cycles(per_cycle, self._s, x, histories, d, p, e, self._y, self._g, noise, targets, _NO_PATH, out)
+        record_cycles(
+            per_cycle,
+            self._s,
+            x,
+            histories,
+            d,
+            p,
+            e,
+            self._y,
+            self._g,
+            noise,
+            targets,
+            _NO_PATH,
+            out,
+        )
         return Latches(
             np.floor(out[:, ROTOR] / self.motor_count_rad),
             np.floor(out[:, JOINT_SEEN] / self.joint_count_rad),
@@ -305,7 +356,9 @@ class SimulatedMachine:
         )
 
     def _take_noise(self, count: int) -> NDArray[np.float64]:
-        """Return the next ``count`` samples of the noise, the same that as many loop periods would draw."""
+        """Return the next ``count`` samples of the noise, the same that as many loop periods would
+        draw.
+        """
         left = self._noise[self._noise_at :]
         if count <= len(left):
             self._noise_at += count
@@ -320,7 +373,8 @@ class SimulatedMachine:
         """Return what the sensors see now and start new means for current and voltage.
 
         Raises:
-            ConfigurationError: The angles are no numbers any more: the constants make the equations diverge.
+            ConfigurationError: The angles are no numbers any more: the constants make the equations
+                diverge.
         """
         s = self._s
         theta = float(s[loops.THETA])
@@ -338,10 +392,14 @@ class SimulatedMachine:
         if s[loops.MODE] != loops.OFF:
             following = (float(s[loops.TARGET]) - float(s[loops.MEASURED])) / self.motor_count_rad
         try:
-            motor, joint = math.floor(theta / self.motor_count_rad), math.floor(seen / self.joint_count_rad)
+            motor, joint = (
+                math.floor(theta / self.motor_count_rad),
+                math.floor(seen / self.joint_count_rad),
+            )
         except (ValueError, OverflowError) as error:
             raise ConfigurationError(
-                f"the equations of the simulated machine diverge (angle {theta:g} rad); look in the section `mock` of "
+                f"the equations of the simulated machine diverge (angle {theta:g} rad); look in "
+                f"the section `mock` of "
                 "the bench file for a value with a wrong exponent or unit"
             ) from error
         return Reading(
@@ -364,5 +422,12 @@ class SimulatedMachine:
     def truth(self) -> Truth:
         """Return the exact state."""
         s, y = self._s, self._y
-        motion = self._angle(), float(s[loops.OMEGA]), float(s[loops.CURRENT]), float(s[loops.FRICTION_WORK])
-        return Truth(*motion, float(y[gas.PRESSURE]), float(self._p[friction.MOMENT] / self._g[gas.ARM]))
+        motion = (
+            self._angle(),
+            float(s[loops.OMEGA]),
+            float(s[loops.CURRENT]),
+            float(s[loops.FRICTION_WORK]),
+        )
+        return Truth(
+            *motion, float(y[gas.PRESSURE]), float(self._p[friction.MOMENT] / self._g[gas.ARM])
+        )

@@ -1,4 +1,6 @@
-"""Whole recordings in one call: machine, drive loops and latches of the bus's control cycle, without the bus."""
+"""Whole recordings in one call: machine, drive loops and latches of the bus's control cycle,
+without the bus.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,12 @@ _NO_PATH = np.zeros(0)
 
 
 class Latches(NamedTuple):
-    """What drive and joint encoder see at each SYNC, before their own units; every array has shape (n,).
+    """What drive and joint encoder see at each SYNC, before their own units; every array has shape
+    (n,).
 
-    ``current_A`` and ``voltage_V`` are means over the cycle that ends there; ``run_s`` is the machine's running time.
-    ``pressure_Pa`` is exact, and that beyond the valve while no gas generator burns.
+    ``current_A`` and ``voltage_V`` are means over the cycle that ends there; ``run_s`` is the
+    machine's running time. ``pressure_Pa`` is exact, and that beyond the valve while no gas
+    generator burns.
     """
 
     motor_counts: NDArray[np.float64]
@@ -79,7 +83,8 @@ def record_cycles(
 ) -> None:
     """Run one cycle for each joint angle of ``targets``: advance, latch, obey.
 
-    As on the bus, the target that goes out with a SYNC is reached by interpolation one cycle after that SYNC.
+    As on the bus, the target that goes out with a SYNC is reached by interpolation one cycle after
+    that SYNC.
     """
     for k in range(len(targets)):
         part = noise[k * loops_per_cycle : (k + 1) * loops_per_cycle]

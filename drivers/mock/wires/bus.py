@@ -1,4 +1,6 @@
-"""A CAN bus in simulated time: one wire, exact frame times, arbitration, no threads and no wall clock."""
+"""A CAN bus in simulated time: one wire, exact frame times, arbitration, no threads and no wall
+clock.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,9 @@ from drivers.interfaces import RawFrame
 
 Handler = Callable[[bytes], None]
 FrameFilter = Callable[[int, int, bytes, bool], tuple[int, bytes] | None]
-"""Called with (time in ns, identifier, data, sent by the host); returns the frame to deliver, or None to lose it."""
+"""Called with (time in ns, identifier, data, sent by the host); returns the frame to deliver, or
+None to lose it.
+"""
 
 
 _NEVER = 1 << 62
@@ -60,9 +64,9 @@ class Port:
 class SimulatedBus(can.BusABC):
     """The simulated bus, as the host's controller sees it: a :class:`~drivers.can.port.FramePort`.
 
-    It is an interface of python-can as well, for its tools. Every frame takes its worst-case time at ``bitrate``. Among
-    the controllers that wait when the wire falls idle, the lowest identifier goes first; a controller sends its own
-    frames in order. :meth:`collect` advances the clock.
+    It is an interface of python-can as well, for its tools. Every frame takes its worst-case time
+    at ``bitrate``. Among the controllers that wait when the wire falls idle, the lowest identifier
+    goes first; a controller sends its own frames in order. :meth:`collect` advances the clock.
 
     Attributes:
         frame_filters: Hooks for fault injection, applied in order to every frame on the wire.
@@ -105,13 +109,17 @@ class SimulatedBus(can.BusABC):
             self._clock.call_at(self._clock.now_ns() + self._arbitrate(), self._arrived)
 
     def _arbitrate(self) -> int:
-        """Put the contender with the lowest identifier on the wire; return how long its frame takes, ns."""
+        """Put the contender with the lowest identifier on the wire; return how long its frame
+        takes, ns.
+        """
         _, number = heapq.heappop(self._contenders)
         self._sender = sender = self._ports[number]
         return self._times[len(sender.queue[0][1])]
 
     def _arrived(self) -> None:
-        """Deliver the frame on the wire, and those that follow it, up to the next event of another kind."""
+        """Deliver the frame on the wire, and those that follow it, up to the next event of another
+        kind.
+        """
         clock, contenders = self._clock, self._contenders
         now = clock.now_ns()
         while (sender := self._sender) is not None:
@@ -128,7 +136,8 @@ class SimulatedBus(can.BusABC):
                         handler(data)
                 if sender is not self._host and not self.down:
                     self._received.append(raw_frame((now, identifier, data, False)))
-            # Receivers have queued their answers by now, so that all of them take part in the next arbitration.
+            # Receivers have queued their answers by now, so that all of them take part in the next
+            # arbitration.
             if not contenders:
                 self._sender = None
                 return
@@ -137,7 +146,9 @@ class SimulatedBus(can.BusABC):
                 clock.call_at(now, self._arrived)
                 return
 
-    def _filtered(self, now: int, frame: tuple[int, bytes] | None, from_host: bool) -> tuple[int, bytes] | None:
+    def _filtered(
+        self, now: int, frame: tuple[int, bytes] | None, from_host: bool
+    ) -> tuple[int, bytes] | None:
         for keep in self.frame_filters:
             if frame is None:
                 return None
@@ -161,8 +172,8 @@ class SimulatedBus(can.BusABC):
     def collect(self, timeout_s: float) -> Sequence[RawFrame]:
         """Return what has come in, advancing simulated time while there is nothing.
 
-        Frames that follow one another without a gap come in together, as into a controller's buffer, each with the
-        time at which it arrived.
+        Frames that follow one another without a gap come in together, as into a controller's
+        buffer, each with the time at which it arrived.
 
         Raises:
             OSError: The bus is shut.
@@ -186,7 +197,8 @@ class SimulatedBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Return the next frame that passes python-can's filters.
 
-        ``timeout`` is in seconds of simulated time; None waits as long as anything at all is scheduled.
+        ``timeout`` is in seconds of simulated time; None waits as long as anything at all is
+        scheduled.
 
         Raises:
             can.CanOperationError: The bus is shut.
@@ -199,7 +211,9 @@ class SimulatedBus(can.BusABC):
         while self._wait(deadline):
             time_ns, identifier, data, _ = self._received.pop(0)
             error = bool(identifier & ERROR_FLAG)
-            message = can.Message(time_ns / NS, identifier & 0x7FF, False, is_error_frame=error, data=data)
+            message = can.Message(
+                time_ns / NS, identifier & 0x7FF, False, is_error_frame=error, data=data
+            )
             if self._filters is None or self._matches_filters(message):
                 return message
         if timeout is not None:
@@ -207,7 +221,9 @@ class SimulatedBus(can.BusABC):
         return None
 
     def _wait(self, deadline_ns: int) -> bool:
-        """Advance simulated time until there is a frame for the host; False where there is none by the deadline."""
+        """Advance simulated time until there is a frame for the host; False where there is none by
+        the deadline.
+        """
         if self._is_shutdown:
             raise OSError("the bus is shut")
         clock = self._clock

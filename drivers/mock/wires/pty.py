@@ -1,4 +1,6 @@
-"""Simulated devices behind pseudo-terminals and sockets: what a host program opens like hardware."""
+"""Simulated devices behind pseudo-terminals and sockets: what a host program opens like
+hardware.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ class Ports:
         return path
 
     def open_socket(self, station: Station) -> int:
-        """Put a station behind a TCP port of 127.0.0.1 that serves one connection; returns its number."""
+        """Put a station behind a TCP port of 127.0.0.1 that serves one connection; returns its
+        number.
+        """
         listener = socket.create_server(("127.0.0.1", 0))
         port: int = listener.getsockname()[1]
         self.traffic[port] = traffic = Traffic(station)
@@ -78,7 +82,9 @@ class Ports:
         return port
 
     def unplug(self, name: str | int) -> None:
-        """Take a pseudo-terminal or server away: what the host program has open fails from now on."""
+        """Take a pseudo-terminal or server away: what the host program has open fails from now
+        on.
+        """
         for number, (listener, _) in list(self._listeners.items()):
             if listener.getsockname()[1] == name:
                 del self._listeners[number]
@@ -155,11 +161,12 @@ def _write(descriptor: int, data: bytes) -> None:
 class RealTimeBench(Ports):
     """Ports whose devices live in real time, on a thread of their own.
 
-    They live on while the host program computes, hangs or, in another process, is dead. A context manager; ports are
-    opened before it is entered.
+    They live on while the host program computes, hangs or, in another process, is dead. A context
+    manager; ports are opened before it is entered.
 
     Args:
-        clock: Of the simulated devices; kept in step with the machine's, and nobody else may move it meanwhile.
+        clock: Of the simulated devices; kept in step with the machine's, and nobody else may move
+            it meanwhile.
     """
 
     def __init__(self, clock: SimulatedClock) -> None:

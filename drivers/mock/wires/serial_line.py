@@ -1,4 +1,6 @@
-"""A serial line in simulated time: bytes take as long as at their rate, and nothing waits on the wall clock."""
+"""A serial line in simulated time: bytes take as long as at their rate, and nothing waits on the
+wall clock.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,9 @@ class Station(Protocol):
 
 
 class SimulatedLine:
-    """The line as the host sees it: a :class:`~drivers.serial_port.BytePort`. Reading advances the clock.
+    """The line as the host sees it: a :class:`~drivers.serial_port.BytePort`.
+
+    Reading advances the clock.
 
     A message arrives as a whole when its last byte does; the far end answers in that instant.
 
@@ -38,7 +42,9 @@ class SimulatedLine:
         cut: True while the line is unplugged: nothing arrives either way.
     """
 
-    def __init__(self, clock: SimulatedClock, baud: int, station: Station, echo: bool = False) -> None:
+    def __init__(
+        self, clock: SimulatedClock, baud: int, station: Station, echo: bool = False
+    ) -> None:
         self.station = station
         self.filters: list[ByteFilter] = []
         self.cut = False
@@ -88,7 +94,9 @@ class SimulatedLine:
         self._closed = True
 
     def deliver(self, data: bytes, from_host: bool) -> None:
-        """Put a message at the end that it is for, past the filters; an answer to it comes as it always does."""
+        """Put a message at the end that it is for, past the filters; an answer to it comes as it
+        always does.
+        """
         if self.cut:
             return
         if not from_host:

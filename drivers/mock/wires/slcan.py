@@ -1,4 +1,6 @@
-"""CAN adapters in front of the simulated bus: LAWICEL over a serial line ("slcan") and socketcand over TCP."""
+"""CAN adapters in front of the simulated bus: LAWICEL over a serial line ("slcan") and socketcand
+over TCP.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +21,8 @@ _MAX_LINE: Final = 64
 class LawicelAdapter:
     """The adapter as its serial line sees it; a :class:`~drivers.mock.wires.serial_line.Station`.
 
-    Only data frames with 11-bit identifiers, which is all that the simulated devices send. Answers to settings are left
-    out, as hosts do not wait for them.
+    Only data frames with 11-bit identifiers, which is all that the simulated devices send. Answers
+    to settings are left out, as hosts do not wait for them.
 
     Args:
         bus: The bus on its other side; the adapter is its host.
@@ -32,7 +34,9 @@ class LawicelAdapter:
         self._open = False
 
     def receive(self, data: bytes) -> bytes:
-        """Obey the commands that end in ``data``; return their answers and the frames that have come in."""
+        """Obey the commands that end in ``data``; return their answers and the frames that have
+        come in.
+        """
         self._buffer += data
         answers = bytearray()
         *lines, rest = self._buffer.split(_OK)
@@ -65,7 +69,11 @@ class LawicelAdapter:
         identifier = int(line[1:4], 16)
         data = bytes.fromhex(line[5:].decode())
         return (
-            b"" if identifier <= _STANDARD and len(data) <= 8 and _transmitted(self._bus, identifier, data) else _BELL
+            b""
+            if identifier <= _STANDARD
+            and len(data) <= 8
+            and _transmitted(self._bus, identifier, data)
+            else _BELL
         )
 
 
@@ -92,7 +100,9 @@ class SocketcandServer:
         self._raw = False
 
     def receive(self, data: bytes) -> bytes:
-        """Obey the commands that end in ``data``; return their answers and the frames that have come in."""
+        """Obey the commands that end in ``data``; return their answers and the frames that have
+        come in.
+        """
         answers = "" if self._greeted else "< hi >"
         self._greeted = True
         *commands, self._buffer = (self._buffer + data).split(b">")

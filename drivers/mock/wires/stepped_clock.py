@@ -6,9 +6,11 @@ from drivers.clock import NS, Clock
 
 
 class SteppedClock:
-    """The clock of a host whose time can jump; the bus and the devices on it keep the time of ``base``.
+    """The clock of a host whose time can jump; the bus and the devices on it keep the time of
+    ``base``.
 
-    A monotonic clock does not do this by itself; a suspended virtual machine or a defective driver can.
+    A monotonic clock does not do this by itself; a suspended virtual machine or a defective driver
+    can.
     """
 
     def __init__(self, base: Clock) -> None:

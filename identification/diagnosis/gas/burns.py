@@ -1,4 +1,6 @@
-"""What a diagnosis of the gas generator sees of a recording: pressure, and the throat that the valve's angle makes."""
+"""What a diagnosis of the gas generator sees of a recording: pressure, and the throat that the
+valve's angle makes.
+"""
 
 from __future__ import annotations
 
@@ -57,15 +59,21 @@ class Burn:
 
 
 def bears(recording: Recording) -> bool:
-    """Whether a recording shows its gas generator: its constants, its pressure and the valve's angle."""
-    return recording.bench.gas_generator is not None and {"pressure", "angle"} <= recording.channels.keys()
+    """Whether a recording shows its gas generator: its constants, its pressure and the valve's
+    angle.
+    """
+    return (
+        recording.bench.gas_generator is not None
+        and {"pressure", "angle"} <= recording.channels.keys()
+    )
 
 
 def burns(recordings: Sequence[Recording]) -> tuple[Burn, ...]:
     """Return recordings as rows.
 
     Raises:
-        RecordingError: A recording has no pressure or angle, is too short, or its pressure falls to zero.
+        RecordingError: A recording has no pressure or angle, is too short, or its pressure falls to
+            zero.
     """
     return tuple(_burn(recording, index) for index, recording in enumerate(recordings))
 
@@ -78,7 +86,8 @@ def generator(burn: Burn) -> GasGenerator:
 
 
 def noise(burns: Sequence[Burn]) -> float:
-    """Return the scatter of the pressure from row to row, Pa: median of third differences, no less than the quantum's.
+    """Return the scatter of the pressure from row to row, Pa: median of third differences, no less
+    than the quantum's.
 
     Raises:
         RecordingError: The pressure does not change at all.
@@ -87,7 +96,9 @@ def noise(burns: Sequence[Burn]) -> float:
     scatter = _SPREAD_PER_MAD * float(np.median(np.abs(differences))) / _THIRD_DIFFERENCE
     steps = np.diff(np.unique(np.concatenate([b.pressure for b in burns])))
     if not steps.size:
-        raise RecordingError(f"{burns[0].recording.name}: pressure is constant; the transducer was not read")
+        raise RecordingError(
+            f"{burns[0].recording.name}: pressure is constant; the transducer was not read"
+        )
     return max(scatter, float(np.min(steps)) / math.sqrt(12.0))
 
 
@@ -96,31 +107,45 @@ def _burn(recording: Recording, index: int) -> Burn:
     g = recording.bench.gas_generator
     if missing or g is None:
         what = " and ".join(sorted(missing)) or "bench.gas_generator"
-        raise RecordingError(f"{recording.name}: no {what}; a gas generator is diagnosed from pressure and valve angle")
+        raise RecordingError(
+            f"{recording.name}: no {what}; a gas generator is diagnosed from pressure and valve "
+            f"angle"
+        )
     per_row = max(1, round(ROW_S / recording.period))
     count = len(recording.time) // per_row
     if count < LEAST_ROWS:
         raise RecordingError(
-            f"{recording.name}: {len(recording.time)} samples make {count} rows of {ROW_S * 1e3:g} ms; at least "
+            f"{recording.name}: {len(recording.time)} samples make {count} rows of "
+            f"{ROW_S * 1e3:g} ms; at least "
             f"{LEAST_ROWS} are needed"
         )
 
     def mean(values: Array) -> Array:
-        return np.asarray(values[..., : count * per_row].reshape(*values.shape[:-1], count, per_row).mean(axis=-1))
+        return np.asarray(
+            values[..., : count * per_row].reshape(*values.shape[:-1], count, per_row).mean(axis=-1)
+        )
 
-    time, angle, pressure = (mean(recording.channels[name]) for name in ("time", "angle", "pressure"))
+    time, angle, pressure = (
+        mean(recording.channels[name]) for name in ("time", "angle", "pressure")
+    )
     lowest = float(np.min(pressure))
     if not lowest > 0.0:
         raise RecordingError(
-            f"{recording.name}: pressure falls to {lowest:g} Pa; give it absolute, in Pa, and only while it burns"
+            f"{recording.name}: pressure falls to {lowest:g} Pa; give it absolute, in Pa, and "
+            f"only while it burns"
         )
     measured = recording.channels["angle"]
-    areas, shifts = mean(throat_derivatives(measured, g.valve)), mean(throat_shifts(measured, g.valve))
+    areas, shifts = (
+        mean(throat_derivatives(measured, g.valve)),
+        mean(throat_shifts(measured, g.valve)),
+    )
     return Burn(recording, index, time - float(recording.time[0]), areas, shifts, angle, pressure)
 
 
 def throat_shifts(angle: Array, valve: ValveGeometry) -> Array:
-    """Return the derivatives of A_t by angle (m^2/rad), d, D and b (m), by central differences, shape (4, n)."""
+    """Return the derivatives of A_t by angle (m^2/rad), d, D and b (m), by central differences,
+    shape (4, n).
+    """
     by_angle = throat_area(angle + _TURN, valve) - throat_area(angle - _TURN, valve)
     by_size = [
         throat_area(angle, replace(valve, **{name: value + _SIZE}))

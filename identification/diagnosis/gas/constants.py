@@ -1,7 +1,7 @@
 """What a diagnosis of the gas generator takes as believed, and how far each of it may be off.
 
-All of it is fitted beside whatever is missing, each held to its belief by its tolerance: else a throat two hundredths
-of a millimetre wider than drawn would be taken for missing physics.
+All of it is fitted beside whatever is missing, each held to its belief by its tolerance: else a
+throat two hundredths of a millimetre wider than drawn would be taken for missing physics.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ class Constant:
 
     Attributes:
         unit: SI.
-        tolerance: One standard deviation of what is believed: a share where ``relative``, else in its unit.
+        tolerance: One standard deviation of what is believed: a share where ``relative``, else in
+        its unit.
         relative: Whether it is varied as a logarithm.
     """
 
@@ -29,7 +30,11 @@ class Constant:
 
     def moved(self, value: float, steps: float) -> float:
         """Return a value ``steps`` tolerances away."""
-        return value * math.exp(self.tolerance * steps) if self.relative else value + self.tolerance * steps
+        return (
+            value * math.exp(self.tolerance * steps)
+            if self.relative
+            else value + self.tolerance * steps
+        )
 
     def steps(self, believed: float, value: float) -> float:
         """Return how many tolerances a value is off; the inverse of :meth:`moved`."""
@@ -44,7 +49,9 @@ CONSTANTS: Mapping[str, Constant] = {
     "D": Constant("m", 2.5e-5),
     "b": Constant("m", 2.5e-5),
     "angle_zero": Constant("rad", math.radians(0.05)),  # true angle less measured
-    "pressure_zero": Constant("Pa", 3e3),  # measured pressure less true, of a transducer tared before ignition
+    "pressure_zero": Constant(
+        "Pa", 3e3
+    ),  # measured pressure less true, of a transducer tared before ignition
     "delay": Constant("s", 1e-3),  # of pressure behind angle
 }
 """Name to tolerance, in the order in which they are fitted."""
@@ -60,7 +67,9 @@ _SENSORS = ("angle_zero", "pressure_zero", "delay")
 
 
 def beliefs(g: GasGenerator) -> dict[str, float]:
-    """Return what is believed of a gas generator and its sensors, by the names of :data:`CONSTANTS`."""
+    """Return what is believed of a gas generator and its sensors, by the names of
+    :data:`CONSTANTS`.
+    """
     return {
         **{name: getattr(g, name) for name in PROPELLANT},
         "d": g.valve.d,

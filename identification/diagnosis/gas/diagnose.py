@@ -1,4 +1,5 @@
-"""From burns to a verdict on the gas generator: noise, is anything missing, where, which effect, the proof.
+"""From burns to a verdict on the gas generator: noise, is anything missing, where, which effect,
+the proof.
 
 Recordings set aside (role ``validate``) are touched once, at the end.
 """
@@ -40,8 +41,10 @@ from identification.numerics.spread import CONFIDENCE
 from identification.recording import Dataset, RecordingError
 
 ADEQUATE = 0.9
-"""Share of the mismatch's power beyond the noise that names must explain between them to be a diagnosis, where more
-than noise is left. The balance of the gas has no friction's fine print, so that the right name explains nearly all."""
+"""Share of the mismatch's power beyond the noise that names must explain between them to be a
+diagnosis, where more than noise is left. The balance of the gas has no friction's fine print, so
+that the right name explains nearly all.
+"""
 _MOST_SURE = 0.99
 UNSEEN = 1.5
 """Error on recordings set aside over the noise, from which the reader is told."""
@@ -54,12 +57,13 @@ def diagnose_gas(
 ) -> Diagnosis:
     """Say whether physics is missing from the gas generator of these recordings, where, and which.
 
-    What is believed of propellant, valve and sensors is fitted beside whatever is missing, within tolerances
-    (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every recording.
+    What is believed of propellant, valve and sensors is fitted beside whatever is missing, within
+    tolerances (:data:`identification.diagnosis.gas.constants.CONSTANTS`), and the start of every
+    recording.
 
     Args:
-        dataset: Recordings with pressure and valve angle, each from its ignition; those with role ``validate`` are
-            scored once, at the end.
+        dataset: Recordings with pressure and valve angle, each from its ignition; those with role
+            ``validate`` are scored once, at the end.
         rng: Of the tests by sign flips.
         progress: Called with what is being done and the share done.
 
@@ -77,9 +81,15 @@ def diagnose_gas(
     drawn = _maps(found, chance)
     where = _location(found, drawn[0]) if drawn else None
     verdict = _verdict(found)
-    effects = _effects(found, where) if where and verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    effects = (
+        _effects(found, where) if where and verdict in (Verdict.NAMED, Verdict.AMBIGUOUS) else ()
+    )
     scored = found.final if effects else found.baseline
-    held = (_started(found.baseline, aside, found.sigma), _started(scored, aside, found.sigma)) if aside else None
+    held = (
+        (_started(found.baseline, aside, found.sigma), _started(scored, aside, found.sigma))
+        if aside
+        else None
+    )
     main = _fit(found, scored, held)
     return Diagnosis(
         verdict=verdict,
@@ -89,7 +99,11 @@ def diagnose_gas(
         fits=(main,),
         parameters=_constants(scored),
         parameter_shift={
-            name: Shift(before, _constants(scored)[name], CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit)
+            name: Shift(
+                before,
+                _constants(scored)[name],
+                CONSTANTS[name].unit if name in CONSTANTS else VOLUME.unit,
+            )
             for name, before in _constants(found.baseline).items()
         },
         p_value=found.p_value,
@@ -111,11 +125,15 @@ def _verdict(found: GasSearch) -> Verdict:
         return Verdict.NOTHING_MISSING
     if not found.taken or _explained(found) < ADEQUATE:
         return Verdict.OUTSIDE_CATALOGUE
-    return Verdict.AMBIGUOUS if any(r.open for t in found.taken for r in t.rivals) else Verdict.NAMED
+    return (
+        Verdict.AMBIGUOUS if any(r.open for t in found.taken for r in t.rivals) else Verdict.NAMED
+    )
 
 
 def _explained(found: GasSearch) -> float:
-    """Return the share of the mismatch beyond the noise that the effects explain; all where nothing else is left."""
+    """Return the share of the mismatch beyond the noise that the effects explain; all where nothing
+    else is left.
+    """
     if found.p_after > LEVEL:
         return 1.0
     before, after = (float(np.mean(f.residual**2)) for f in (found.baseline, found.final))
@@ -132,7 +150,11 @@ def _effects(found: GasSearch, where: Location) -> tuple[Effect, ...]:
 
 
 def _effect(
-    effect: GasEffect, taken: Taken, sizes: Mapping[str, Estimate], where: Location, explained: float
+    effect: GasEffect,
+    taken: Taken,
+    sizes: Mapping[str, Estimate],
+    where: Location,
+    explained: float,
 ) -> Effect:
     entry = ENTRIES[effect.term.name]
     sure = min([probability(r.preference) for r in taken.rivals], default=_MOST_SURE)
@@ -155,7 +177,9 @@ def _rival(rivalry: Rivalry) -> Rival:
 
 
 def intervals(found: GasSearch) -> list[dict[str, Estimate]]:
-    """Return each effect's parameters with 90 % intervals, clustered by blocks (Liang and Zeger, Biometrika 73, 13)."""
+    """Return each effect's parameters with 90 % intervals, clustered by blocks (Liang and Zeger,
+    Biometrika 73, 13).
+    """
     final, stack = found.final, found.stack
     scale = np.linalg.norm(final.tangent, axis=0) + final.held
     tangent = final.tangent / scale
@@ -194,7 +218,17 @@ def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
     units = {c.name: c.unit for c in COORDINATES}
     stack, equation = found.stack, found.stack.equations[0]
     drawn = [
-        mapped(equation, name, units[name], values, before, after, stack.block[: len(values)], stack.blocks, rng)
+        mapped(
+            equation,
+            name,
+            units[name],
+            values,
+            before,
+            after,
+            stack.block[: len(values)],
+            stack.blocks,
+            rng,
+        )
         for name, values in coordinates(found.burns, found.baseline)
     ]
     return tuple(sorted((m for m in drawn if m is not None), key=lambda m: -m.share))
@@ -203,7 +237,9 @@ def _maps(found: GasSearch, rng: np.random.Generator) -> tuple[Map, ...]:
 def _location(found: GasSearch, best: Map) -> Location:
     edges = np.cumsum([len(b.time) for b in found.burns])[:-1]
     powers = [float(np.mean(part**2)) for part in np.split(found.baseline.residual, edges)]
-    names = tuple(b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > OWN_RECORDING)
+    names = tuple(
+        b.recording.name for b, p in zip(found.burns, powers, strict=True) if p > OWN_RECORDING
+    )
     return Location(best.coordinate, best.unit, ranges(best), best.share, names)
 
 
@@ -231,49 +267,79 @@ def _started(fitted: Fitted, aside: Sequence[Burn], sigma: float) -> Fitted:
     return fit(aside, sigma, replace(fitted.model, starts=starts), shared=False)
 
 
-def _traces(here: Sequence[Burn], before: Fitted, after: Fitted, sigma: float) -> list[ResidualTrace]:
+def _traces(
+    here: Sequence[Burn], before: Fitted, after: Fitted, sigma: float
+) -> list[ResidualTrace]:
     edges = np.cumsum([len(b.time) for b in here])[:-1]
-    pairs = zip(here, np.split(sigma * before.residual, edges), np.split(sigma * after.residual, edges), strict=True)
+    pairs = zip(
+        here,
+        np.split(sigma * before.residual, edges),
+        np.split(sigma * after.residual, edges),
+        strict=True,
+    )
     return [
         ResidualTrace(b.recording.name, b.recording.role, PRESSURE, UNIT, b.time, first, last)
         for b, first, last in pairs
     ]
 
 
-def _statement(verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Location | None, p_value: float) -> str:
+def _statement(
+    verdict: Verdict, effects: Sequence[Effect], main: Fit, where: Location | None, p_value: float
+) -> str:
     error = f"pressure error {main.baseline_rms:.3g} Pa; noise floor {main.noise_floor_rms:.3g}"
     if verdict is Verdict.NOTHING_MISSING:
         return (
-            f"nothing is missing from the gas generator that these recordings could show (p = {p_value:.2g}); {error}"
+            f"nothing is missing from the gas generator that these recordings could show (p = "
+            f"{p_value:.2g}); {error}"
         )
     if verdict is Verdict.OUTSIDE_CATALOGUE:
         place = f", most of it over {where.coordinate}" if where else ""
-        return f"something is missing from the gas generator that is in no catalogue{place}; {error}"
+        return (
+            f"something is missing from the gas generator that is in no catalogue{place}; {error}"
+        )
     words = "; and ".join(e.statement for e in effects)
     if verdict is Verdict.AMBIGUOUS:
-        groups = [" or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1]
+        groups = [
+            " or ".join(title(n) for n in e.alias_group) for e in effects if len(e.alias_group) > 1
+        ]
         words = f"{words}. These recordings cannot tell {' and '.join(groups)} apart"
     before, after, on = main.baseline_rms, main.final_rms, "the recordings it was fitted to"
     if main.validate_baseline_rms is not None and main.validate_final_rms is not None:
         before, after, on = main.validate_baseline_rms, main.validate_final_rms, "unseen recordings"
-    return f"{words}. Pressure error on {on} {before:.3g} -> {after:.3g} Pa; noise floor {main.noise_floor_rms:.3g}."
+    return (
+        f"{words}. Pressure error on {on} {before:.3g} -> {after:.3g} Pa; noise floor "
+        f"{main.noise_floor_rms:.3g}."
+    )
 
 
 def _warnings(dataset: Dataset, found: GasSearch, main: Fit) -> tuple[str, ...]:
     warnings = []
     if not dataset.part("validate"):
-        warnings.append("no recording is set aside (role: validate), so the errors are of the fit itself")
+        warnings.append(
+            "no recording is set aside (role: validate), so the errors are of the fit itself"
+        )
     unseen = main.validate_final_rms
     if unseen is not None and unseen > UNSEEN * main.noise_floor_rms:
         warnings.append(
-            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the noise: those fitted "
-            "do not pin the gas generator; fit burns with steps between narrow and wide throats as well"
+            f"on recordings set aside the error is {unseen / main.noise_floor_rms:.2g} times the "
+            f"noise: those fitted "
+            "do not pin the gas generator; fit burns with steps between narrow and wide throats "
+            "as well"
         )
     for burn in found.burns:
         if float(np.ptp(burn.areas[0])) < 0.02 * float(np.mean(burn.areas[0])):
-            warnings.append(f"{burn.recording.name}: the throat hardly moves; it shows no transient")
+            warnings.append(
+                f"{burn.recording.name}: the throat hardly moves; it shows no transient"
+            )
     off = zip(CONSTANTS.items(), found.baseline.pull, strict=False)
-    strained = [f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}" for (name, c), p in off if abs(p) > STRAINED]
+    strained = [
+        f"{name} by {abs(p):.1f} times {c.tolerance:.2g} {c.unit}"
+        for (name, c), p in off
+        if abs(p) > STRAINED
+    ]
     if strained:
-        warnings.append(f"without anything missing these would have to be off: {', '.join(strained)}; check them first")
+        warnings.append(
+            f"without anything missing these would have to be off: {', '.join(strained)}; check "
+            f"them first"
+        )
     return tuple(warnings)

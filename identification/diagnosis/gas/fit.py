@@ -1,4 +1,6 @@
-"""Believed constants, the start of each burn and named effects, fitted together by forward simulation."""
+"""Believed constants, the start of each burn and named effects, fitted together by forward
+simulation.
+"""
 
 from __future__ import annotations
 
@@ -20,11 +22,14 @@ from identification.signals import BoolArray
 _STEP = 0.01
 """Of numerical derivatives, in the units of the fit."""
 _STAGES = ((1e4, 1e-3, 10), (1.0, 1e-6, 25))
-"""Factor on what holds valve and sensors, share of the cost below whose gain a stage ends, and its steps at most. They
-are as good as fixed until the rest has settled: from far off they would run away to help."""
+"""Factor on what holds valve and sensors, share of the cost below whose gain a stage ends, and its
+steps at most. They are as good as fixed until the rest has settled: from far off they would run
+away to help.
+"""
 _FARTHEST, _FIRM_FARTHEST = 6.0, 15.0
-"""Tolerances beyond which no constant is looked for, those of valve and sensors farther: a chamber ten times as large
-would make anything slow look like its filling..."""
+"""Tolerances beyond which no constant is looked for, those of valve and sensors farther: a chamber
+ten times as large would make anything slow look like its filling...
+"""
 _REJECTED = 1e6
 """... and the residual there, over the noise."""
 
@@ -39,7 +44,9 @@ class Start:
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted: constants by name, the start of each burn, effects in the order they were added."""
+    """What is fitted: constants by name, the start of each burn, effects in the order they were
+    added.
+    """
 
     constants: Mapping[str, float]
     starts: tuple[Start, ...]
@@ -54,8 +61,8 @@ class Fitted:
         model: Its values.
         simulated: Pressure of all rows as the transducer would show it, Pa, shape (n,).
         residual: Measured less simulated over the noise, shape (n,).
-        tangent: Derivative of the simulated rows over the noise by everything that was fitted, shape (n, p); the
-            effects' parameters come last.
+        tangent: Derivative of the simulated rows over the noise by everything that was fitted,
+            shape (n, p); the effects' parameters come last.
         held: Weight that holds each of those to what was believed, shape (p,).
         pull: Believed less fitted over the tolerance, shape (p,); zero where nothing is held.
         firm: Which of those are of valve and sensors, shape (p,).
@@ -99,7 +106,15 @@ def fit(burns: Sequence[Burn], sigma: float, start: Model, *, shared: bool = Tru
     model = layout.model(x)
     simulated = simulate(burns, model)
     tangent = _tangent(burns, layout, x) / sigma
-    return Fitted(model, simulated, (measured - simulated) / sigma, tangent, layout.held, -layout.held * x, layout.firm)
+    return Fitted(
+        model,
+        simulated,
+        (measured - simulated) / sigma,
+        tangent,
+        layout.held,
+        -layout.held * x,
+        layout.firm,
+    )
 
 
 def _settled(
@@ -122,7 +137,9 @@ def _settled(
     def jacobian(x: Array, _residual: Array) -> Array:
         return np.concatenate((_tangent(burns, layout, x) / sigma, np.diag(held)))
 
-    return minimise(residuals, jacobian, start, threshold=math.inf, tolerance=tolerance, most_steps=most_steps).x
+    return minimise(
+        residuals, jacobian, start, threshold=math.inf, tolerance=tolerance, most_steps=most_steps
+    ).x
 
 
 def simulate(burns: Sequence[Burn], model: Model) -> Array:
@@ -137,7 +154,9 @@ def shown(marched: Array, model: Model) -> Array:
 
 
 def march(burn: Burn, model: Model) -> Array:
-    """Return pressure (Pa), web burnt (m) and the pressure's rate (Pa/s) of one burn, shape (3, n)."""
+    """Return pressure (Pa), web burnt (m) and the pressure's rate (Pa/s) of one burn, shape (3,
+    n).
+    """
     start, own, given = model.starts[burn.index], beliefs(generator(burn)), model.constants
     off = np.array([given[name] - own[name] for name in ("angle_zero", "d", "D", "b")])
     areas = burn.areas.copy()
@@ -158,16 +177,24 @@ def missing(effects: Sequence[GasEffect]) -> Array:
 
 
 class _Layout:
-    """Where each number of a model stands in the vector that is fitted, in tolerances of what is believed."""
+    """Where each number of a model stands in the vector that is fitted, in tolerances of what is
+    believed.
+    """
 
     def __init__(self, burns: Sequence[Burn], start: Model, shared: bool) -> None:
         self._believed, self._given = believed(burns), start
         self.constants = CONSTANTS if shared else {}
         self.effects = start.effects if shared else ()
         self.shared, self.ends = len(self.constants), len(self.constants) + 2 * len(burns)
-        inner = [c.steps(self._believed.constants[k], start.constants[k]) for k, c in self.constants.items()]
+        inner = [
+            c.steps(self._believed.constants[k], start.constants[k])
+            for k, c in self.constants.items()
+        ]
         for mine, own in zip(start.starts, self._believed.starts, strict=True):
-            inner += [VOLUME.steps(own.volume, mine.volume), PRESSURE.steps(own.pressure, mine.pressure)]
+            inner += [
+                VOLUME.steps(own.volume, mine.volume),
+                PRESSURE.steps(own.pressure, mine.pressure),
+            ]
         inner += [x for effect in self.effects for x in effect.coordinates]
         self.start = np.array(inner)
         self.held = np.zeros(len(inner))
@@ -178,7 +205,10 @@ class _Layout:
     def model(self, x: Array) -> Model:
         """Return the model at a vector."""
         own = self._believed
-        moved = {k: c.moved(own.constants[k], float(v)) for (k, c), v in zip(self.constants.items(), x, strict=False)}
+        moved = {
+            k: c.moved(own.constants[k], float(v))
+            for (k, c), v in zip(self.constants.items(), x, strict=False)
+        }
         pairs = x[self.shared : self.ends].reshape(-1, 2)
         starts = tuple(
             Start(PRESSURE.moved(b.pressure, float(p)), VOLUME.moved(b.volume, float(v)))
@@ -189,7 +219,9 @@ class _Layout:
             count = len(effect.term.sizes)
             effects.append(effect_at(effect.term, tuple(float(v) for v in x[at : at + count])))
             at += count
-        return Model({**self._given.constants, **moved}, starts, tuple(effects) or self._given.effects)
+        return Model(
+            {**self._given.constants, **moved}, starts, tuple(effects) or self._given.effects
+        )
 
     def touches(self, k: int) -> int | None:
         """Return the burn that alone an entry of the vector moves, or None."""

@@ -1,4 +1,6 @@
-"""The rows of the one equation, what the nominal model absorbs taken out, for the tests that all equations share."""
+"""The rows of the one equation, what the nominal model absorbs taken out, for the tests that all
+equations share.
+"""
 
 from __future__ import annotations
 
@@ -31,7 +33,9 @@ _SMALL = 0.01
 
 @dataclass(frozen=True)
 class Coordinate:
-    """Something the mismatch may depend on: ``values`` of a burn and its marched (pressure, web), shape (m,)."""
+    """Something the mismatch may depend on: ``values`` of a burn and its marched (pressure, web),
+    shape (m,).
+    """
 
     name: str
     unit: str
@@ -47,11 +51,13 @@ COORDINATES = (
 )
 
 
-def stacked(burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None) -> Stack:
+def stacked(
+    burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | None = None
+) -> Stack:
     """Return the mismatch of a fit with everything fitted projected out.
 
-    Behind the rows of the burns stand those of the beliefs, one for each number that is held, in a block of their own:
-    so an effect is absorbed as far as the tolerances allow, and no farther.
+    Behind the rows of the burns stand those of the beliefs, one for each number that is held, in a
+    block of their own: so an effect is absorbed as far as the tolerances allow, and no farther.
 
     Args:
         burns: Recordings.
@@ -65,18 +71,26 @@ def stacked(burns: Sequence[Burn], fitted: Fitted, sigma: float, like: Stack | N
     beliefs = int(np.sum(held))
     owner = np.concatenate([*(np.full(len(b.time), b.index) for b in burns), np.full(beliefs, -1)])
     time = np.concatenate([*(b.time for b in burns), np.zeros(beliefs)])
-    equation = Equation(PRESSURE, UNIT, (), (), sigma * residual, sigma * tangent, (), owner, time, sigma)
+    equation = Equation(
+        PRESSURE, UNIT, (), (), sigma * residual, sigma * tangent, (), owner, time, sigma
+    )
     values, vectors = np.linalg.eigh(tangent.T @ tangent)
     keep = values > 1e-12 * float(values[-1])
     basis = tangent @ (vectors[:, keep] / np.sqrt(values[keep]))
     if like is None:
         block, count = _blocks(burns, fitted.residual, owner)
-        gather = (sparse.csr_matrix((np.ones(len(block)), (block, np.arange(len(block)))), shape=(count, len(block))),)
+        gather = (
+            sparse.csr_matrix(
+                (np.ones(len(block)), (block, np.arange(len(block)))), shape=(count, len(block))
+            ),
+        )
     else:
         block, count, gather = like.block, like.blocks, like.gather
     nominal = Nominal(fitted.model.constants, tuple(fitted.model.constants), 2.0)
     left = residual - basis @ (basis.T @ residual)
-    return Stack((equation,), nominal, (basis,), np.zeros((len(left), 0)), left, block, count, gather)
+    return Stack(
+        (equation,), nominal, (basis,), np.zeros((len(left), 0)), left, block, count, gather
+    )
 
 
 def padded(stack: Stack, values: Array) -> Array:
@@ -89,7 +103,9 @@ def padded(stack: Stack, values: Array) -> Array:
 def candidates(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, terms: Sequence[GasTerm] = GAS_TERMS
 ) -> Iterator[Candidate]:
-    """Yield every effect at every trial shape, linearised where the fit stands; coefficients are in its own unit."""
+    """Yield every effect at every trial shape, linearised where the fit stands; coefficients are in
+    its own unit.
+    """
     for term in terms:
         for shape in term.shapes:
             columns = {PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}
@@ -101,10 +117,14 @@ def candidates(
 def starts(
     burns: Sequence[Burn], stack: Stack, fitted: Fitted, term: GasTerm
 ) -> list[tuple[float, float, tuple[float, ...]]]:
-    """Return (gain, size, shape) of an effect at every trial shape by linear least squares, the greatest gain first."""
+    """Return (gain, size, shape) of an effect at every trial shape by linear least squares, the
+    greatest gain first.
+    """
     found = []
     for shape in term.shapes:
-        column = stack.projected(stack.whitened({PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])}))
+        column = stack.projected(
+            stack.whitened({PRESSURE: padded(stack, slope(burns, fitted, term, shape)[:, None])})
+        )
         power, score = float(np.sum(column**2)), float(column[:, 0] @ stack.residual)
         if power > 0.0:
             found.append((score**2 / power, score / power, shape))
@@ -112,7 +132,9 @@ def starts(
 
 
 def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[float, ...]) -> Array:
-    """Return how the pressure changes with a small effect, Pa over the unit of its size, shape (n,)."""
+    """Return how the pressure changes with a small effect, Pa over the unit of its size, shape
+    (n,).
+    """
     size = _SMALL * next(iter(term.sizes.values())).scale
     effect = GasEffect(term, dict(zip(term.sizes, (size, *shape), strict=True)))
     moved: Model = replace(fitted.model, effects=(*fitted.model.effects, effect))
@@ -120,12 +142,16 @@ def slope(burns: Sequence[Burn], fitted: Fitted, term: GasTerm, shape: tuple[flo
 
 
 def families(burns: Sequence[Burn], stack: Stack, fitted: Fitted) -> Iterator[Candidate]:
-    """Yield the families without a name: a level for each bin of every coordinate, and of time in each burn alone."""
+    """Yield the families without a name: a level for each bin of every coordinate, and of time in
+    each burn alone.
+    """
     for name, values in coordinates(burns, fitted):
         grid = edges(values)
         if len(grid) > 2:
             yield from _levels(stack, name, np.searchsorted(grid[1:-1], values, side="right"))
-    pieces = [b.index * _PIECES + (b.time * (_PIECES - 1e-9) / b.time[-1]).astype(np.int64) for b in burns]
+    pieces = [
+        b.index * _PIECES + (b.time * (_PIECES - 1e-9) / b.time[-1]).astype(np.int64) for b in burns
+    ]
     yield from _levels(stack, "time in each recording", np.concatenate(pieces))
 
 
@@ -133,7 +159,10 @@ def coordinates(burns: Sequence[Burn], fitted: Fitted) -> Iterator[tuple[str, Ar
     """Yield every coordinate's name and its values over all rows, shape (n,)."""
     marched = [march(b, fitted.model) for b in burns]
     for coordinate in COORDINATES:
-        yield coordinate.name, np.concatenate([coordinate.values(b, m) for b, m in zip(burns, marched, strict=True)])
+        yield (
+            coordinate.name,
+            np.concatenate([coordinate.values(b, m) for b, m in zip(burns, marched, strict=True)]),
+        )
 
 
 def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
@@ -144,7 +173,9 @@ def _levels(stack: Stack, name: str, place: np.ndarray) -> Iterator[Candidate]:
 
 
 def _blocks(burns: Sequence[Burn], residual: Array, owner: np.ndarray) -> tuple[np.ndarray, int]:
-    """Number blocks of time, ten correlation times of the worst burn's mismatch within limits; the beliefs' is last."""
+    """Number blocks of time, ten correlation times of the worst burn's mismatch within limits; the
+    beliefs' is last.
+    """
     length = LEAST_BLOCK_S
     for burn in burns:
         step = float(burn.time[-1] - burn.time[0]) / (len(burn.time) - 1)

@@ -1,4 +1,6 @@
-"""The search: is anything missing from the balance, which effect explains it best, what else, is each still needed."""
+"""The search: is anything missing from the balance, which effect explains it best, what else, is
+each still needed.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +25,11 @@ from identification.recording import Array
 
 MOST_EFFECTS = 2
 LEAST_SHARE = 5e-4
-"""Power of a contribution over that of the noise, below which it does not matter. The nominal constants absorb nearly
-all of a leak or of erosion, and the noise of a transducer is white: what is left is little, and sure."""
+"""Power of a contribution over that of the noise, below which it does not matter.
+
+The nominal constants absorb nearly all of a leak or of erosion, and the noise of a transducer is
+white: what is left is little, and sure.
+"""
 REJECTED = 1.645
 """Standard errors by which a rival must lose to be told from the effect named (5 %, one-sided)."""
 TRIALS_FITTED = 2
@@ -40,10 +45,11 @@ class Rivalry:
     Attributes:
         name: Stable name.
         fitted: With it in the other's place.
-        preference: How far the data prefer the one taken, in standard errors of the difference: by blocks (Vuong,
-            Econometrica 57 (1989) 307), or as the likelihood ratio where nothing but noise is left.
-        apart: How far the two pressures are from each other over the noise, in the same unit: what this excitation
-            could tell of them at best, were there no other noise.
+        preference: How far the data prefer the one taken, in standard errors of the difference: by
+            blocks (Vuong, Econometrica 57 (1989) 307), or as the likelihood ratio where nothing but
+            noise is left.
+        apart: How far the two pressures are from each other over the noise, in the same unit: what
+            this excitation could tell of them at best, were there no other noise.
     """
 
     name: str
@@ -92,7 +98,9 @@ class GasSearch:
     steps: tuple[Step, ...]
 
 
-def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, progress: Progress) -> GasSearch:
+def search(
+    burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, progress: Progress
+) -> GasSearch:
     """Add effects one at a time while the test allows, then try to remove each."""
     progress("nominal gas generator", 0.0)
     baseline = here = fit(burns, sigma, believed(burns))
@@ -106,14 +114,34 @@ def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, prog
         tried = _fitted(burns, sigma, here, seen.stack)
         fitted = [f for f in tried if plausible(f.model.effects[-1])]
         if not fitted:
-            steps.append(Step("stop", "", seen.p_value, 0.0, "no effect of the catalogue fits with a plausible size"))
+            steps.append(
+                Step(
+                    "stop",
+                    "",
+                    seen.p_value,
+                    0.0,
+                    "no effect of the catalogue fits with a plausible size",
+                )
+            )
             break
         winner = _simplest(fitted, first)
-        turned = [f for f in tried if reversed_sign(f.model.effects[-1]) and _likelier(f, winner, first) > REJECTED]
+        turned = [
+            f
+            for f in tried
+            if reversed_sign(f.model.effects[-1]) and _likelier(f, winner, first) > REJECTED
+        ]
         if turned:
             best = min(turned, key=lambda f: f.cost)
             words = "of the opposite sign fits better than any effect of the catalogue"
-            steps.append(Step("stop", best.model.effects[-1].term.name, seen.p_value, here.cost - best.cost, words))
+            steps.append(
+                Step(
+                    "stop",
+                    best.model.effects[-1].term.name,
+                    seen.p_value,
+                    here.cost - best.cost,
+                    words,
+                )
+            )
             break
         name = winner.model.effects[-1].term.name
         gain = here.cost - winner.cost
@@ -121,7 +149,8 @@ def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, prog
         beside = gain / max(baseline.cost - here.cost, gain)
         if taken and share < (FURTHER_SHARE if beside >= LEAST_FURTHER else NEARLY_ALL):
             words = (
-                f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of what is explained "
+                f"explains {100.0 * share:.0f} % of what is left, and {100.0 * beside:.2g} % of "
+                f"what is explained "
                 "already: too little for one more name"
             )
             steps.append(Step("stop", name, seen.p_value, gain, words))
@@ -137,12 +166,16 @@ def search(burns: tuple[Burn, ...], sigma: float, rng: np.random.Generator, prog
         taken.append(Taken(name, rivals))
         here, seen = winner, after
     final, taken = _pruned(burns, sigma, here, taken, first, steps)
-    return GasSearch(burns, sigma, baseline, final, first, tuple(taken), p_value, seen.p_value, tuple(steps))
+    return GasSearch(
+        burns, sigma, baseline, final, first, tuple(taken), p_value, seen.p_value, tuple(steps)
+    )
 
 
 @dataclass(frozen=True)
 class _Test:
-    """Of whether anything is missing: its p-value, its line, and the rows with everything fitted projected out."""
+    """Of whether anything is missing: its p-value, its line, and the rows with everything fitted
+    projected out.
+    """
 
     p_value: float
     step: Step
@@ -150,23 +183,38 @@ class _Test:
 
 
 def _test(burns: Sequence[Burn], stack: Stack, here: Fitted, rng: np.random.Generator) -> _Test:
-    """Test by shape (sign flips of blocks), by size, and by how far off valve and sensors are; the least counts."""
+    """Test by shape (sign flips of blocks), by size, and by how far off valve and sensors are; the
+    least counts.
+    """
     named = {e.term.name for e in here.model.effects}
     left = [t for t in GAS_TERMS if t.name not in named]
     tried = [*candidates(burns, stack, here, left), *families(burns, stack, here)]
-    by_shape, by_size, by_belief = chance(tried, stack.blocks, rng, LEAST_SHARE), _excess(here), _strained(here)
+    by_shape, by_size, by_belief = (
+        chance(tried, stack.blocks, rng, LEAST_SHARE),
+        _excess(here),
+        _strained(here),
+    )
     p_value = min(1.0, 3.0 * max(min(by_shape, by_size, by_belief), 1e-12))
     loudest = max(tried, key=lambda c: c.surprise).name if tried else ""
     words = "the most surprising candidate"
     if by_belief < min(by_shape, by_size):
-        loudest, words = "beliefs", "valve or sensors would have to be off by more than their tolerances"
+        loudest, words = (
+            "beliefs",
+            "valve or sensors would have to be off by more than their tolerances",
+        )
     return _Test(p_value, Step("test", loudest, p_value, 0.0, words), stack)
 
 
 def _simplest(fitted: Sequence[Fitted], stack: Stack) -> Fitted:
-    """Return the fit of least cost, or one with fewer numbers that these data cannot tell from it."""
+    """Return the fit of least cost, or one with fewer numbers that these data cannot tell from
+    it.
+    """
     best = min(fitted, key=lambda f: f.cost)
-    same = [f for f in fitted if preference(best, f, stack) < SIMPLER_IF and _likelier(best, f, stack) < REJECTED]
+    same = [
+        f
+        for f in fitted
+        if preference(best, f, stack) < SIMPLER_IF and _likelier(best, f, stack) < REJECTED
+    ]
     return min((best, *same), key=lambda f: (len(f.model.effects[-1].parameters), f.cost))
 
 
@@ -179,17 +227,23 @@ def preference(chosen: Fitted, rival: Fitted, stack: Stack) -> float:
 
 
 def _likelier(chosen: Fitted, rival: Fitted, _stack: Stack) -> float:
-    """Return the preference where ``chosen`` leaves white noise: the root of the likelihood ratio, as in ``apart``."""
+    """Return the preference where ``chosen`` leaves white noise: the root of the likelihood ratio,
+    as in ``apart``.
+    """
     return 0.5 * math.sqrt(max(rival.cost - chosen.cost, 0.0))
 
 
 def apart(one: Fitted, other: Fitted) -> float:
-    """Return the preference that is to be expected of two models whose pressures differ so, in white noise."""
+    """Return the preference that is to be expected of two models whose pressures differ so, in
+    white noise.
+    """
     return 0.5 * float(np.linalg.norm(one.residual - other.residual))
 
 
 def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> list[Fitted]:
-    """Return the best fit of every effect that explains something, jointly with all that is fitted already."""
+    """Return the best fit of every effect that explains something, jointly with all that is fitted
+    already.
+    """
     named = {e.term.name for e in here.model.effects}
     fresh, found = believed(burns), []
     for term in GAS_TERMS:
@@ -204,8 +258,12 @@ def _fitted(burns: Sequence[Burn], sigma: float, here: Fitted, stack: Stack) -> 
     return [f for f in found if f.cost < here.cost]
 
 
-def _with(model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]) -> Model:
-    """Return a start with the effects of a model and one more; what is believed is a better one than bent constants."""
+def _with(
+    model: Model, start: Model, term: GasTerm, size: float, shape: tuple[float, ...]
+) -> Model:
+    """Return a start with the effects of a model and one more; what is believed is a better one
+    than bent constants.
+    """
     sizes = dict(zip(term.sizes, (size, *shape), strict=True))
     return replace(start, effects=(*model.effects, GasEffect(term, sizes)))
 
@@ -213,24 +271,32 @@ def _with(model: Model, start: Model, term: GasTerm, size: float, shape: tuple[f
 def plausible(effect: GasEffect) -> bool:
     """Whether an effect's parameters are within the ranges of the catalogue."""
     ranges = {q.name: (q.low, q.high) for q in ENTRIES[effect.term.name].parameters}
-    return all(ranges[name][0] <= value <= ranges[name][1] for name, value in effect.parameters.items())
+    return all(
+        ranges[name][0] <= value <= ranges[name][1] for name, value in effect.parameters.items()
+    )
 
 
 def reversed_sign(effect: GasEffect) -> bool:
-    """Whether an effect's size has the sign that the catalogue excludes: a wearing throat is no negative deposit."""
+    """Whether an effect's size has the sign that the catalogue excludes: a wearing throat is no
+    negative deposit.
+    """
     name = next(iter(effect.term.sizes))
     low = next(q.low for q in ENTRIES[effect.term.name].parameters if q.name == name)
     return effect.parameters[name] < low
 
 
 def _excess(fitted: Fitted) -> float:
-    """Return the p-value of the mismatch having no more than :data:`EXCESS` times the noise's power."""
+    """Return the p-value of the mismatch having no more than :data:`EXCESS` times the noise's
+    power.
+    """
     rows: Array = np.minimum(np.abs(fitted.residual), RARE)
     return float(stats.chi2.sf(float(rows @ rows) / EXCESS, len(rows)))
 
 
 def _strained(fitted: Fitted) -> float:
-    """Return the p-value of valve and sensors being as far off as the fit asks, were the tolerances normal."""
+    """Return the p-value of valve and sensors being as far off as the fit asks, were the tolerances
+    normal.
+    """
     pull = fitted.pull[fitted.firm]
     return float(stats.chi2.sf(float(pull @ pull), len(pull)))
 
@@ -242,7 +308,12 @@ def _why(rivals: Sequence[Rivalry]) -> str:
 
 
 def _pruned(
-    burns: Sequence[Burn], sigma: float, final: Fitted, taken: list[Taken], stack: Stack, steps: list[Step]
+    burns: Sequence[Burn],
+    sigma: float,
+    final: Fitted,
+    taken: list[Taken],
+    stack: Stack,
+    steps: list[Step],
 ) -> tuple[Fitted, list[Taken]]:
     """Take out every effect that a later one has made needless."""
     for name in [t.name for t in taken] if len(taken) > 1 else []:
@@ -250,6 +321,14 @@ def _pruned(
         without = fit(burns, sigma, replace(final.model, effects=rest))
         worth = preference(final, without, stack)
         if worth < stats.norm.isf(LEVEL):
-            steps.append(Step("remove", name, None, final.cost - without.cost, f"worth {worth:.1f} standard errors"))
+            steps.append(
+                Step(
+                    "remove",
+                    name,
+                    None,
+                    final.cost - without.cost,
+                    f"worth {worth:.1f} standard errors",
+                )
+            )
             final, taken = without, [t for t in taken if t.name != name]
     return final, taken

@@ -1,4 +1,6 @@
-"""How the effects of the gas generator are computed: their slots in the march, and what a fit varies."""
+"""How the effects of the gas generator are computed: their slots in the march, and what a fit
+varies.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,8 @@ class Size:
     Attributes:
         slot: In the march's vector.
         scale: A size that is seen, in its own unit: the unit of the fit.
-        trials: Values to start from where the effect is no multiple of it; it is then varied as a logarithm.
+        trials: Values to start from where the effect is no multiple of it; it is then varied as a
+            logarithm.
     """
 
     slot: int
@@ -26,7 +29,8 @@ class Size:
 
 @dataclass(frozen=True)
 class GasTerm:
-    """One effect: its name in the catalogue, and its parameters there; the first is its size, zero where it is not.
+    """One effect: its name in the catalogue, and its parameters there; the first is its size, zero
+    where it is not.
 
     Attributes:
         name: Stable name.
@@ -51,7 +55,10 @@ GAS_TERMS = (
     GasTerm("erosive_burning", {"coefficient_s_m": Size(kernel.EROSION, 1e-3)}),
     GasTerm(
         "heat_loss",
-        {"heat_flow_W": Size(kernel.HEAT_FLOW, 1e4), "time_s": Size(kernel.HEAT_TIME, 1.0, (1.0, 3.0, 10.0, 30.0))},
+        {
+            "heat_flow_W": Size(kernel.HEAT_FLOW, 1e4),
+            "time_s": Size(kernel.HEAT_TIME, 1.0, (1.0, 3.0, 10.0, 30.0)),
+        },
     ),
     GasTerm("leakage", {"area_m2": Size(kernel.LEAK, 1e-6)}),
 )
@@ -69,7 +76,9 @@ class GasEffect:
     def coordinates(self) -> tuple[float, ...]:
         """What a fit varies: multiples of the scales, or logarithms of what has trials."""
         return tuple(
-            math.log(self.parameters[name] / size.scale) if size.trials else self.parameters[name] / size.scale
+            math.log(self.parameters[name] / size.scale)
+            if size.trials
+            else self.parameters[name] / size.scale
             for name, size in self.term.sizes.items()
         )
 
@@ -77,4 +86,6 @@ class GasEffect:
 def effect_at(term: GasTerm, coordinates: tuple[float, ...]) -> GasEffect:
     """Return the effect at what a fit varies; the inverse of :attr:`GasEffect.coordinates`."""
     sizes = zip(term.sizes.items(), coordinates, strict=True)
-    return GasEffect(term, {n: s.scale * (math.exp(min(x, 20.0)) if s.trials else x) for (n, s), x in sizes})
+    return GasEffect(
+        term, {n: s.scale * (math.exp(min(x, 20.0)) if s.trials else x) for (n, s), x in sizes}
+    )

@@ -1,4 +1,6 @@
-"""The lever, the weight and the valve, where eq. 10 to 13 and 17 leave something out; and times of sampling."""
+"""The lever, the weight and the valve, where eq. 10 to 13 and 17 leave something out; and times of
+sampling.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ REFERENCE_MASS_KG = 30.6
 EXPONENTS: tuple[Shape, ...] = tuple((e,) for e in (0.6, 0.8, 0.9, 1.1, 1.2, 1.5))
 STOPS = 10
 """Trial stops on either side, over the outer half of the travel."""
-SKEWS_S: tuple[Shape, ...] = tuple((side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0))
+SKEWS_S: tuple[Shape, ...] = tuple(
+    (side * t,) for t in (5e-4, 1e-3, 2e-3, 4e-3, 8e-3, 0.016) for side in (-1.0, 1.0)
+)
 SWINGS: tuple[Shape, ...] = tuple((float(f), 8.0) for f in np.arange(0.3, 3.01, 0.04))
 
 
@@ -95,7 +99,11 @@ def _swing(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def _read_swing(c: Array, shape: Shape, _context: Context) -> dict[str, float]:
-    return {"fraction": polar(float(c[0]), float(c[1]))[0], "frequency_Hz": shape[0], "decay_s": shape[1]}
+    return {
+        "fraction": polar(float(c[0]), float(c[1]))[0],
+        "frequency_Hz": shape[0],
+        "decay_s": shape[1],
+    }
 
 
 def _stop(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -143,7 +151,10 @@ def _skew_voltage(view: View, _nominal: Nominal, shape: Shape) -> Array:
     bench = view.recording.bench
     assert view.current is not None
     change = delayed(view.current, view.step, -shape[0]) - view.current
-    return rows((bench.resistance or 0.0) * change + (bench.inductance or 0.0) * central_difference(change, view.step))
+    return rows(
+        (bench.resistance or 0.0) * change
+        + (bench.inductance or 0.0) * central_difference(change, view.step)
+    )
 
 
 TERMS = (
@@ -197,7 +208,9 @@ TERMS = (
     ),
     Term(
         "load_inertia",
-        in_motion(lambda v, _n, _s: rows(v.acceleration * (v.recording.weight_mass / REFERENCE_MASS_KG))),
+        in_motion(
+            lambda v, _n, _s: rows(v.acceleration * (v.recording.weight_mass / REFERENCE_MASS_KG))
+        ),
         one("inertia_kgm2"),
         lambda context: everywhere(context, lambda v: v.recording.weight_mass > 0.0, ((),)),
         positive=(0,),
@@ -215,7 +228,9 @@ TERMS = (
         "load_dependent_friction",
         in_motion(lambda v, n, _s: rows(v.sense * n.borne(v))),
         one("coefficient"),
-        lambda context: NO_SHAPE if any(context.nominal.hidden) else everywhere(context, _has_weight, NO_SHAPE),
+        lambda context: (
+            NO_SHAPE if any(context.nominal.hidden) else everywhere(context, _has_weight, NO_SHAPE)
+        ),
         positive=(0,),
         follows=True,
     ),

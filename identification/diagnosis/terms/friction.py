@@ -9,7 +9,17 @@ import numpy as np
 
 from identification.diagnosis.nominal import KEPT, SPEEDS, Nominal
 from identification.diagnosis.terms.memory import dahl, lagged
-from identification.diagnosis.terms.term import CLOSE, EXACT, Context, Shape, Term, in_motion, one, rows, shaped
+from identification.diagnosis.terms.term import (
+    CLOSE,
+    EXACT,
+    Context,
+    Shape,
+    Term,
+    in_motion,
+    one,
+    rows,
+    shaped,
+)
 from identification.diagnosis.view import View
 from identification.recording import Array
 
@@ -17,8 +27,9 @@ AT_START_S = 0.02
 """Stretch from whose line of torque the bristles' load at the start of a recording is taken."""
 ALPHAS = (0.5, 0.7, 0.9, 1.2, 1.5, 2.6, 3.4, 4.5)
 SAME_FALL = (0.6, 0.1)
-"""Shares of its rise down to which friction has fallen where a fitted exponent and another one agree: which they are
-depends on the speeds that the recordings have."""
+"""Shares of its rise down to which friction has fallen where a fitted exponent and another one
+agree: which they are depends on the speeds that the recordings have.
+"""
 LAGS_S: tuple[Shape, ...] = tuple((t,) for t in (0.002, 0.005, 0.01, 0.02, 0.05))
 DWELLS_S: tuple[Shape, ...] = tuple((t,) for t in (0.1, 0.3, 1.0, 3.0, 10.0))
 STIFFNESSES: tuple[Shape, ...] = tuple((k,) for k in np.geomspace(3e2, 1e6, 15))
@@ -41,7 +52,9 @@ def _fall(view: View, nominal: Nominal, name: str, shape: Shape) -> Array:
     if omega_s <= 0.0:
         return np.zeros(len(view.velocity))
     alpha, wider = shape
-    return np.asarray(_falls(view, omega_s, alpha, wider) - _falls(view, omega_s, nominal.alpha, 1.0))
+    return np.asarray(
+        _falls(view, omega_s, alpha, wider) - _falls(view, omega_s, nominal.alpha, 1.0)
+    )
 
 
 @lru_cache(maxsize=KEPT)
@@ -50,9 +63,15 @@ def _falls(view: View, omega_s: float, alpha: float, wider: float) -> Array:
 
 
 def _exponents(context: Context) -> list[Shape]:
-    """Return exponents, each with the Stribeck speed over the nominal one at which falls agree at one share."""
+    """Return exponents, each with the Stribeck speed over the nominal one at which falls agree at
+    one share.
+    """
     usual = context.nominal.alpha
-    return [(a, float((-np.log(share)) ** (1.0 / usual - 1.0 / a))) for a in ALPHAS for share in SAME_FALL]
+    return [
+        (a, float((-np.log(share)) ** (1.0 / usual - 1.0 / a)))
+        for a in ALPHAS
+        for share in SAME_FALL
+    ]
 
 
 def _bent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
@@ -64,7 +83,9 @@ def _bent(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
 
 @lru_cache(maxsize=KEPT)
 def _level(view: View, nominal: Nominal) -> Array:
-    """Return the part of friction that depends on speed otherwise than in proportion, without its sign, N m."""
+    """Return the part of friction that depends on speed otherwise than in proportion, without its
+    sign, N m.
+    """
     total = nominal.level(view) - nominal.get("sigma_2") * np.abs(view.velocity)
     if view.loaded:
         slope = nominal.get("mu_2") * np.abs(view.velocity)
@@ -84,7 +105,9 @@ def _memory(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 def _presliding(view: View, nominal: Nominal, shape: Shape) -> Array:
     level = _level(view, nominal)
-    return rows(dahl(view.angle, level, shape[0], _borne_at_start(view, nominal)) - view.sense * level)
+    return rows(
+        dahl(view.angle, level, shape[0], _borne_at_start(view, nominal)) - view.sense * level
+    )
 
 
 def _sprung(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
@@ -94,10 +117,12 @@ def _sprung(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
 
 @lru_cache(maxsize=KEPT)
 def _borne_at_start(view: View, nominal: Nominal) -> float:
-    """Return the friction with which a recording begins, N m: what the drive's torque then leaves to it.
+    """Return the friction with which a recording begins, N m: what the drive's torque then leaves
+    to it.
 
-    A joint stands on its bristles as it came to rest, loaded by up to its static friction to either side, and no
-    recording shows how. One number of the measured torque, forgotten with the first slip, explains nothing else.
+    A joint stands on its bristles as it came to rest, loaded by up to its static friction to either
+    side, and no recording shows how. One number of the measured torque, forgotten with the first
+    slip, explains nothing else.
     """
     places = np.arange(max(2, round(AT_START_S / view.step)))
     left = view.torque[places] - nominal.get("J") * view.acceleration[places]
@@ -115,7 +140,8 @@ def _patches(context: Context) -> list[Shape]:
     return [(float(c), w * (high - low)) for c in centres for w in PATCH_WIDTHS]
 
 
-# What rest has added is gone after a little sliding: it shows as a rest ends, and not in steady motion.
+# What rest has added is gone after a little sliding: it shows as a rest ends, and not in steady
+# motion.
 def _dwell(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return rows(view.sense * (1.0 - np.exp(-_last_rest(view) / shape[0])))
 
@@ -194,7 +220,11 @@ TERMS = (
     Term(
         "position_dependent_friction",
         in_motion(_patch),
-        lambda c, shape, _context: {"torque_Nm": float(c[0]), "center_rad": shape[0], "width_rad": shape[1]},
+        lambda c, shape, _context: {
+            "torque_Nm": float(c[0]),
+            "center_rad": shape[0],
+            "width_rad": shape[1],
+        },
         _patches,
         refine={0: 0.1, 1: 0.0},
         at_angle=True,

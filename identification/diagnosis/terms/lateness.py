@@ -1,9 +1,10 @@
 """Late samples where the voltage was not measured, but computed from them by the controller's law.
 
-Such a voltage, U = U_s clip(kp (command - angle)), is that of the recorded angle, however late the angle is: it needs
-no shift against it. But the command in it is on the host's clock. Of an angle that is late by tau the motor had
-U_s clip(kp (command(t - tau) - angle)), and the recorded voltage is off by about U_s kp tau dcommand/dt. Shifted as a
-whole it would be off by the rate of the tracking error alone, which is several times less.
+Such a voltage, U = U_s clip(kp (command - angle)), is that of the recorded angle, however late the
+angle is: it needs no shift against it. But the command in it is on the host's clock. Of an angle
+that is late by tau the motor had U_s clip(kp (command(t - tau) - angle)), and the recorded voltage
+is off by about U_s kp tau dcommand/dt. Shifted as a whole it would be off by the rate of the
+tracking error alone, which is several times less.
 """
 
 from __future__ import annotations
@@ -18,15 +19,24 @@ from identification.prepare import drive_torque
 from identification.recording import Array, Recording
 
 AS_COMPUTED = 1e-3
-"""Greatest difference of a voltage from the law's, over its own greatest, at which it was computed by it."""
+"""Greatest difference of a voltage from the law's, over its own greatest, at which it was computed
+by it.
+"""
 NEEDED = ("command", "angle", "voltage", "supply_voltage")
 MEASURED = ("torque", "current")
 
 
 def computed(recording: Recording) -> bool:
-    """Whether a recording's torque comes from a voltage that its controller's law makes of its own samples."""
+    """Whether a recording's torque comes from a voltage that its controller's law makes of its own
+    samples.
+    """
     channels, loop = recording.channels, recording.controller
-    if loop is None or loop.output != "duty" or loop.velocity_gain or any(name in channels for name in MEASURED):
+    if (
+        loop is None
+        or loop.output != "duty"
+        or loop.velocity_gain
+        or any(name in channels for name in MEASURED)
+    ):
         return False
     if not all(name in channels for name in NEEDED):
         return False
@@ -39,7 +49,9 @@ def computed(recording: Recording) -> bool:
 
 
 def too_early(view: View, late_s: float) -> Array:
-    """Return by how much the torque is too large as its command is not as late as its angle, N m, shape (m,)."""
+    """Return by how much the torque is too large as its command is not as late as its angle, N m,
+    shape (m,).
+    """
     recording = view.recording
     volts = np.where(np.isfinite(recording.channels["voltage"]), _law(recording, late_s), np.nan)
     together = replace(recording, channels={**recording.channels, "voltage": volts})
@@ -48,9 +60,11 @@ def too_early(view: View, late_s: float) -> Array:
 
 
 def behind(view: View, late_s: float) -> View:
-    """Return a recording whose motion is as late as the torque's samples: a tooth is met where the joint then was.
+    """Return a recording whose motion is as late as the torque's samples: a tooth is met where the
+    joint then was.
 
-    Not where the torque comes from a voltage that was computed of its own samples. Most trial shapes ask for the same.
+    Not where the torque comes from a voltage that was computed of its own samples. Most trial
+    shapes ask for the same.
     """
     known = view.behind.get(late_s)
     if known is None:
@@ -79,7 +93,9 @@ def _moved(view: View, late_s: float) -> View:
 
 
 def _law(recording: Recording, late_s: float) -> Array:
-    """Return the voltage by the controller's law, of a command that is ``late_s`` later, V, shape (m,)."""
+    """Return the voltage by the controller's law, of a command that is ``late_s`` later, V, shape
+    (m,).
+    """
     channels, loop = recording.channels, recording.controller
     assert loop is not None
     command = np.interp(recording.time - late_s, recording.time, channels["command"])

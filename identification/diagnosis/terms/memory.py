@@ -13,7 +13,8 @@ SAME_STEP = 1e-6
 
 @compiled
 def lagged(series: Array, step: float, time_constant: float) -> Array:
-    """Return a series through a first-order lag that starts settled, straight from sample to sample, shape (m,).
+    """Return a series through a first-order lag that starts settled, straight from sample to
+    sample, shape (m,).
 
     Held from sample to sample instead it would lag by half a step less than its time constant.
     """
@@ -33,8 +34,8 @@ def lagged(series: Array, step: float, time_constant: float) -> Array:
 def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Array:
     """Return Dahl's friction dF = stiffness (1 - F sgn(dtheta)/level) dtheta, N m, shape (m,).
 
-    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long. ``start`` is the
-    friction at the first sample, N m.
+    Dahl, AIAA J. 14 (1976) 1675; the exact solution over each step, so that no step is too long.
+    ``start`` is the friction at the first sample, N m.
     """
     out = np.empty_like(angle)
     force = min(max(start, -level[0]), level[0])
@@ -50,10 +51,11 @@ def dahl(angle: Array, level: Array, stiffness: float, start: float = 0.0) -> Ar
 
 @compiled
 def play(angle: Array, gap: float, start: float = 0.0) -> Array:
-    """Return how far the driving side leads the driven one through a gap, within +- gap/2, shape (m,).
+    """Return how far the driving side leads the driven one through a gap, within +- gap/2, shape
+    (m,).
 
-    The driven side stands, held by its friction, until a flank carries it. Over torque instead of angle it is the force
-    of one Maxwell-slip element. ``start`` is the lead at the first sample.
+    The driven side stands, held by its friction, until a flank carries it. Over torque instead of
+    angle it is the force of one Maxwell-slip element. ``start`` is the lead at the first sample.
     """
     out = np.empty_like(angle)
     half = 0.5 * gap
@@ -61,7 +63,9 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
     out[0] = lead
     for k in range(1, len(angle)):
         lead += angle[k] - angle[k - 1]
-        if lead > half:  # a branch is foretold; a least and a greatest value would each wait for the one before
+        if (
+            lead > half
+        ):  # a branch is foretold; a least and a greatest value would each wait for the one before
             lead = half
         elif lead < -half:
             lead = -half
@@ -71,7 +75,8 @@ def play(angle: Array, gap: float, start: float = 0.0) -> Array:
 
 @compiled
 def first_swing(series: Array, width: float) -> int:
-    """Return the first sample by which a series has swung that far; from there on no play of it knows where it began.
+    """Return the first sample by which a series has swung that far; from there on no play of it
+    knows where it began.
 
     The number of samples where it never does.
     """
@@ -84,8 +89,11 @@ def first_swing(series: Array, width: float) -> int:
 
 
 @compiled
-def falling_play(angle: Array, speed: Array, step: float, gap: float, pull: Array, hold: Array, start: float) -> Array:
-    """Return the lead of :func:`play` where a weight may carry the driven side through the open gap, shape (m,).
+def falling_play(
+    angle: Array, speed: Array, step: float, gap: float, pull: Array, hold: Array, start: float
+) -> Array:
+    """Return the lead of :func:`play` where a weight may carry the driven side through the open
+    gap, shape (m,).
 
     Args:
         angle: Of the driving side, rad.
@@ -114,7 +122,8 @@ def falling_play(angle: Array, speed: Array, step: float, gap: float, pull: Arra
 
 @compiled
 def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
-    """Return how a first-order body warms: per thermal resistance, W, and what is left of 1 K at first.
+    """Return how a first-order body warms: per thermal resistance, W, and what is left of 1 K at
+    first.
 
     Shape (2, m).
     """
@@ -123,7 +132,8 @@ def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
     out[0, 0], out[1, 0] = rise, left
     step = kept = 0.0
     for k in range(1, len(loss)):
-        # Steps of an even grid differ by rounding alone, and an exponential for each is most of the work.
+        # Steps of an even grid differ by rounding alone, and an exponential for each is most of the
+        # work.
         if abs(run_time[k] - run_time[k - 1] - step) > SAME_STEP * step:
             step = run_time[k] - run_time[k - 1]
             kept = np.exp(-step / time_constant)
@@ -135,7 +145,9 @@ def warmed(loss: Array, run_time: Array, time_constant: float) -> Array:
 
 @compiled
 def delayed(series: Array, step: float, time_s: float) -> Array:
-    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held, shape (m,)."""
+    """Return a series as it was ``time_s`` before (after, where that is negative), its ends held,
+    shape (m,).
+    """
     out = np.empty(len(series))
     last = len(series) - 1
     for k in range(len(series)):

@@ -1,7 +1,7 @@
 """The motor and its supply: what makes the drive's torque, or its voltage, other than eq. 1 says.
 
-Where a regressor depends on the torque it is built from the nominal model's torque, never from the measured one, which
-stands on the other side of the equation and would explain everything.
+Where a regressor depends on the torque it is built from the nominal model's torque, never from the
+measured one, which stands on the other side of the equation and would explain everything.
 """
 
 from __future__ import annotations
@@ -43,33 +43,42 @@ KNEES = (1.1, 1.4, 1.8, 2.5, 4.0)
 """Knee of a saturating torque constant over the greatest current."""
 THERMAL_TIMES_S = (15.0, 40.0, 100.0, 250.0, 600.0)
 STEP_A = (0.01, 0.3)
-"""Current over which a dead time's step may seem to be reached. About zero a noisy sample does not tell the sign, and
-the winding rests without current within the step."""
+"""Current over which a dead time's step may seem to be reached.
+
+About zero a noisy sample does not tell the sign, and the winding rests without current within the
+step.
+"""
 ROUNDED_A = (0.3, 10.0)
 """Current over which a brush drop is reached; where it is less, it looks like a dead time."""
 DEAD_CURRENTS, BRUSH_CURRENTS = (0.05, 0.2), (0.5, 1.0, 2.0)
 KEPT = 64
-"""Rises that are kept, of a recording and a time constant: a fit moves the nominal values far more often."""
+"""Rises that are kept, of a recording and a time constant: a fit moves the nominal values far more
+often.
+"""
 ZEROED_S = (0.0, 2.0)
-"""How long before a recording its current's zero may have been taken: the power comes on and the loops settle."""
+"""How long before a recording its current's zero may have been taken: the power comes on and the
+loops settle.
+"""
 
 
 def _cogging(view: View, _nominal: Nominal, shape: Shape) -> Array:
     return _by_origin(view, shape, -sine_cosine(shape[0], view.motor))
 
 
-# The torque that the current stands for is what is asked of the drive over one plus the ripple. Without the ripple so
-# far in the divisor its square is left: of one of 12 % a hundredth, which was more than a load's inertia beside it.
+# The torque that the current stands for is what is asked of the drive over one plus the ripple.
+# Without the ripple so far in the divisor its square is left: of one of 12 % a hundredth, which was
+# more than a load's inertia beside it.
 def _ripple(view: View, nominal: Nominal, shape: Shape) -> Array:
     wave = _by_origin(view, shape, sine_cosine(shape[0], view.motor))
     return np.asarray(wave * (-nominal.drive(view) / _gain(view, nominal)))
 
 
 def _gain(view: View, nominal: Nominal) -> Array:
-    """Return the motor's torque over what its current stands for, as the ripple named so far has it.
+    """Return the motor's torque over what its current stands for, as the ripple named so far has
+    it.
 
-    1 where each recording has an origin of its own: of one set aside the phase is unknown, and constants that leave the
-    mean of the divided torque to it would be off there.
+    1 where each recording has an origin of its own: of one set aside the phase is unknown, and
+    constants that leave the mean of the divided torque to it would be off there.
     """
     if not nominal.ripple or len(nominal.ripple[0]) > 1:
         return np.ones(len(view.time))
@@ -79,7 +88,9 @@ def _gain(view: View, nominal: Nominal) -> Array:
 
 
 def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
-    """Return a wave's two columns; where each recording has an origin of its own, two for each of them."""
+    """Return a wave's two columns; where each recording has an origin of its own, two for each of
+    them.
+    """
     if len(shape) == 1:
         return wave
     out = np.zeros((2 * round(shape[1]), wave.shape[1]))
@@ -89,14 +100,18 @@ def _by_origin(view: View, shape: Shape, wave: Array) -> Array:
 
 
 def _waves(context: Context) -> Sequence[Shape]:
-    """Return cycles a motor turn and, where recordings do not share an origin of their angles, how many there are."""
+    """Return cycles a motor turn and, where recordings do not share an origin of their angles, how
+    many there are.
+    """
     if without_origin(context.views):
         return [(*shape, float(len(context.views))) for shape in CYCLES_PER_TURN]
     return CYCLES_PER_TURN
 
 
 def _cycles(context: Context) -> Sequence[Shape]:
-    """Return the same without one cycle a turn of the joint itself: that is a weight out of balance."""
+    """Return the same without one cycle a turn of the joint itself: that is a weight out of
+    balance.
+    """
     gear = context.views[0].recording.bench.gear_ratio
     return [shape for shape in _waves(context) if len(shape) > 1 or shape[0] * gear != 1.0]
 
@@ -108,7 +123,10 @@ def _saturation(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def _knees(context: Context) -> list[Shape]:
-    greatest = max(float(np.max(np.abs(context.nominal.drive(v)))) / torque_per_ampere(v) for v in context.views)
+    greatest = max(
+        float(np.max(np.abs(context.nominal.drive(v)))) / torque_per_ampere(v)
+        for v in context.views
+    )
     return [(k * greatest,) for k in KNEES]
 
 
@@ -118,10 +136,11 @@ def _loop_lag(view: View, nominal: Nominal, _shape: Shape) -> Array:
 
 @lru_cache(maxsize=KEPT)
 def _loss(view: View) -> Array:
-    """Return what the winding turns into heat, W: the power it takes less what leaves as motion, I (U - Ke omega).
+    """Return what the winding turns into heat, W: the power it takes less what leaves as motion, I
+    (U - Ke omega).
 
-    By R I^2 it would be too little by the rise of R itself, some per cent of a warm winding's; it is taken where there
-    is no voltage.
+    By R I^2 it would be too little by the rise of R itself, some per cent of a warm winding's; it
+    is taken where there is no voltage.
     """
     assert view.current is not None
     bench = view.recording.bench
@@ -139,7 +158,9 @@ def _rises(view: View, time_constant: float) -> Array:
 
 
 def _by_recording(view: View, shape: Shape, rises: Array) -> Array:
-    """Return regressors of :func:`_rises` with one for each recording's beginning, shape (1 + recordings, m)."""
+    """Return regressors of :func:`_rises` with one for each recording's beginning, shape (1 +
+    recordings, m).
+    """
     out = np.zeros((1 + round(shape[1]), rises.shape[1]))
     out[0] = rises[0]
     if view.index < round(shape[1]):  # how warm one that took no part began, nobody has asked
@@ -169,18 +190,24 @@ def _sag(view: View, _nominal: Nominal, _shape: Shape) -> Array:
     assert view.current is not None
     assert view.voltage is not None
     volts = np.where(np.isnan(view.voltage), 0.0, view.voltage)
-    supply = float(np.median(view.supply)) if view.supply is not None else float(np.max(np.abs(volts)))
+    supply = (
+        float(np.median(view.supply)) if view.supply is not None else float(np.max(np.abs(volts)))
+    )
     return rows(volts**2 * view.current / supply**2)
 
 
 def _mean_over_sample(
-    view: View, zero_A: float, antiderivative: Callable[[Array], Array], function: Callable[[Array], Array]
+    view: View,
+    zero_A: float,
+    antiderivative: Callable[[Array], Array],
+    function: Callable[[Array], Array],
 ) -> Array:
-    """Return the mean of a function of the current over each sample's period, the current going straight through it.
+    """Return the mean of a function of the current over each sample's period, the current going
+    straight through it.
 
-    Around a reversal the current changes by its knee, and more, within one period. Without any it reads ``zero_A``. The
-    function is taken of the samples as they were logged, and then brought onto the grid as the voltage is: of a current
-    that interpolation has rounded the step is wider.
+    Around a reversal the current changes by its knee, and more, within one period. Without any it
+    reads ``zero_A``. The function is taken of the samples as they were logged, and then brought
+    onto the grid as the voltage is: of a current that interpolation has rounded the step is wider.
     """
     recording = view.recording
     current = recording.channels["current"] - zero_A
@@ -200,11 +227,17 @@ def _brushes(view: View, _nominal: Nominal, shape: Shape) -> Array:
         size = np.abs(current) / knee
         return np.asarray(knee * (size + np.log1p(np.exp(-2.0 * size)) - np.log(2.0)))
 
-    return rows(_mean_over_sample(view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))))
+    return rows(
+        _mean_over_sample(
+            view, zero_A, log_cosh, lambda current: np.asarray(np.tanh(current / knee))
+        )
+    )
 
 
 def _drift(view: View, shape: Shape) -> Array:
-    """Return the time since the current's zero was taken, as the power came on before the recording, s."""
+    """Return the time since the current's zero was taken, as the power came on before the
+    recording, s.
+    """
     return np.asarray(view.time - view.time[0] + shape[0])
 
 
@@ -225,22 +258,32 @@ def _with_current(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape
 
 
 def _with_voltage(shapes: Sequence[Shape]) -> Callable[[Context], Sequence[Shape]]:
-    return lambda context: everywhere(context, lambda v: _has_current(v) and v.voltage is not None, shapes)
+    return lambda context: everywhere(
+        context, lambda v: _has_current(v) and v.voltage is not None, shapes
+    )
 
 
 def _about_zero(knees: Sequence[float]) -> Callable[[Context], Sequence[Shape]]:
-    """Return trial shapes: the current over which a drop is reached, and what the logged current reads without any."""
-    return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(context)
+    """Return trial shapes: the current over which a drop is reached, and what the logged current
+    reads without any.
+    """
+    return lambda context: _with_voltage([(knee, context.nominal.zero_A) for knee in knees])(
+        context
+    )
 
 
 def _at_zero(nominal: Nominal, shape: Shape) -> tuple[Nominal, Shape]:
-    """Let a drop follow the current's sign as it is: its sensor's offset may be larger than the step."""
+    """Let a drop follow the current's sign as it is: its sensor's offset may be larger than the
+    step.
+    """
     return nominal, (shape[0], nominal.zero_A)
 
 
 def _wave(name: str) -> Reader:
     def read(c: Array, shape: Shape, _context: Context) -> Mapping[str, float]:
-        waves = [polar(float(sine), float(cosine)) for sine, cosine in zip(c[::2], c[1::2], strict=True)]
+        waves = [
+            polar(float(sine), float(cosine)) for sine, cosine in zip(c[::2], c[1::2], strict=True)
+        ]
         amplitude = float(np.median([amplitude for amplitude, _ in waves]))
         return {name: amplitude, "per_motor_turn": shape[0], "phase_rad": waves[0][1]}
 
@@ -248,8 +291,17 @@ def _wave(name: str) -> Reader:
 
 
 TERMS = (
-    Term("cogging", {"torque": _cogging}, _wave("torque_Nm"), _cycles, at_angle=True, shape_error=EXACT),
-    Term("torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, at_angle=True, follows=True),
+    Term(
+        "cogging",
+        {"torque": _cogging},
+        _wave("torque_Nm"),
+        _cycles,
+        at_angle=True,
+        shape_error=EXACT,
+    ),
+    Term(
+        "torque_ripple", {"torque": _ripple}, _wave("fraction"), _waves, at_angle=True, follows=True
+    ),
     Term(
         "torque_saturation",
         in_motion(_saturation),
@@ -298,10 +350,20 @@ TERMS = (
         positive=(0,),
         follows=True,
     ),
-    Term("supply_sag", {"voltage": _sag}, one("resistance_ohm"), _with_voltage(NO_SHAPE), positive=(0,)),
+    Term(
+        "supply_sag",
+        {"voltage": _sag},
+        one("resistance_ohm"),
+        _with_voltage(NO_SHAPE),
+        positive=(0,),
+    ),
     Term(
         "current_offset",
-        {"torque": _current_offset, "breakaway": _current_offset, "voltage": _current_offset_voltage},
+        {
+            "torque": _current_offset,
+            "breakaway": _current_offset,
+            "voltage": _current_offset_voltage,
+        },
         one("current_A"),
         _with_current(NO_SHAPE),
         shape_error=EXACT,

@@ -1,4 +1,6 @@
-"""Between motor and valve: what two encoders show of assumption 5, and where the gear loses power."""
+"""Between motor and valve: what two encoders show of assumption 5, and where the gear loses
+power.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,17 @@ import numpy as np
 
 from identification.diagnosis.nominal import Nominal
 from identification.diagnosis.terms.memory import delayed, falling_play, first_swing, play
-from identification.diagnosis.terms.term import EXACT, Context, Shape, Term, everywhere, in_motion, polar, rows, shaped
+from identification.diagnosis.terms.term import (
+    EXACT,
+    Context,
+    Shape,
+    Term,
+    everywhere,
+    in_motion,
+    polar,
+    rows,
+    shaped,
+)
 from identification.diagnosis.terms.wave import sine_cosine
 from identification.diagnosis.view import View
 from identification.recording import Array
@@ -21,17 +33,23 @@ TEETH: tuple[Shape, ...] = tuple((float(n),) for n in range(5, 201))
 GAPS_RAD = tuple(float(g) for g in np.geomspace(5e-5, 5e-2, 13))
 DELAYS_S: tuple[Shape, ...] = tuple((float(t),) for t in np.geomspace(2e-4, 0.05, 9))
 TWIST_COUNTS = (0.0, 2.0)
-"""Counts of the joint's encoder by which a shaft may twist under the greatest torque and still count as stiff."""
+"""Counts of the joint's encoder by which a shaft may twist under the greatest torque and still
+count as stiff.
+"""
 LOOP_SHARES = (0.05, 0.15, 0.4)
 """Torque that closes a hysteresis loop over the greatest torque."""
 LEAST_JOINT_SHARE = 0.1
 """Of the inertia, that is the joint's at least."""
 LOOPS_RAD = tuple(float(x) for x in np.geomspace(5e-5, 1e-2, 5))
 ROTOR_SHARE = 0.5
-"""Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit seeks it."""
+"""Of the inertia, which the rotor is first supposed to have; no recording is told which, and a fit
+seeks it.
+"""
 SLIPS_PER_RECORDING = 12
 KEPT = 128
-"""Series that are kept, of a recording and what they were built from: a search moves one entry of a shape at a time."""
+"""Series that are kept, of a recording and what they were built from: a search moves one entry of a
+shape at a time.
+"""
 FIRST_SAMPLES = 20
 """Over which the encoders are asked where in its gap, or loop, a recording begins."""
 
@@ -49,7 +67,9 @@ class Gap(NamedTuple):
 
 
 class Loop(NamedTuple):
-    """Shape of a coupling's loop: the torque that closes it, N m, and how far it gives, rad; else as a gap's."""
+    """Shape of a coupling's loop: the torque that closes it, N m, and how far it gives, rad; else
+    as a gap's.
+    """
 
     torque: float
     rotor: float
@@ -63,7 +83,8 @@ def _both_encoders(view: View) -> bool:
 
 
 def carried(view: View, rotor: float) -> Array:
-    """Return the torque that comes through the coupling behind a rotor of this inertia at the joint (kg m^2), N m.
+    """Return the torque that comes through the coupling behind a rotor of this inertia at the joint
+    (kg m^2), N m.
 
     While a loop is crossed the rotor moves alone and takes most of the drive's torque for itself.
     """
@@ -72,10 +93,11 @@ def carried(view: View, rotor: float) -> Array:
 
 
 def _twist(view: View, _nominal: Nominal, _shape: Shape) -> Array:
-    """Return what twists a springy shaft: the drive's torque, less what the rotor and the shaft's damping take of it.
+    """Return what twists a springy shaft: the drive's torque, less what the rotor and the shaft's
+    damping take of it.
 
-    Neither the rotor's inertia nor the damping is known; a soft shaft shows both, up to a hundred times the encoders'
-    noise where the joint sets off or turns.
+    Neither the rotor's inertia nor the damping is known; a soft shaft shows both, up to a hundred
+    times the encoders' noise where the joint sets off or turns.
     """
     torque = view.transmitted
     return rows(torque, -view.rotor_acceleration, -central_difference(torque, view.step))
@@ -87,24 +109,36 @@ def _play(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def count_of_twist(views: Sequence[View]) -> float:
-    """Return the compliance that twists a shaft by one count of the joint's encoder at the greatest torque, rad/(N m).
+    """Return the compliance that twists a shaft by one count of the joint's encoder at the greatest
+    torque, rad/(N m).
 
-    The stiffest shaft twists to the flank that carries, and what it twists by adds itself to a narrow gap.
+    The stiffest shaft twists to the flank that carries, and what it twists by adds itself to a
+    narrow gap.
     """
     known = [v for v in views if v.lag is not None]
     greatest = max((float(np.max(np.abs(v.transmitted))) for v in known), default=0.0)
-    return max(quantum(v.recording.channels["angle"]) for v in known) / greatest if greatest > 0.0 else 0.0
+    return (
+        max(quantum(v.recording.channels["angle"]) for v in known) / greatest
+        if greatest > 0.0
+        else 0.0
+    )
 
 
 def _gaps(context: Context) -> Sequence[Shape]:
     per_torque, rotor = count_of_twist(context.views), ROTOR_SHARE * context.nominal.get("J")
-    return everywhere(context, _both_encoders, [(gap, 0.5 * TWIST_COUNTS[1], per_torque, rotor) for gap in GAPS_RAD])
+    return everywhere(
+        context,
+        _both_encoders,
+        [(gap, 0.5 * TWIST_COUNTS[1], per_torque, rotor) for gap in GAPS_RAD],
+    )
 
 
 def lead(view: View, nominal: Nominal, gap: float, rotor: float) -> Array:
-    """Return how far the motor leads through a gap that its own encoders show where it begins in, rad, shape (m,).
+    """Return how far the motor leads through a gap that its own encoders show where it begins in,
+    rad, shape (m,).
 
-    The joint stands while the gap is open; under a weight that is more than its friction holds it falls.
+    The joint stands while the gap is open; under a weight that is more than its friction holds it
+    falls.
 
     Args:
         view: The recording.
@@ -142,7 +176,9 @@ def _through(
     inertia = max(nominal.get("J") - rotor, LEAST_JOINT_SHARE * nominal.get("J"))
     pull, hold = weight / inertia, np.abs(nominal.friction(view)) / inertia
     speed = view.motor_speed / view.recording.bench.gear_ratio
-    return lambda count, start: falling_play(motor[:count], speed, view.step, gap, pull, hold, start)
+    return lambda count, start: falling_play(
+        motor[:count], speed, view.step, gap, pull, hold, start
+    )
 
 
 def _loop(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -164,20 +200,25 @@ def _closing(view: View, width: float, rotor: float) -> tuple[Array, Array, int,
     """Return what a loop is built from, whatever its deflection and its twist.
 
     Returns:
-        Torque carried, N m; the loop's deflection from its middle; from where on any beginning ends in it; means of
-        lag, torque and deflection over the first samples and over those from there on, shape (2, 3), or None.
+        Torque carried, N m; the loop's deflection from its middle; from where on any beginning ends
+        in it; means of lag, torque and deflection over the first samples and over those from there
+        on, shape (2, 3), or None.
     """
     torque = carried(view, rotor)
     state, closed = _sheared(torque, width), first_swing(torque, 2.0 * width)
     if view.lag is None or closed == len(torque):
         return torque, state, closed, None
     stretches = slice(FIRST_SAMPLES), slice(closed, None)
-    means = np.array([[np.mean(series[s]) for series in (view.lag, torque, state)] for s in stretches])
+    means = np.array(
+        [[np.mean(series[s]) for series in (view.lag, torque, state)] for s in stretches]
+    )
     return torque, state, closed, means
 
 
 def _sheared(torque: Array, width: float, start: float = 0.0) -> Array:
-    """Return the loop's deflection over its greatest one, from the torque by which the play leads at first."""
+    """Return the loop's deflection over its greatest one, from the torque by which the play leads
+    at first.
+    """
     out = play(torque, 2.0 * width, start)
     np.subtract(torque, out, out=out)
     out /= width
@@ -191,7 +232,9 @@ def _loops(context: Context) -> list[Shape]:
     greatest = max(float(np.max(np.abs(v.transmitted))) for v in known)
     rotor, per_torque = ROTOR_SHARE * context.nominal.get("J"), count_of_twist(known)
     sizes = [(share * greatest, deflection) for share in LOOP_SHARES for deflection in LOOPS_RAD]
-    return [(width, rotor, deflection, 0.5 * TWIST_COUNTS[1], per_torque) for width, deflection in sizes]
+    return [
+        (width, rotor, deflection, 0.5 * TWIST_COUNTS[1], per_torque) for width, deflection in sizes
+    ]
 
 
 def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
@@ -199,7 +242,8 @@ def _mesh(view: View, _nominal: Nominal, shape: Shape) -> Array:
 
 
 def _mesh_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
-    # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much less torque.
+    # Power passes whole: where the teeth make the motor run ahead, i.e. faster, it needs as much
+    # less torque.
     sine, cosine = sine_cosine(shape[0], view.angle)
     torque = shape[0] * nominal.drive(view)
     out = np.empty((2, len(torque)))
@@ -224,7 +268,8 @@ def _read_eccentric(c: Array, _shape: Shape, _context: Context) -> dict[str, flo
 
 
 def _late(view: View, _nominal: Nominal, shape: Shape) -> Array:
-    # Not the speed times the delay: where the speed changes within the delay that leaves far more than encoders' noise.
+    # Not the speed times the delay: where the speed changes within the delay that leaves far more
+    # than encoders' noise.
     logged = view.drive_angle - (0.0 if view.lag is None else view.lag)
     return rows(delayed(logged, view.step, -shape[0]) - logged)
 
@@ -235,12 +280,15 @@ def _late_torque(view: View, nominal: Nominal, shape: Shape) -> Array:
 
 
 def on_the_joint(terms: Iterable[Term]) -> list[Term]:
-    """Return effects as they show where friction follows the joint's encoder: what is late in it is late in friction.
+    """Return effects as they show where friction follows the joint's encoder: what is late in it is
+    late in friction.
 
     Left out, the torque that is ahead of such angles passes for a current that lags.
     """
     return [
-        replace(t, columns={**t.columns, "torque": _late_torque}, follows=True) if t.name == "transport_delay" else t
+        replace(t, columns={**t.columns, "torque": _late_torque}, follows=True)
+        if t.name == "transport_delay"
+        else t
         for t in terms
     ]
 
@@ -261,7 +309,8 @@ def _slips(context: Context) -> list[Shape]:
 
 
 def _efficiency(view: View, nominal: Nominal, _shape: Shape) -> Array:
-    # Driven back, eta of the torque comes through; driving, 1 / eta is asked for, and 1 / eta - 1 is the coefficient.
+    # Driven back, eta of the torque comes through; driving, 1 / eta is asked for, and 1 / eta - 1
+    # is the coefficient.
     torque = nominal.drive(view)
     return rows(torque * np.where(torque * view.velocity >= 0.0, 1.0, -nominal.efficiency))
 
@@ -297,7 +346,10 @@ TERMS = (
     Term(
         "coupling_hysteresis",
         {"transmission": _loop},
-        lambda _c, shape, _context: {"deflection_rad": Loop(*shape).deflection, "torque_Nm": Loop(*shape).torque},
+        lambda _c, shape, _context: {
+            "deflection_rad": Loop(*shape).deflection,
+            "torque_Nm": Loop(*shape).torque,
+        },
         _loops,
         refine={2: 0.0, 0: 0.0, 1: 0.0, 3: 0.5 * TWIST_COUNTS[1]},
         limits={3: TWIST_COUNTS},

@@ -1,4 +1,6 @@
-"""Sine and cosine of long phases, compiled: most trial shapes of the catalogue are waves over an angle or time."""
+"""Sine and cosine of long phases, compiled: most trial shapes of the catalogue are waves over an
+angle or time.
+"""
 
 from __future__ import annotations
 
@@ -19,10 +21,11 @@ _C1, _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11 = _COSINE[1:]
 
 
 def sine_cosine(frequency: float, angle: Array) -> Array:
-    """Return sin and cos of ``frequency * angle``, shape (2, m), to a few units of 1e-16 below a million half turns.
+    """Return sin and cos of ``frequency * angle``, shape (2, m), to a few units of 1e-16 below a
+    million half turns.
 
-    Nothing in it branches, so that the processor takes several samples at a time; numpy takes one, and ten times as
-    long.
+    Nothing in it branches, so that the processor takes several samples at a time; numpy takes one,
+    and ten times as long.
     """
     out = np.empty((2, len(angle)))
     _fill(frequency, angle, out[0], out[1])
@@ -38,7 +41,8 @@ def _fill(frequency: float, angle: Array, sine: Array, cosine: Array) -> None:
         rest = (phase - turns * _HALF_TURN) - turns * _REST
         z = rest * rest
         sign = 1.0 - 2.0 * (turns - 2.0 * np.floor(0.5 * turns))
-        # The series within a quarter turn to either side, whose first terms left out are below 1e-18.
+        # The series within a quarter turn to either side, whose first terms left out are below
+        # 1e-18.
         odd = _S5 + z * (_S6 + z * (_S7 + z * (_S8 + z * (_S9 + z * _S10))))
         odd = 1.0 + z * (_S1 + z * (_S2 + z * (_S3 + z * (_S4 + z * odd))))
         even = _C5 + z * (_C6 + z * (_C7 + z * (_C8 + z * (_C9 + z * (_C10 + z * _C11)))))

@@ -19,10 +19,12 @@ LEAST_BLOCKS = 8
 def block_sandwich(
     prepared: Sequence[Prepared], values: Mapping[str, float], names: Sequence[str], alpha: float
 ) -> Spread:
-    """Return the covariance of ``names`` at ``values`` from all recordings jointly, clustered by blocks of time (M10).
+    """Return the covariance of ``names`` at ``values`` from all recordings jointly, clustered by
+    blocks of time (M10).
 
-    Blocks are ten residual correlation times long, at least eight over all, and never span two recordings, so that
-    model errors that differ between blocks widen the interval (Liang and Zeger, Biometrika 73 (1986) 13).
+    Blocks are ten residual correlation times long, at least eight over all, and never span two
+    recordings, so that model errors that differ between blocks widen the interval (Liang and Zeger,
+    Biometrika 73 (1986) 13).
     """
     if not names:
         return Spread((), np.zeros((0, 0)), math.inf)
@@ -38,15 +40,24 @@ def block_sandwich(
         columns = []
         for name in names:
             step = 1e-5 * max(abs(values[name]), 1e-9)
-            columns.append((model_torque(p, {**values, name: values[name] + step}, alpha) - here)[used] / step)
+            columns.append(
+                (model_torque(p, {**values, name: values[name] + step}, alpha) - here)[used] / step
+            )
         length = max(1, round(BLOCK_CORRELATION_TIMES * correlation_samples(residual)))
         length = max(1, min(length, total // LEAST_BLOCKS))
         count = max(1, round(len(residual) / length))
-        owners.append(blocks + np.minimum(np.arange(len(residual)) * count // max(len(residual), 1), count - 1))
+        owners.append(
+            blocks
+            + np.minimum(np.arange(len(residual)) * count // max(len(residual), 1), count - 1)
+        )
         blocks += count
         jacobians.append(np.column_stack(columns))
         residuals.append(residual)
-    jacobian, residual, owner = np.concatenate(jacobians), np.concatenate(residuals), np.concatenate(owners)
+    jacobian, residual, owner = (
+        np.concatenate(jacobians),
+        np.concatenate(residuals),
+        np.concatenate(owners),
+    )
     count = len(names)
     scale = np.linalg.norm(jacobian, axis=0)
     blind = scale == 0.0

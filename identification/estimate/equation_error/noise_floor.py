@@ -1,7 +1,8 @@
 """The noise floor of a fit: the part of the torque residual that does not repeat with the command.
 
-A model that lacks physics has the same error each time the same motion is made; noise does not repeat. Two passes under
-equal inputs have residuals e1 and e2, and e1 - e2 has twice the variance of the part that does not repeat.
+A model that lacks physics has the same error each time the same motion is made; noise does not
+repeat. Two passes under equal inputs have residuals e1 and e2, and e1 - e2 has twice the variance
+of the part that does not repeat.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ SAME = 2e-3
 LEAST_CORRELATION = 0.95
 """Autocorrelation of the command near its period."""
 NEAR, ROWS = 0.05, 2000
-"""Lags tried around that of the first great autocorrelation, as a share of it; samples compared at each."""
+"""Lags tried around that of the first great autocorrelation, as a share of it; samples compared at
+each.
+"""
 NEIGHBOURS = 0.02
 """Inputs must be equal for this share of the period, or of a repeat, on either side of a sample."""
 LEAST_SAMPLES = 100
@@ -48,8 +51,11 @@ class Floor:
     repeats: int
 
 
-def noise_floor(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> Floor | None:
-    """Return the floor from periods within recordings and repeats among them; None where nothing is done twice.
+def noise_floor(
+    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float
+) -> Floor | None:
+    """Return the floor from periods within recordings and repeats among them; None where nothing is
+    done twice.
 
     Args:
         prepared: Recordings at one bandwidth.
@@ -92,7 +98,9 @@ def command_period(recording: Recording) -> float | None:
     power = np.concatenate(([0.0], np.cumsum(centred**2)))
     lags = np.arange(n)
     scale = np.sqrt((power[n - lags]) * (power[n] - power[lags]))
-    correlation = np.divide(product, scale, out=np.zeros(n), where=scale > 1e-12 * power[n])[: n // 2 + 1]
+    correlation = np.divide(product, scale, out=np.zeros(n), where=scale > 1e-12 * power[n])[
+        : n // 2 + 1
+    ]
     away = np.flatnonzero(correlation < 0.5)
     if away.size == 0:
         return None
@@ -105,7 +113,9 @@ def command_period(recording: Recording) -> float | None:
 
 
 def _sharpened(series: Array, lag: int) -> int:
-    """Return the lag near ``lag`` at which most of the series repeats; ramps at its ends pull the correlation away."""
+    """Return the lag near ``lag`` at which most of the series repeats; ramps at its ends pull the
+    correlation away.
+    """
     reach = max(round(NEAR * lag), 1)
     lags = np.arange(max(lag - reach, 1), min(lag + reach, len(series) - 2) + 1)
     rows = np.arange(0, len(series) - int(lags[-1]), max(len(series) // ROWS, 1))
@@ -127,7 +137,9 @@ def _same_rig(one: Recording, other: Recording) -> bool:
 def _difference(
     p: Prepared, q: Prepared, shift: float, residuals: Mapping[int, Array], span: float
 ) -> tuple[float, int]:
-    """Return the sum of (e_p(t) - e_q(t + shift))^2 over samples with equal inputs in motion, and their number."""
+    """Return the sum of (e_p(t) - e_q(t + shift))^2 over samples with equal inputs in motion, and
+    their number.
+    """
     later = p.time + shift
     inside = (later >= q.time[0]) & (later <= q.time[-1])
     moving = p.used & (np.interp(later, q.time, q.used.astype(np.float64)) > 0.999)

@@ -15,7 +15,9 @@ from identification.prepare import Prepared
 from identification.recording import Model, RecordingError
 
 HIGHEST_SHARE = 1.0 / 3.0
-"""Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be told from a line."""
+"""Greatest Stribeck speed tried over the greatest speed seen: above it the falling part cannot be
+told from a line.
+"""
 LEAST_MOTION = 40
 """Samples in motion, over all recordings of a stage, below which nothing is fitted."""
 LOWEST_SHARE = 1e-3
@@ -38,11 +40,15 @@ def require_motion(prepared: Sequence[Prepared]) -> None:
     names = ", ".join(p.recording.name for p in prepared)
     if count < LEAST_MOTION:
         raise RecordingError(
-            f"{names}: {count} samples in motion and resolved at {prepared[0].bandwidth_Hz:.3g} Hz; at least "
+            f"{names}: {count} samples in motion and resolved at {prepared[0].bandwidth_Hz:.3g} "
+            f"Hz; at least "
             f"{LEAST_MOTION} are needed: move it further, longer, or ask for another bandwidth"
         )
     if not any(np.any(p.drive_torque[rows]) for p, rows in zip(prepared, moving, strict=True)):
-        raise RecordingError(f"{names}: the drive's torque is zero wherever it moves; check the column it is read from")
+        raise RecordingError(
+            f"{names}: the drive's torque is zero wherever it moves; check the column it is read "
+            f"from"
+        )
 
 
 def filtered_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
@@ -61,12 +67,15 @@ def gear_sign(p: Prepared) -> Array:
 
 
 def gear_shape(p: Prepared, omega_s: float, alpha: float) -> Array:
-    """Return |pendulum torque| times the falling Stribeck term through the recording's filter, N m, shape (n,)."""
+    """Return |pendulum torque| times the falling Stribeck term through the recording's filter, N m,
+    shape (n,).
+    """
     return p.filter(p.raw_load * stribeck_shape(p.raw_velocity, omega_s, alpha))
 
 
 def friction_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> Array:
-    """Return modelled friction plus offset, eq. 9 + 13, through the recording's filter, N m, shape (n,).
+    """Return modelled friction plus offset, eq. 9 + 13, through the recording's filter, N m, shape
+    (n,).
 
     Parameters that are absent count as zero.
     """
@@ -94,9 +103,11 @@ def model_torque(p: Prepared, parameters: Mapping[str, float], alpha: float) -> 
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage: names of its coefficients, the name of its Stribeck speed, and how to build the linear problem.
+    """One stage: names of its coefficients, the name of its Stribeck speed, and how to build the
+    linear problem.
 
-    The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be bounded by 0.
+    The second coefficient is always the rise dM = Ms - Mc (dmu = mu_s - mu_c), so that it can be
+    bounded by 0.
 
     Attributes:
         name: ``unloaded`` or ``loaded``.
@@ -120,7 +131,8 @@ class Stage:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Names of the fitted coefficients in column order; ``rise`` stands for static less Coulomb.
+        """Names of the fitted coefficients in column order; ``rise`` stands for static less
+        Coulomb.
 
         ``gear_rise`` likewise for mu_gs less mu_gc.
         """
@@ -132,14 +144,20 @@ class Stage:
     def bounds(self) -> tuple[Array, Array]:
         """Return the least and greatest value of each coefficient in column order.
 
-        Nothing but the offset is negative, and the rise is no greater than the greatest torque seen, as a shaft that
-        moved has overcome it: where no sample lies on the falling branch the data alone would not stop it.
+        Nothing but the offset is negative, and the rise is no greater than the greatest torque
+        seen, as a shaft that moved has overcome it: where no sample lies on the falling branch the
+        data alone would not stop it.
         """
         low = np.array([-np.inf if name == "offset" else 0.0 for name in self.free])
         high = np.full(len(self.free), np.inf)
         if "rise" in self.free:
-            scales = [float(np.max(p.moment)) if self.name == "loaded" else 1.0 for p in self.prepared]
-            peaks = [float(np.max(np.abs(p.torque))) / s for p, s in zip(self.prepared, scales, strict=True)]
+            scales = [
+                float(np.max(p.moment)) if self.name == "loaded" else 1.0 for p in self.prepared
+            ]
+            peaks = [
+                float(np.max(np.abs(p.torque))) / s
+                for p, s in zip(self.prepared, scales, strict=True)
+            ]
             high[self.free.index("rise")] = max(*peaks, 1e-300)
         if "gear_rise" in self.free:
             peak = max(float(np.max(np.abs(p.torque))) for p in self.prepared)
@@ -148,7 +166,9 @@ class Stage:
         return low, high
 
     def speed_range(self) -> tuple[float, float]:
-        """Return the least and greatest Stribeck speed to try, rad/s; 1 twice where there is none."""
+        """Return the least and greatest Stribeck speed to try, rad/s; 1 twice where there is
+        none.
+        """
         if self.speed is None:
             return 1.0, 1.0
         if self.speed in self.model.fixed:
@@ -193,7 +213,9 @@ class Stage:
                 columns[k].append(basis[name][p.used])
         stack = [np.concatenate(c) for c in columns]
         target = np.concatenate(targets)
-        return Design(np.column_stack(stack) if stack else np.zeros((len(target), 0)), target, *self.bounds())
+        return Design(
+            np.column_stack(stack) if stack else np.zeros((len(target), 0)), target, *self.bounds()
+        )
 
     def named(self, omega_s: float, coefficients: Array) -> dict[str, float]:
         """Return the stage's parameters by name."""
@@ -217,7 +239,8 @@ class Stage:
 
 
 def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
-    """Eq. 16 on the declared rung: Mc, Ms, omega_sf, sigma_2, J; mu_gc, mu_gs and the offset where declared.
+    """Eq. 16 on the declared rung: Mc, Ms, omega_sf, sigma_2, J; mu_gc, mu_gs and the offset where
+    declared.
 
     Raises:
         RecordingError: The rung bears a load, and no recording has a pendulum.
@@ -225,10 +248,13 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
     terms = LADDER[model.friction]
     if bears_load(model.friction) and not any(np.any(p.raw_load > 0.0) for p in prepared):
         raise RecordingError(
-            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded recording to fit has "
+            f"friction {model.friction!r} grows with the torque of a pendulum, and no unloaded "
+            f"recording to fit has "
             "one; declare its `gravity`, or another friction"
         )
-    gear = [{"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")]
+    gear = [
+        {"mu_gc": "mu_gc", "mu_gs": "gear_rise"}[name] for name in terms if name.startswith("mu_g")
+    ]
     others = ("sigma_2", "J", *gear, *(("offset",) if "offset" in model.terms else ()))
     static, speed = ("Ms", "omega_sf") if rises(model.friction) else (None, None)
     return Stage("unloaded", "Mc", static, speed, others, tuple(prepared), model, {})
@@ -236,4 +262,6 @@ def unloaded_stage(prepared: Sequence[Prepared], model: Model) -> Stage:
 
 def loaded_stage(prepared: Sequence[Prepared], model: Model, known: Mapping[str, float]) -> Stage:
     """Eq. 15 with the five system parameters held: mu_c, mu_s, omega_sL, mu_2."""
-    return Stage("loaded", "mu_c", "mu_s", "omega_sL", ("mu_2",), tuple(prepared), model, dict(known))
+    return Stage(
+        "loaded", "mu_c", "mu_s", "omega_sL", ("mu_2",), tuple(prepared), model, dict(known)
+    )

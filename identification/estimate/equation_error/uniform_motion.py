@@ -1,7 +1,9 @@
-"""The conventional method: friction as the motor's torque in uniform motion (eq. 14), a Stribeck curve through points.
+"""The conventional method: friction as the motor's torque in uniform motion (eq. 14), a Stribeck
+curve through points.
 
-It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and slips, the mean
-torque is not the friction at the mean speed; the spread of the speed shows it, the mean does not.
+It needs neither inertia nor derivatives, but motion at constant speed. Where the joint sticks and
+slips, the mean torque is not the friction at the mean speed; the spread of the speed shows it, the
+mean does not.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ LEAST_S = 0.4
 SETTLING_SHARE = 0.4
 """Share of each stretch left out at its start, in which the joint comes to speed."""
 SMOOTHING_S = 0.02
-"""The speed is a mean over this time, for the spread; the encoder's steps are gone, slips are not."""
+"""The speed is a mean over this time, for the spread; the encoder's steps are gone, slips are
+not.
+"""
 UNIFORM = 0.2
 """Greatest spread of the speed, rms over its mean, that still counts as uniform motion."""
 _SPEED_UNIT = 1e-9  # commanded speeds closer than this, in rad per sample, are the same
@@ -72,7 +76,11 @@ def uniform_points(recording: Recording) -> list[UniformPoint]:
     bounds = [0, *ends.tolist(), len(steps)]
     period = recording.period
     angle = channels["angle"]
-    torque = channels["torque"] if "torque" in channels else recording.bench.ampere_torque * channels["current"]
+    torque = (
+        channels["torque"]
+        if "torque" in channels
+        else recording.bench.ampere_torque * channels["current"]
+    )
     n = max(1, round(SMOOTHING_S / period))
     found = []
     for start, end in itertools.pairwise(bounds):
@@ -103,7 +111,9 @@ def fit_uniform(points: Sequence[UniformPoint], alpha: float = 2.0) -> dict[str,
     loaded = [p for p in points if p.moment > 0.0]
     if _distinct(unloaded) < _LEAST_SPEEDS:
         return {}
-    found = _fit(_speeds(unloaded), np.array([p.friction for p in unloaded]), np.ones(len(unloaded)), alpha)
+    found = _fit(
+        _speeds(unloaded), np.array([p.friction for p in unloaded]), np.ones(len(unloaded)), alpha
+    )
     system = dict(zip(("Mc", "Ms", "omega_sf", "sigma_2"), found, strict=True))
     if _distinct(loaded) < _LEAST_SPEEDS:
         return system
@@ -125,13 +135,19 @@ def _speeds(points: Sequence[UniformPoint]) -> Array:
     return np.array([abs(p.speed) for p in points])
 
 
-def _fit(speed: Array, friction: Array, scale: Array, alpha: float) -> tuple[float, float, float, float]:
-    """Return Coulomb, static, Stribeck speed and viscous of a curve through points; ``scale`` is 1 or the moment."""
+def _fit(
+    speed: Array, friction: Array, scale: Array, alpha: float
+) -> tuple[float, float, float, float]:
+    """Return Coulomb, static, Stribeck speed and viscous of a curve through points; ``scale`` is 1
+    or the moment.
+    """
     low = np.zeros(3)
     high = np.array([np.inf, 2.0 * float(np.max(np.abs(friction / scale))), np.inf])
 
     def design(omega_s: float) -> Design:
-        columns = np.column_stack([np.ones_like(speed), stribeck_shape(speed, omega_s, alpha), speed])
+        columns = np.column_stack(
+            [np.ones_like(speed), stribeck_shape(speed, omega_s, alpha), speed]
+        )
         return Design(columns * scale[:, None], friction, low, high)
 
     best = solve(design, 0.5 * float(np.min(speed)), 2.0 * float(np.max(speed)))

@@ -1,8 +1,9 @@
 """Variable projection (M9): given the Stribeck speed, each stage of the equation error is linear.
 
-With Ms = Mc + dM and bounds on the coefficients (none but the offset below 0, no rise above the greatest torque
-recorded), the coefficients follow by bounded least squares for any trial omega_s. One unknown is left, log omega_s; a
-search in all parameters would have several basins. Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
+With Ms = Mc + dM and bounds on the coefficients (none but the offset below 0, no rise above the
+greatest torque recorded), the coefficients follow by bounded least squares for any trial omega_s.
+One unknown is left, log omega_s; a search in all parameters would have several basins. Golub and
+Pereyra, SIAM J. Numer. Anal. 10 (1973) 413.
 """
 
 from __future__ import annotations

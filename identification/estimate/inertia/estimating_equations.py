@@ -1,9 +1,9 @@
 """The estimating equations: prediction errors uncorrelated with the instruments (M27, M29).
 
-Least squares and likelihood of the prediction errors are biased in the inertia. Noise of the current sensor reaches the
-true torque through the drive's current loop and returns through its velocity loop, so that the measured torque is
-neither the true one plus noise nor the reverse. With instruments free of a segment's own noise the errors need only
-have zero mean.
+Least squares and likelihood of the prediction errors are biased in the inertia. Noise of the
+current sensor reaches the true torque through the drive's current loop and returns through its
+velocity loop, so that the measured torque is neither the true one plus noise nor the reverse. With
+instruments free of a segment's own noise the errors need only have zero mean.
 """
 
 from __future__ import annotations
@@ -34,12 +34,15 @@ _LONGEST_SHIFT = 2.0
 _SETTLED = 0.05
 _TURNS = 8
 _MOST = 3.0
-"""Information of a segment, in median segments of its recording, above which its variance is inflated (M13)."""
+"""Information of a segment, in median segments of its recording, above which its variance is
+inflated (M13).
+"""
 _CHORD_SETTLED = 0.02
 
 
 def solve(problem: Problem) -> Array:
-    """Solve the estimating equations from the problem's start; make the solution its start; return the residuals.
+    """Solve the estimating equations from the problem's start; make the solution its start; return
+    the residuals.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
@@ -58,7 +61,9 @@ def solve(problem: Problem) -> Array:
 
 
 def _round(problem: Problem) -> Array:
-    """Solve for fixed instruments by chord steps; return the standard deviations of the parameters."""
+    """Solve for fixed instruments by chord steps; return the standard deviations of the
+    parameters.
+    """
     problem.hold_weights()
     x = problem.origin()
     residual = problem.residuals(x)
@@ -73,7 +78,11 @@ def _round(problem: Problem) -> Array:
     for _ in range(_CHORDS):
         step = -bread @ score
         logs = [abs(s) for s, k in zip(step, problem.free, strict=False) if k in LOGARITHMIC]
-        share = min(1.0, _LONGEST_LOG / max([*logs, 1e-9]), _LONGEST_SHIFT / float(np.max(np.abs(step[count:]))))
+        share = min(
+            1.0,
+            _LONGEST_LOG / max([*logs, 1e-9]),
+            _LONGEST_SHIFT / float(np.max(np.abs(step[count:]))),
+        )
         for _ in range(_HALVINGS):
             there = problem.residuals(x + share * step)
             then = z.back(there * huber_weight(there, HUBER_THRESHOLD))
@@ -99,16 +108,20 @@ def equations_chi2(problem: Problem) -> float:
     return float(score @ np.linalg.pinv(z.product(), hermitian=True) @ score)
 
 
-def fit_beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[float]], Array]) -> Array:
-    """Fit the inertia by its estimating equation and all else by likelihood, in turn; return the residuals.
+def fit_beside_inertia(
+    problem: Problem, refine: Callable[[Problem, Sequence[float]], Array]
+) -> Array:
+    """Fit the inertia by its estimating equation and all else by likelihood, in turn; return the
+    residuals.
 
-    Likelihood is badly biased in the inertia only. For the other parameters it is more precise than instruments that
-    are means over a few segments, and it stays in its basin. The step of the inertia has all else eliminated, so that
-    errors of the others enter in second order (M30, M31).
+    Likelihood is badly biased in the inertia only. For the other parameters it is more precise than
+    instruments that are means over a few segments, and it stays in its basin. The step of the
+    inertia has all else eliminated, so that errors of the others enter in second order (M30, M31).
 
     Args:
         problem: At the end of the unloaded and loaded fits; its start becomes the result.
-        refine: Searches the free parameters but the inertia, at the given multiples of the noise levels.
+        refine: Searches the free parameters but the inertia, at the given multiples of the noise
+            levels.
 
     Raises:
         numpy.linalg.LinAlgError: The instruments do not determine the parameters.
@@ -145,13 +158,17 @@ def fit_beside_inertia(problem: Problem, refine: Callable[[Problem, Sequence[flo
 
 
 def _inertia_step(problem: Problem) -> tuple[float, float]:
-    """Return the step in the logarithm of the inertia that solves its linearised equation, and its deviation."""
+    """Return the step in the logarithm of the inertia that solves its linearised equation, and its
+    deviation.
+    """
     problem.hold_weights()
     x = problem.origin()
     residual = problem.residuals(x)
     jacobian = problem.jacobian(x, residual)
     influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, residual)
-    return -float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD))), float(np.linalg.norm(influence))
+    return -float(influence @ (residual * huber_weight(residual, HUBER_THRESHOLD))), float(
+        np.linalg.norm(influence)
+    )
 
 
 def segment_inflation(problem: Problem) -> Array:
@@ -166,7 +183,9 @@ def segment_inflation(problem: Problem) -> Array:
 
 
 def inflation_by(problem: Problem, jacobian: BlockArrow) -> Array:
-    """Return the variance inflation from sensitivities of the prediction errors without inflation, shape (m,)."""
+    """Return the variance inflation from sensitivities of the prediction errors without inflation,
+    shape (m,).
+    """
     information = jacobian.information_by_block()
     numbers = np.arange(len(problem.motions), dtype=np.int64)
     recordings = np.repeat(numbers, [len(m.table) for m in problem.motions])

@@ -23,7 +23,8 @@ class Replicate:
 
     Attributes:
         problem: The simulated recordings, in the order of the real ones, at the simulated values.
-        sensitivities: d prediction errors over their deviations / d x there, of the real problem's free parameters.
+        sensitivities: d prediction errors over their deviations / d x there, of the real problem's
+        free parameters.
         residuals: Those errors over their deviations, shape (r,).
         noise: Number of its noise; the same noise with its sign turned has the same number.
     """
@@ -71,12 +72,16 @@ class ReplicatedSegment:
     curves: tuple[Curve, ...]
 
     def mean(self, curves: Sequence[Curve]) -> tuple[Array, Array]:
-        """Return the mean of some curves, at least one, at its samples, (n, p + 1), and their number, (n, 1)."""
+        """Return the mean of some curves, at least one, at its samples, (n, p + 1), and their
+        number, (n, 1).
+        """
         length = self.rows.stop - self.rows.start
         return mean_curve([c.values for c in curves], [c.onset for c in curves], length, self.onset)
 
 
-def replicated_segments(problem: Problem, replicates: Sequence[Replicate]) -> Iterator[ReplicatedSegment]:
+def replicated_segments(
+    problem: Problem, replicates: Sequence[Replicate]
+) -> Iterator[ReplicatedSegment]:
     """Yield every segment of a problem with its counterparts in replicates."""
     found_in = [_segments(r) for r in replicates]
     row, number = 0, 0
@@ -97,14 +102,18 @@ def _segments(replicate: Replicate) -> list[list[tuple[Array, Curve]]]:
         segments = []
         for bounds, onset in zip(m.table, onsets_of(m, begins), strict=True):
             length = int(bounds[LAST] - bounds[FIRST])
-            segments.append((bounds, Curve(curves[row : row + length], float(onset), replicate.noise)))
+            segments.append(
+                (bounds, Curve(curves[row : row + length], float(onset), replicate.noise))
+            )
             row += length
         out.append(segments)
     return out
 
 
 def _same(segments: Sequence[tuple[Array, Curve]], bounds: Array) -> Curve | None:
-    """Return the curve of the segment in the same direction over most of the same samples, None without one."""
+    """Return the curve of the segment in the same direction over most of the same samples, None
+    without one.
+    """
     best, least = None, 0.5 * (bounds[LAST] - bounds[FIRST])
     for other, curve in segments:
         common = min(other[LAST], bounds[LAST]) - max(other[FIRST], bounds[FIRST])
@@ -119,8 +128,11 @@ def onsets_of(m: Motion, begins: Array) -> Array:
     return np.asarray((begins - m.time[first]) / m.recording.period)
 
 
-def mean_curve(curves: Sequence[Array], onsets: Sequence[float], length: int, onset: float) -> tuple[Array, Array]:
-    """Return the mean of curves shifted to one ``onset``, shape (length, p), and their number, (length, 1).
+def mean_curve(
+    curves: Sequence[Array], onsets: Sequence[float], length: int, onset: float
+) -> tuple[Array, Array]:
+    """Return the mean of curves shifted to one ``onset``, shape (length, p), and their number,
+    (length, 1).
 
     Args:
         curves: At least one, each of its own length.
@@ -134,8 +146,13 @@ def mean_curve(curves: Sequence[Array], onsets: Sequence[float], length: int, on
         first, last = max(0, -ahead), min(length, len(curve) - 1 - ahead)
         if first >= last:
             continue
-        share = (np.arange(first, last) + begun - onset - np.arange(first + ahead, last + ahead))[:, None]
-        before, after = curve[first + ahead : last + ahead], curve[first + ahead + 1 : last + ahead + 1]
+        share = (np.arange(first, last) + begun - onset - np.arange(first + ahead, last + ahead))[
+            :, None
+        ]
+        before, after = (
+            curve[first + ahead : last + ahead],
+            curve[first + ahead + 1 : last + ahead + 1],
+        )
         total[first:last] += (1.0 - share) * before + share * after
         seen[first:last] += 1.0
     return total / np.maximum(seen, 1.0), seen

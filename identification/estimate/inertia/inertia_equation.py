@@ -1,6 +1,7 @@
 """The estimating equation of the inertia, all other unknowns eliminated (M30 to M32).
 
-The instrument is made orthogonal to those of all other unknowns, so that their errors enter in second order.
+The instrument is made orthogonal to those of all other unknowns, so that their errors enter in
+second order.
 """
 
 from __future__ import annotations
@@ -26,26 +27,35 @@ class Equation:
 
     Attributes:
         influence: Decrease of the logarithm of the inertia per unit of each residual, shape (r,).
-        parts: Decrease by each residual, through itself and through its part in other instruments, shape (r,).
+        parts: Decrease by each residual, through itself and through its part in other instruments,
+            shape (r,).
     """
 
     influence: Array
     parts: Array
 
 
-def influence_on_inertia(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the decrease of the logarithm of the inertia per unit of each residual (M30), shape (r,)."""
+def influence_on_inertia(
+    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array
+) -> Array:
+    """Return the decrease of the logarithm of the inertia per unit of each residual (M30), shape
+    (r,).
+    """
     return z.along(_mixture(problem, z, jacobian, residual))
 
 
 def _mixture(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Array:
-    """Return the mixture of instruments that only the inertia changes, by one with its logarithm, shape (p + m,)."""
+    """Return the mixture of instruments that only the inertia changes, by one with its logarithm,
+    shape (p + m,).
+    """
     j = problem.free.index(INERTIA)
     power = z.product()
     others = np.delete(power, j, axis=0)
     taken = np.linalg.pinv(np.delete(others, j, axis=1), hermitian=True) @ others[:, j]
     alone = np.insert(-taken, j, 1.0)
-    return alone / float(z.along(alone) @ (jacobian.parameters[:, j] * huber_weight(residual, HUBER_THRESHOLD)))
+    return alone / float(
+        z.along(alone) @ (jacobian.parameters[:, j] * huber_weight(residual, HUBER_THRESHOLD))
+    )
 
 
 def equation(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
@@ -54,11 +64,14 @@ def equation(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Ar
     return Equation(influence, influence * residual * huber_weight(residual, HUBER_THRESHOLD))
 
 
-def equation_of_half_cycles(problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array) -> Equation:
-    """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of segments.
+def equation_of_half_cycles(
+    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array
+) -> Equation:
+    """Return the inertia's equation for instruments by matching half cycles, a sum over pairs of
+    segments.
 
-    A segment enters by its residuals, and by its sensitivities, which are in the instruments of other segments
-    (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
+    A segment enters by its residuals, and by its sensitivities, which are in the instruments of
+    other segments (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
     """
     j = problem.free.index(INERTIA)
     first = equation(problem, z, jacobian, residual)
@@ -73,7 +86,9 @@ def equation_of_half_cycles(problem: Problem, z: BlockArrow, jacobian: BlockArro
 
 
 def least_variance(one: Equation, other: Equation) -> Equation:
-    """Return the mean of two equations for one unknown with the least variance (M32), both weights not negative."""
+    """Return the mean of two equations for one unknown with the least variance (M32), both weights
+    not negative.
+    """
     a, b = one.influence, other.influence
     away = a - b
     share = float(np.clip(-(b @ away) / max(float(away @ away), 1e-300), 0.0, 1.0))
@@ -81,9 +96,14 @@ def least_variance(one: Equation, other: Equation) -> Equation:
 
 
 def combined_equation(
-    problem: Problem, z: BlockArrow, jacobian: BlockArrow, residual: Array, replicates: Sequence[Replicate]
+    problem: Problem,
+    z: BlockArrow,
+    jacobian: BlockArrow,
+    residual: Array,
+    replicates: Sequence[Replicate],
 ) -> Equation:
-    """Return the combination of least variance of the equations by half cycles and by replicates (M32).
+    """Return the combination of least variance of the equations by half cycles and by replicates
+    (M32).
 
     Args:
         problem: At its start.

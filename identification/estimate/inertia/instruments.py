@@ -1,9 +1,10 @@
 """Instruments of a motion segment: sensitivities without its own noise (M28).
 
-A segment's own sensitivities contain the noise of its measured torque, and so do its prediction errors, because the
-drive follows that noise within its bandwidth. The mean over matching half cycles, at the same time since breakaway, is
-nearly the same curve without that noise (Soderstrom and Stoica, Instrumental Variable Methods for System
-Identification, 1983, ch. 4). So is the mean over simulated replicates of the segment itself.
+A segment's own sensitivities contain the noise of its measured torque, and so do its prediction
+errors, because the drive follows that noise within its bandwidth. The mean over matching half
+cycles, at the same time since breakaway, is nearly the same curve without that noise (Soderstrom
+and Stoica, Instrumental Variable Methods for System Identification, 1983, ch. 4). So is the mean
+over simulated replicates of the segment itself.
 """
 
 from __future__ import annotations
@@ -16,7 +17,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from identification.estimate.inertia.half_cycles import Replicate, mean_curve, onsets_of, replicated_segments
+from identification.estimate.inertia.half_cycles import (
+    Replicate,
+    mean_curve,
+    onsets_of,
+    replicated_segments,
+)
 from identification.filter.likelihood import Problem
 from identification.filter.segment_table import DIRECTION, FIRST, LAST
 from identification.model.parameters import OFFSET
@@ -26,7 +32,9 @@ from identification.numerics.block_arrow import BlockArrow
 _WIDENING = 0.2
 _SHARP = 2.0
 _WIDEST = 7
-"""Deviation of the smoothing, samples: a share of the time since breakaway, less a constant, at most 2^7."""
+"""Deviation of the smoothing, samples: a share of the time since breakaway, less a constant, at
+most 2^7.
+"""
 _TRUNCATED = 4.0
 """Standard deviations at which a Gaussian is cut off."""
 
@@ -50,12 +58,16 @@ def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
         for j, side in enumerate(m.table[:, DIRECTION]):
             sides.append(np.where(both_ways, 1.0, side))
             here = slice(starts[j], starts[j + 1])
-            curves.append(np.column_stack([jacobian.parameters[here], jacobian.own[here]]) * sides[j])
+            curves.append(
+                np.column_stack([jacobian.parameters[here], jacobian.own[here]]) * sides[j]
+            )
         ties = jacobian.own[tie + segment : tie + segment + len(lengths)]
         onsets, matching = onsets_of(m, begins), m.matching
         for j, side in enumerate(sides):
             others = np.flatnonzero(matching[j] & (np.arange(len(curves)) != j))
-            mean, _ = mean_curve([curves[i] for i in others], onsets[others].tolist(), len(curves[j]), onsets[j])
+            mean, _ = mean_curve(
+                [curves[i] for i in others], onsets[others].tolist(), len(curves[j]), onsets[j]
+            )
             mean = _smooth(mean, onsets[j]) * side
             parameters[starts[j] : starts[j + 1]] = mean[:, :count]
             own[starts[j] : starts[j + 1]] = mean[:, count]
@@ -66,12 +78,15 @@ def instruments(problem: Problem, jacobian: BlockArrow) -> BlockArrow:
     return replace(jacobian, parameters=parameters, own=own)
 
 
-def replicate_instruments(problem: Problem, plain: BlockArrow, replicates: Sequence[Replicate]) -> BlockArrow:
-    """Return the instruments of every residual by replicates; ``plain`` where no replicate has its segment.
+def replicate_instruments(
+    problem: Problem, plain: BlockArrow, replicates: Sequence[Replicate]
+) -> BlockArrow:
+    """Return the instruments of every residual by replicates; ``plain`` where no replicate has its
+    segment.
 
-    Matching half cycles are few and differ a little; a replicate is the same motion under another noise. Its mean is
-    not smoothed: the drive answers the steps of command and encoder in the same way each time, and with a coarse
-    encoder these samples carry most information on the inertia.
+    Matching half cycles are few and differ a little; a replicate is the same motion under another
+    noise. Its mean is not smoothed: the drive answers the steps of command and encoder in the same
+    way each time, and with a coarse encoder these samples carry most information on the inertia.
 
     Args:
         problem: At its start.
@@ -91,7 +106,8 @@ def replicate_instruments(problem: Problem, plain: BlockArrow, replicates: Seque
 
 
 def _smooth(curve: Array, onset: float) -> Array:
-    """Return a curve smoothed over a time that grows with the time since ``onset`` (samples), shape (n, p).
+    """Return a curve smoothed over a time that grows with the time since ``onset`` (samples), shape
+    (n, p).
 
     Sensitivities change fast after a breakaway and slowly later.
     """
@@ -110,7 +126,9 @@ def _smoothed(curve: Array) -> Array:
     """
     reach = round(_TRUNCATED * 2.0**_WIDEST)
     length = fft.next_fast_len(len(curve) + 2 * reach, real=True)
-    held = np.concatenate([np.repeat(curve[:1], reach, axis=0), curve, np.repeat(curve[-1:], reach, axis=0)])
+    held = np.concatenate(
+        [np.repeat(curve[:1], reach, axis=0), curve, np.repeat(curve[-1:], reach, axis=0)]
+    )
     wave = fft.rfft(held, length, axis=0)
     smoothed = fft.irfft(wave * _responses(length)[:, :, None], length, axis=1)
     return np.concatenate([curve[None], smoothed[:, reach : reach + len(curve)]])
@@ -118,7 +136,9 @@ def _smoothed(curve: Array) -> Array:
 
 @lru_cache(maxsize=64)
 def _responses(length: int) -> NDArray[np.complex128]:
-    """Return the frequency responses of the Gaussians over a circle of ``length`` samples, (8, length // 2 + 1)."""
+    """Return the frequency responses of the Gaussians over a circle of ``length`` samples, (8,
+    length // 2 + 1).
+    """
     place = np.arange(length)
     distance = np.minimum(place, length - place)
     sigma = 2.0 ** np.arange(_WIDEST + 1)[:, None]

@@ -1,10 +1,12 @@
 """Variance inflation: down-weighting of segments that claim too much information (M13).
 
-Where a joint almost stops, friction's falling branch amplifies noise, and the filter, which is linear about its
-prediction, is too certain. The segments of a recording make much the same motion, so one that claims far more
-information than the others met such a place (bounded influence: Hampel et al., Robust Statistics, 1986, ch. 6).
+Where a joint almost stops, friction's falling branch amplifies noise, and the filter, which is
+linear about its prediction, is too certain. The segments of a recording make much the same motion,
+so one that claims far more information than the others met such a place (bounded influence: Hampel
+et al., Robust Statistics, 1986, ch. 6).
 
-The median is weighted by samples: where friction falls steeply, a recording may hold more short slips than half cycles.
+The median is weighted by samples: where friction falls steeply, a recording may hold more short
+slips than half cycles.
 """
 
 from __future__ import annotations
@@ -18,7 +20,9 @@ _ROUNDING = 1e-12
 """Share of the information on a parameter below which a segment counts as having none."""
 
 
-def inflation_factors(segments: Array, lengths: NDArray[np.int64], recordings: NDArray[np.int64], most: float) -> Array:
+def inflation_factors(
+    segments: Array, lengths: NDArray[np.int64], recordings: NDArray[np.int64], most: float
+) -> Array:
     """Return the factor on the standard deviations of each segment, shape (m,); 1 for most.
 
     Args:
@@ -37,7 +41,8 @@ def inflation_factors(segments: Array, lengths: NDArray[np.int64], recordings: N
 
 
 def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
-    """Return the information of each segment in median ones, for the parameter with most of it, shape (m,).
+    """Return the information of each segment in median ones, for the parameter with most of it,
+    shape (m,).
 
     Args:
         information: Of each segment on each parameter, shape (m, p).
@@ -45,5 +50,9 @@ def _excess(information: Array, lengths: NDArray[np.int64]) -> Array:
     """
     order = np.argsort(information, axis=0)
     middle = np.argmax(2 * np.cumsum(lengths[order], axis=0) >= np.sum(lengths), axis=0)
-    usual = np.take_along_axis(information, np.take_along_axis(order, middle[None], axis=0), axis=0)[0]
-    return np.asarray(np.max(information / np.where(usual > 0.0, usual, np.inf), axis=1, initial=0.0))
+    usual = np.take_along_axis(
+        information, np.take_along_axis(order, middle[None], axis=0), axis=0
+    )[0]
+    return np.asarray(
+        np.max(information / np.where(usual > 0.0, usual, np.inf), axis=1, initial=0.0)
+    )

@@ -1,8 +1,9 @@
 """Bootstrap: estimates from motion segments drawn with replacement.
 
-It assumes only that segments err independently, and so checks intervals that rest on a noise model (Efron and
-Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the estimating equations with every segment
-counted as often as it was drawn; weights, noise levels and the inertia's instrument are those of the estimate.
+It assumes only that segments err independently, and so checks intervals that rest on a noise model
+(Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 8). Each draw solves the
+estimating equations with every segment counted as often as it was drawn; weights, noise levels and
+the inertia's instrument are those of the estimate.
 """
 
 from __future__ import annotations
@@ -62,7 +63,11 @@ def bootstrap(
     tails = (0.5 - 0.5 * CONFIDENCE, 0.5 + 0.5 * CONFIDENCE)
     out = []
     for name in refined.names:
-        low, high = np.quantile(values[name], tails).tolist() if 2 * len(values[name]) > draws else (None, None)
+        low, high = (
+            np.quantile(values[name], tails).tolist()
+            if 2 * len(values[name]) > draws
+            else (None, None)
+        )
         out.append(Resampled(name, units[name], low, high, draws, len(values[name])))
     return tuple(out)
 
@@ -70,18 +75,28 @@ def bootstrap(
 def _counts(problem: Problem, rng: np.random.Generator) -> Array:
     """Return how often each segment is drawn, within its recording, shape (m,)."""
     sizes = [len(m.table) for m in problem.motions]
-    return np.concatenate([rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]).astype(np.float64)
+    return np.concatenate(
+        [rng.multinomial(size, np.full(size, 1.0 / size)) for size in sizes]
+    ).astype(np.float64)
 
 
 def _deviations(refined: Refined) -> Array:
-    """Return the standard deviation of every free parameter, in the free vector's units, shape (p,)."""
-    by_place = dict(zip((INDEX[n] for n in refined.names), np.sqrt(np.diag(refined.covariance)), strict=True))
+    """Return the standard deviation of every free parameter, in the free vector's units, shape
+    (p,).
+    """
+    by_place = dict(
+        zip((INDEX[n] for n in refined.names), np.sqrt(np.diag(refined.covariance)), strict=True)
+    )
     start = refined.joint.start
-    return np.array([by_place[k] / (start[k] if k in LOGARITHMIC else 1.0) for k in refined.joint.free])
+    return np.array(
+        [by_place[k] / (start[k] if k in LOGARITHMIC else 1.0) for k in refined.joint.free]
+    )
 
 
 class _Equations:
-    """Estimating equations about the estimate: least squares for all but the inertia, its own equation for that."""
+    """Estimating equations about the estimate: least squares for all but the inertia, its own
+    equation for that.
+    """
 
     def __init__(self, problem: Problem, deviations: Array) -> None:
         self.problem = problem
@@ -96,12 +111,15 @@ class _Equations:
         if self.inertia is not None:
             z = instruments(problem, jacobian)
             self.influence = influence_on_inertia(problem, z, jacobian, residual)
-        # The search may have ended a little beside the solution; draws are compared with the solution.
+        # The search may have ended a little beside the solution; draws are compared with the
+        # solution.
         self.rest = self.sums(residual, jacobian, np.ones(problem.breakaways))[0]
         self.rest[len(deviations) :] = 0.0
 
     def sums(self, residual: Array, jacobian: BlockArrow, counts: Array) -> tuple[Array, Array]:
-        """Return the equations and their derivatives, shape (x,) and (x, x), for these counts of segments."""
+        """Return the equations and their derivatives, shape (x,) and (x, x), for these counts of
+        segments.
+        """
         weight = huber_weight(residual, HUBER_THRESHOLD) * counts[jacobian.owners]
         side = jacobian
         if self.inertia is not None:
@@ -111,14 +129,20 @@ class _Equations:
         return side.back(weight * residual), side.product(weight, jacobian)
 
     def solve(self, counts: Array) -> Array | None:
-        """Return the free vector that solves them for these counts; None where the search does not settle."""
+        """Return the free vector that solves them for these counts; None where the search does not
+        settle.
+        """
         x = self.origin.copy()
         residual, jacobian = self.begun
         for _ in range(_ROUNDS):
             value, slope = self.sums(residual, jacobian, counts)
             scale = np.sqrt(np.maximum(np.abs(np.diag(slope)), 1e-300))
             step = (
-                -(np.linalg.pinv(slope / np.outer(scale, scale), rcond=1e-10) @ ((value - self.rest) / scale)) / scale
+                -(
+                    np.linalg.pinv(slope / np.outer(scale, scale), rcond=1e-10)
+                    @ ((value - self.rest) / scale)
+                )
+                / scale
             )
             size = float(np.max(np.abs(step[: len(self.deviations)]) / self.deviations))
             x = x + min(1.0, _LONGEST / max(size, 1e-300)) * step

@@ -1,8 +1,9 @@
 """Maximum likelihood in bounded memory: passes over any number of pieces (M44).
 
-The objective splits into motion segments that share nothing but the parameters. Each piece has its breakaway times
-optimised with the parameters held, is reduced to its normal equations and dropped; after each pass the parameters take
-one Gauss-Newton step. The first piece of each recording, refined in memory, gives the start, the noise and the inertia.
+The objective splits into motion segments that share nothing but the parameters. Each piece has its
+breakaway times optimised with the parameters held, is reduced to its normal equations and dropped;
+after each pass the parameters take one Gauss-Newton step. The first piece of each recording,
+refined in memory, gives the start, the noise and the inertia.
 """
 
 from __future__ import annotations
@@ -38,7 +39,8 @@ def refine_pieces(
     progress: Callable[[float], None],
     correlated: bool = False,
 ) -> Refined | str:
-    """Return the refined estimate over all pieces, or a text that says why prediction errors do not apply.
+    """Return the refined estimate over all pieces, or a text that says why prediction errors do not
+    apply.
 
     Args:
         heads: The pieces for the start, one or more of each load condition.
@@ -52,7 +54,8 @@ def refine_pieces(
     start = refine_recordings(heads, values, names, model, correlated)
     if isinstance(start, str):
         return start
-    # Least squares are biased in the inertia (noise of the loop counts as motion); it keeps the heads' value.
+    # Least squares are biased in the inertia (noise of the loop counts as motion); it keeps the
+    # heads' value.
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
@@ -65,7 +68,9 @@ def refine_pieces(
             if moving is None:
                 continue
             problem = Problem([moving], vector, free, model, start.noise)
-            problem.breakaway_times = begins.get(k, [moving.static_crossing(static_limit(vector, moving))])
+            problem.breakaway_times = begins.get(
+                k, [moving.static_crossing(static_limit(vector, moving))]
+            )
             optimise_breakaway_times(problem, HUBER_THRESHOLD, ROUNDS if number == 0 else 1)
             begins[k] = problem.breakaway_times
             found.append(reduce(problem, HUBER_THRESHOLD))
@@ -96,8 +101,12 @@ def refine_pieces(
     )
 
 
-def _covariances(found: Sequence[Reduced], names: Sequence[str], vector: Array) -> tuple[Array, Array]:
-    """Return the covariance of the named parameters, the larger of information and sandwich, and its bound."""
+def _covariances(
+    found: Sequence[Reduced], names: Sequence[str], vector: Array
+) -> tuple[Array, Array]:
+    """Return the covariance of the named parameters, the larger of information and sandwich, and
+    its bound.
+    """
     normal, scale = equilibrated(np.sum([r.normal for r in found], axis=0))
     scores = np.concatenate([r.scores for r in found])
     bread = np.linalg.pinv(normal, hermitian=True)

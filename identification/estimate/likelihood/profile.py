@@ -1,12 +1,14 @@
-"""Profile likelihood of every parameter: deviance with one parameter moved and the others optimised.
+"""Profile likelihood of every parameter: deviance with one parameter moved and the others
+optimised.
 
-All other parameters and all breakaway times are optimised at each point. The estimate does not maximise a likelihood,
-because the inertia solves an estimating equation (M31). Two things therefore differ from a plain profile:
+All other parameters and all breakaway times are optimised at each point. The estimate does not
+maximise a likelihood, because the inertia solves an estimating equation (M31). Two things therefore
+differ from a plain profile:
 
-- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared estimating equation
-  over its variance (a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
-- It is scaled so that its curvature agrees with the interval (Chandler and Bate, Biometrika 94 (2007) 167). A profile
-  adds the shape: asymmetry, flat ends, a second minimum.
+- The deviance (M45) is 2 (C(x) - least C at this J) + Q(J), with C the Huber cost and Q the squared
+  estimating equation over its variance (a score test: Rao, Proc. Camb. Phil. Soc. 44 (1948) 50).
+- It is scaled so that its curvature agrees with the interval (Chandler and Bate, Biometrika 94
+  (2007) 167). A profile adds the shape: asymmetry, flat ends, a second minimum.
 """
 
 from __future__ import annotations
@@ -60,14 +62,20 @@ class _Criterion:
         self.x, self.residual, self._cost = self.descend(self.x, held)
 
     def value(self, x: Array, residual: Array) -> float:
-        return huber_cost(residual, HUBER_THRESHOLD) - self._cost + float(self.curve(self._shift(x)))
+        return (
+            huber_cost(residual, HUBER_THRESHOLD) - self._cost + float(self.curve(self._shift(x)))
+        )
 
     def _shift(self, x: Array) -> float:
         return 0.0 if self.inertia is None else float(x[self.inertia] - self.x[self.inertia])
 
     def normal(self, x: Array, residual: Array) -> tuple[Array, Array, Eliminated]:
-        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that of the cost alone."""
-        cost = self.problem.jacobian(x, residual).eliminated(residual, huber_weight(residual, HUBER_THRESHOLD))
+        """Return the normal matrix and the gradient of the value, shape (p, p) and (p,), and that
+        of the cost alone.
+        """
+        cost = self.problem.jacobian(x, residual).eliminated(
+            residual, huber_weight(residual, HUBER_THRESHOLD)
+        )
         matrix, gradient = cost.matrix.copy(), cost.scores.sum(axis=0)
         if self.inertia is not None:
             matrix[self.inertia, self.inertia] += self.curve.deriv(2)(self._shift(x))
@@ -75,7 +83,8 @@ class _Criterion:
         return matrix, gradient, cost
 
     def descend(self, x: Array, along: Array) -> tuple[Array, Array, float]:
-        """Minimise from ``x`` with ``along`` @ parameters held; return the point, its residuals and its value.
+        """Minimise from ``x`` with ``along`` @ parameters held; return the point, its residuals and
+        its value.
 
         Nothing is held where ``along`` is all zeros.
         """
@@ -100,7 +109,9 @@ class _Criterion:
 
 
 def profiles(
-    refined: Refined, units: Mapping[str, str], progress: Callable[[float], None] = lambda _share: None
+    refined: Refined,
+    units: Mapping[str, str],
+    progress: Callable[[float], None] = lambda _share: None,
 ) -> tuple[Profile, ...]:
     """Return the profile of every parameter of a refined estimate.
 
@@ -117,7 +128,10 @@ def profiles(
     directions = dict(zip(names, _directions(problem, names), strict=True))
     found: dict[str, tuple[Array, Array, float]] = {}
     if "J" in names:
-        found["J"] = (*_inertia(criterion, directions["J"], deviations["J"] / refined.values["J"]), 1.0)
+        found["J"] = (
+            *_inertia(criterion, directions["J"], deviations["J"] / refined.values["J"]),
+            1.0,
+        )
     start, _, _ = criterion.normal(criterion.x, criterion.residual)
     for k, name in enumerate(names):
         if name not in found:
@@ -138,7 +152,8 @@ def profiles(
 
 
 def crossings(values: Array, deviance: Array) -> tuple[float | None, float | None]:
-    """Return where the deviance passes :data:`LEVEL` on either side of its minimum; None where it does not.
+    """Return where the deviance passes :data:`LEVEL` on either side of its minimum; None where it
+    does not.
 
     Its root is interpolated, which is a straight line where the likelihood is a parabola.
     """
@@ -166,7 +181,8 @@ def _directions(problem: Problem, names: tuple[str, ...]) -> Array:
 
 
 def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tuple[Array, Array]:
-    """Return values of ``along`` @ parameters, rising, and the deviance at each, outwards from the estimate.
+    """Return values of ``along`` @ parameters, rising, and the deviance at each, outwards from the
+    estimate.
 
     Args:
         criterion: About the estimate.
@@ -190,14 +206,17 @@ def _walk(criterion: _Criterion, along: Array, shape: Array, sigma: float) -> tu
 
 
 def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, Array]:
-    """Return steps of log J and the deviance Q; the criterion keeps Q/2 less the least cost at each J.
+    """Return steps of log J and the deviance Q; the criterion keeps Q/2 less the least cost at each
+    J.
 
-    The equation is the error of J with the other parameters at their least squares: its slope is -1 where the problem
-    is linear.
+    The equation is the error of J with the other parameters at their least squares: its slope is -1
+    where the problem is linear.
     """
     problem, x = criterion.problem, criterion.x
     jacobian = problem.jacobian(x, criterion.residual)
-    influence = influence_on_inertia(problem, instruments(problem, jacobian), jacobian, criterion.residual)
+    influence = influence_on_inertia(
+        problem, instruments(problem, jacobian), jacobian, criterion.residual
+    )
     shape = _tangent(criterion.normal(x, criterion.residual)[0], along)
 
     def equation(residual: Array) -> float:
@@ -217,15 +236,23 @@ def _inertia(criterion: _Criterion, along: Array, sigma: float) -> tuple[Array, 
             costs.append(cost)
             errors.append(equation(residual) - origin)
     order = np.argsort(steps)
-    t, least, deviance = np.array(steps)[order], np.array(costs)[order], (np.array(errors)[order] / sigma) ** 2
+    t, least, deviance = (
+        np.array(steps)[order],
+        np.array(costs)[order],
+        (np.array(errors)[order] / sigma) ** 2,
+    )
     powers = (t / sigma)[:, None] ** np.arange(1, _DEGREE + 1)
     coefficients = np.linalg.lstsq(powers, 0.5 * deviance - least, rcond=None)[0]
-    criterion.curve = np.polynomial.Polynomial([0.0, *(coefficients / sigma ** np.arange(1, _DEGREE + 1))])
+    criterion.curve = np.polynomial.Polynomial(
+        [0.0, *(coefficients / sigma ** np.arange(1, _DEGREE + 1))]
+    )
     return t, deviance
 
 
 def _tangent(normal: Array, along: Array) -> Array:
-    """Return the change of the parameters per unit of ``along`` @ parameters, the others optimised."""
+    """Return the change of the parameters per unit of ``along`` @ parameters, the others
+    optimised.
+    """
     follow = _inverse(normal) @ along
     return np.asarray(follow / (along @ follow))
 
@@ -241,4 +268,6 @@ def _held_step(matrix: Array, gradient: Array, along: Array) -> Array:
 
 def _inverse(matrix: Array) -> Array:
     scale = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    return np.asarray(np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale))
+    return np.asarray(
+        np.linalg.pinv(matrix / np.outer(scale, scale), hermitian=True) / np.outer(scale, scale)
+    )

@@ -97,9 +97,15 @@ def refine(
 
 
 def _unbiased(found: Found, bias: Bias) -> Found:
-    """Subtract the bias (M36) and add its variance (M42); no correction that leaves the parameter range."""
+    """Subtract the bias (M36) and add its variance (M42); no correction that leaves the parameter
+    range.
+    """
     values = {name: value - bias.shifts.get(name, 0.0) for name, value in found.values.items()}
-    rises = all(values[static] >= values[coulomb] for coulomb, static, _ in STRIBECK_TERMS if static in values)
+    rises = all(
+        values[static] >= values[coulomb]
+        for coulomb, static, _ in STRIBECK_TERMS
+        if static in values
+    )
     positive = all(values[name] > 0.0 for name in ("omega_sf", "omega_sL") if name in values)
     if not (rises and positive):
         return found
@@ -112,10 +118,12 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
 
 
 def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
-    """Solve the inertia's equation with instruments of replicates too (M32); the others follow. Floors are theirs.
+    """Solve the inertia's equation with instruments of replicates too (M32); the others follow.
 
-    It is solved at the bias-corrected values, as replicates solve it at their true values: errors of the others enter
-    in second order, which counts at several standard deviations.
+    Floors are theirs.
+
+    It is solved at the bias-corrected values, as replicates solve it at their true values: errors
+    of the others enter in second order, which counts at several standard deviations.
     """
     names, there = found.spread.names, copy(joint)
     there.start = pack(found.values, joint.alpha)
@@ -155,7 +163,8 @@ def refine_recordings(
     for r in recordings:
         if motions[id(r)] is None:
             return (
-                f"prediction errors need even sampling, a quantised encoder, measured torque and two breakaways from "
+                f"prediction errors need even sampling, a quantised encoder, measured torque and "
+                f"two breakaways from "
                 f"rest, and {r.name} lacks one of them"
             )
     found = [m for m in motions.values() if m is not None]
@@ -181,12 +190,19 @@ def spread_of(refined: Refined) -> Spread:
 
 def noise_of(refined: Refined, unit: str) -> MeasuredNoise:
     """Return the noise of a refined estimate, torque in ``unit``."""
-    noise, steps = refined.noise, [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions]
-    return MeasuredNoise(noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit)
+    noise, steps = (
+        refined.noise,
+        [math.sqrt(12.0 * m.angle_variance) for m in refined.joint.motions],
+    )
+    return MeasuredNoise(
+        noise.torque, noise.correlated, noise.correlation_s, noise.angle, max(steps), unit
+    )
 
 
 def floors_of(names: tuple[str, ...], floor: Array) -> dict[str, float]:
-    """Return name to the half width of a 90 % interval at the Cramer-Rao bound ``floor``, shape (p, p)."""
+    """Return name to the half width of a 90 % interval at the Cramer-Rao bound ``floor``, shape (p,
+    p).
+    """
     exact = Spread(names, floor, math.inf)
     return {name: exact.half_width(name) for name in names}
 

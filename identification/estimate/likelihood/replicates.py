@@ -1,13 +1,16 @@
-"""Bias of the maximum-likelihood estimate, measured by simulating the experiment at the estimate (M33 to M36).
+"""Bias of the maximum-likelihood estimate, measured by simulating the experiment at the estimate
+(M33 to M36).
 
-Just after a breakaway friction falls steeply, and the filter, which is linear about its prediction, overestimates how
-much noise speeds the onset up; within the period of a breakaway the torque is no straight line. The maximum of the
-likelihood is therefore biased, most where static friction is high. Replicates are simulated under the recorded commands
-and the drive loop that the recordings show; the mean of one scoring step from the simulated values is the bias
-(parametric bootstrap; indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each
-noise is used twice, the second time with its sign turned, so that odd terms cancel.
+Just after a breakaway friction falls steeply, and the filter, which is linear about its prediction,
+overestimates how much noise speeds the onset up; within the period of a breakaway the torque is no
+straight line. The maximum of the likelihood is therefore biased, most where static friction is
+high. Replicates are simulated under the recorded commands and the drive loop that the recordings
+show; the mean of one scoring step from the simulated values is the bias (parametric bootstrap;
+indirect inference: Gourieroux, Monfort and Renault, J. Appl. Econometrics 8 (1993) S85). Each noise
+is used twice, the second time with its sign turned, so that odd terms cancel.
 
-The sensitivities of replicates are instruments too, and products of two of them give the Cramer-Rao bound.
+The sensitivities of replicates are instruments too, and products of two of them give the Cramer-Rao
+bound.
 """
 
 from __future__ import annotations
@@ -26,7 +29,13 @@ from identification.filter.breakaway_times import search_breakaway_times
 from identification.filter.likelihood import Problem, static_limit
 from identification.filter.noise_level import HUBER_THRESHOLD, torque_noise
 from identification.filter.segments import Motion, motion
-from identification.model.parameters import INERTIA, LOAD_PARAMETERS, OFFSET, SYSTEM_PARAMETERS, unpack
+from identification.model.parameters import (
+    INERTIA,
+    LOAD_PARAMETERS,
+    OFFSET,
+    SYSTEM_PARAMETERS,
+    unpack,
+)
 from identification.numerics.arrays import Array
 from identification.recording import Model
 from identification.simulate.drive_loop import drive_loop
@@ -37,9 +46,13 @@ PAIRS, MOST_PAIRS = 3, 6
 _UNCERTAIN = 0.15
 """Error of the bias, in standard errors of the estimate, up to which no more noises are taken."""
 _TRIED, _ENOUGH = 9, 2
-"""Pairs tried at most, and least number of pairs, where replicates fail because the filter loses the joint."""
+"""Pairs tried at most, and least number of pairs, where replicates fail because the filter loses
+the joint.
+"""
 _LARGE, _TURNS = 2.0, 3
-"""Bias, in standard errors, above which the simulation is repeated at corrected values, and times at most."""
+"""Bias, in standard errors, above which the simulation is repeated at corrected values, and times
+at most.
+"""
 _UNSEEN = 0.5
 """Logged share of the noise variance where the recordings do not show it (M34)."""
 _DRAW = 1000
@@ -47,7 +60,9 @@ _DRAW = 1000
 _HEADROOM = 2.0
 """The drive's greatest torque over the greatest in the recordings."""
 _FARTHEST = 20.0
-"""Step, in standard deviations, above which the filter has lost the joint and the replicate is dropped."""
+"""Step, in standard deviations, above which the filter has lost the joint and the replicate is
+dropped.
+"""
 
 
 @dataclass(frozen=True)
@@ -68,8 +83,8 @@ class Bias:
 def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     """Return the bias of the likelihood at a problem's start (M35); none for the inertia.
 
-    None where the experiment cannot be simulated: the recordings do not show the drive's loop, a load is not made by a
-    weight, or the filter does not follow the replicates.
+    None where the experiment cannot be simulated: the recordings do not show the drive's loop, a
+    load is not made by a weight, or the filter does not follow the replicates.
 
     Args:
         joint: At the estimate; it is not changed.
@@ -104,18 +119,24 @@ def likelihood_bias(joint: Problem, names: Sequence[str]) -> Bias | None:
     if found is None:
         return None
     moved = np.array([_named(joint, pair, names) for pair in found])
-    mean, spread = _named(joint, np.mean(found, axis=0), names), np.var(moved, axis=0, ddof=1) / len(moved)
+    mean, spread = (
+        _named(joint, np.mean(found, axis=0), names),
+        np.var(moved, axis=0, ddof=1) / len(moved),
+    )
     return Bias(
-        dict(zip(names, mean.tolist(), strict=True)), dict(zip(names, spread.tolist(), strict=True)), replicates
+        dict(zip(names, mean.tolist(), strict=True)),
+        dict(zip(names, spread.tolist(), strict=True)),
+        replicates,
     )
 
 
 def logged_share(joint: Problem, loop: Loop) -> float:
-    """Return the share of the torque noise's variance that is in the logged torque and not in the true one (M34).
+    """Return the share of the torque noise's variance that is in the logged torque and not in the
+    true one (M34).
 
-    A drive's current loop follows the noise of its own sensor within its bandwidth: that part moves the joint and is
-    not logged. Scatter of the logged torque beyond the drive's answer to it is noise of the measurement. Where that
-    answer exceeds the noise, half is taken.
+    A drive's current loop follows the noise of its own sensor within its bandwidth: that part moves
+    the joint and is not logged. Scatter of the logged torque beyond the drive's answer to it is
+    noise of the measurement. Where that answer exceeds the noise, half is taken.
 
     Args:
         joint: At the estimate; it is not changed.
@@ -125,8 +146,13 @@ def logged_share(joint: Problem, loop: Loop) -> float:
     if not noise > 0.0:
         return _UNSEEN
     rng = np.random.default_rng(_DRAW)
-    answers = [_response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque for m in joint.motions]
-    answer = torque_noise([replace(m, torque=torque) for m, torque in zip(joint.motions, answers, strict=True)])
+    answers = [
+        _response(joint, m, loop, _drawn(joint, m, rng, 1.0, _UNSEEN)[0]).torque
+        for m in joint.motions
+    ]
+    answer = torque_noise(
+        [replace(m, torque=torque) for m, torque in zip(joint.motions, answers, strict=True)]
+    )
     if answer > noise:
         return _UNSEEN
     return float(np.clip((torque_noise(joint.motions) ** 2 - answer**2) / noise**2, 0.0, 1.0))
@@ -177,7 +203,9 @@ def _deviation(pairs: Sequence[_Pair]) -> Array:
 
 
 def _uncertain(pairs: Sequence[_Pair]) -> bool:
-    """Return whether the bias of some parameter is uncertain beside the standard error of the estimate."""
+    """Return whether the bias of some parameter is uncertain beside the standard error of the
+    estimate.
+    """
     error = np.std(_even(pairs), axis=0, ddof=1) / math.sqrt(len(pairs))
     return bool(np.max(error / _deviation(pairs)) > _UNCERTAIN)
 
@@ -190,7 +218,9 @@ def _away(joint: Problem, step: Array) -> Array:
 
 
 def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
-    """Return the change of named parameters in a step that ends at the start, in their own units, shape (p,)."""
+    """Return the change of named parameters in a step that ends at the start, in their own units,
+    shape (p,).
+    """
     before, here = (unpack(p, names) for p in (joint.parameters(_away(joint, step)), joint.start))
     return np.array([here[n] - before[n] for n in names])
 
@@ -198,7 +228,9 @@ def _named(joint: Problem, step: Array, names: Sequence[str]) -> Array:
 def _loop(motions: Sequence[Motion]) -> Loop | None:
     """Return the drive's loop, where recordings show it and their loads can be simulated."""
     recordings = [m.recording for m in motions]
-    plain = all(r.pendulum is None and not r.hot_fire and "command" in r.channels for r in recordings)
+    plain = all(
+        r.pendulum is None and not r.hot_fire and "command" in r.channels for r in recordings
+    )
     if not plain:
         return None
     limit = _HEADROOM * max(float(np.max(np.abs(m.torque))) for m in motions)
@@ -212,7 +244,9 @@ def _step_of_encoder(m: Motion) -> float:
 def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _Scored | None:
     """Simulate a replicate and return its scoring step; None where the filter does not follow."""
     rng = np.random.default_rng(seed)
-    motions = [_replicate(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions]
+    motions = [
+        _replicate(joint, m, loop, _drawn(joint, m, rng, sign, share)) for m in joint.motions
+    ]
     seen = [m for m in motions if m is not None]
     if len(seen) < len(motions):
         return None
@@ -226,7 +260,8 @@ def _step(joint: Problem, loop: Loop, share: float, seed: int, sign: float) -> _
 
 
 def _scored(problem: Problem, noise: int) -> _Scored | None:
-    """Return the parameters' part of a scoring step (M23) over them and breakaway times, the inertia held.
+    """Return the parameters' part of a scoring step (M23) over them and breakaway times, the
+    inertia held.
 
     Args:
         problem: Of the replicate.
@@ -269,7 +304,9 @@ def _response(joint: Problem, m: Motion, loop: Loop, disturbance: Array) -> Resp
     values = unpack(joint.start, (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS))
     values["J"] += m.extra_inertia
     command = np.asarray(r.channels["command"], dtype=np.float64)
-    return respond(command, r.period, values, float(np.median(m.moment)), joint.alpha, loop, disturbance)
+    return respond(
+        command, r.period, values, float(np.median(m.moment)), joint.alpha, loop, disturbance
+    )
 
 
 def _replicate(joint: Problem, m: Motion, loop: Loop, noise: Array) -> Motion | None:

@@ -1,4 +1,6 @@
-"""Searches of the likelihood: grid of starts, tempered least squares, neighbours of the best end, basins."""
+"""Searches of the likelihood: grid of starts, tempered least squares, neighbours of the best end,
+basins.
+"""
 
 from __future__ import annotations
 
@@ -15,16 +17,23 @@ from identification.numerics.arrays import Array
 from identification.numerics.levenberg_marquardt import huber
 
 _TEMPERING = (20.0, 8.0, 4.0, 2.0, 1.0)
-"""Torque noise of the loaded fit's searches, over its own level; with fewer levels they miss the best end."""
+"""Torque noise of the loaded fit's searches, over its own level; with fewer levels they miss the
+best end.
+"""
 _START_SPEEDS = 6
 _START_STATICS = 7
 STARTS = 3
-"""Starts that are followed to their end: the likeliest of the grid is not always in the right basin."""
+"""Starts that are followed to their end: the likeliest of the grid is not always in the right
+basin.
+"""
 _MISSED = 0.8
-"""Mean Huber cost of a residual above which an end is in no basin: it is 0.26 to 0.55 at true values, and 1.4 and more
-at ends where searches are stuck."""
+"""Mean Huber cost of a residual above which an end is in no basin: it is 0.26 to 0.55 at true
+values, and 1.4 and more at ends where searches are stuck.
+"""
 _WIDE_STEP = 0.3
-"""Difference of a coordinate (a parameter, or its logarithm) over its size, for slopes of stuck searches."""
+"""Difference of a coordinate (a parameter, or its logarithm) over its size, for slopes of stuck
+searches.
+"""
 _START_CLIP = 10.0
 _SEEKS = 3
 """Fits in alternation with a grid search of the breakaway times."""
@@ -39,26 +48,38 @@ _BESIDE = (
 _ROUNDS = 2
 """Rounds of neighbours of a kind, each from the best end so far; the second only after a gain."""
 _End = tuple[bool, float, Array, list[Array]]
-"""End of a search: whether its Stribeck speed is unresolved, deviance, parameters, breakaway times."""
+"""End of a search: whether its Stribeck speed is unresolved, deviance, parameters, breakaway
+times.
+"""
 _APART = 0.1
-"""Relative difference of the Stribeck speed, or of the rise, above which two ends are in different basins."""
+"""Relative difference of the Stribeck speed, or of the rise, above which two ends are in different
+basins.
+"""
 SAME_END = 1.0
-"""Deviance within which two searches count as ended alike: half a standard error of one parameter."""
+"""Deviance within which two searches count as ended alike: half a standard error of one
+parameter.
+"""
 _AS_LIKELY = 4.0
 """Deviance within which recordings do not decide between two ends: two standard errors."""
 _SEVERAL = 2.0
 
 
-def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> list[tuple[Array, list[Array]]]:
+def breakaway_starts(
+    problem: Problem, coulomb: int, rise: int, speed: int
+) -> list[tuple[Array, list[Array]]]:
     """Search a grid of static limits and Stribeck speeds, as far as they are free.
 
-    The static limit is at or below the peak torque before visible motion, because motion takes time to show.
+    The static limit is at or below the peak torque before visible motion, because motion takes time
+    to show.
 
     Returns:
-        Parameters and breakaway times for every Stribeck speed with its likeliest static limit, likeliest first.
+        Parameters and breakaway times for every Stribeck speed with its likeliest static limit,
+        likeliest first.
     """
     loaded = rise == LOAD_RISE
-    fastest = max(float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in problem.motions)
+    fastest = max(
+        float(np.max(np.abs(np.gradient(m.angle[::10], m.time[::10])))) for m in problem.motions
+    )
     speeds = np.array([problem.start[speed]])
     if speed in problem.free:
         speeds = np.concatenate([speeds, np.geomspace(0.01, 0.35, _START_SPEEDS) * fastest])
@@ -88,11 +109,12 @@ def breakaway_starts(problem: Problem, coulomb: int, rise: int, speed: int) -> l
 
 
 def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> float:
-    """Search the loaded fit from the likeliest starts in turn; leave the problem at the likeliest end.
+    """Search the loaded fit from the likeliest starts in turn; leave the problem at the likeliest
+    end.
 
-    A start that is likelier than every end, because the raised noise led out of its basin, is searched once more at the
-    noise's own level. Ends whose Stribeck speed no sample resolves count only where there are no others: there the rise
-    enters no prediction and fits noise.
+    A start that is likelier than every end, because the raised noise led out of its basin, is
+    searched once more at the noise's own level. Ends whose Stribeck speed no sample resolves count
+    only where there are no others: there the rise enters no prediction and fits noise.
 
     Returns:
         Deviance of the end above that of the likeliest start.
@@ -116,7 +138,8 @@ def refine_from(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -
 
 
 def basins(problem: Problem) -> list[tuple[Array, list[Array]]]:
-    """Return the loaded fit's end, then the best ends of other basins, likeliest first: parameters, breakaway times.
+    """Return the loaded fit's end, then the best ends of other basins, likeliest first: parameters,
+    breakaway times.
 
     Without ends whose Stribeck speed no sample resolves.
     """
@@ -128,17 +151,21 @@ def basins(problem: Problem) -> list[tuple[Array, list[Array]]]:
 
 
 def _apart(one: Array, other: Array) -> bool:
-    """Return whether two ends are in different basins, by Stribeck speed and rise of the load friction."""
+    """Return whether two ends are in different basins, by Stribeck speed and rise of the load
+    friction.
+    """
     places = [OMEGA_SL, LOAD_RISE]
     return bool(np.any(np.abs(one[places] - other[places]) > _APART * np.abs(other[places])))
 
 
 def likeliest_together(problem: Problem, starts: Sequence[tuple[Array, list[Array]]]) -> None:
-    """Start the joint problem at the loaded end whose joint search, with the inertia held, ends likeliest.
+    """Start the joint problem at the loaded end whose joint search, with the inertia held, ends
+    likeliest.
 
-    The searches of the loaded fit hold the system parameters. With the errors of these a wrong basin may be likelier,
-    which a search of all parameters corrects. Of ends that are as likely, one of several times the Stribeck speed is
-    preferred: toward a speed that no sample resolves the likelihood is flat, and the search would drift there.
+    The searches of the loaded fit hold the system parameters. With the errors of these a wrong
+    basin may be likelier, which a search of all parameters corrects. Of ends that are as likely,
+    one of several times the Stribeck speed is preferred: toward a speed that no sample resolves the
+    likelihood is flat, and the search would drift there.
     """
     free, ends = problem.free, []
     problem.free = tuple(k for k in free if k != INERTIA)
@@ -148,8 +175,14 @@ def likeliest_together(problem: Problem, starts: Sequence[tuple[Array, list[Arra
         ends.append((not _resolved(problem), _deviance(problem), float(problem.start[OMEGA_SL])))
     problem.free = free
     unresolved, least, speed = best = min(ends)
-    slower = [e for e in ends if e[0] == unresolved and e[1] < least + _AS_LIKELY and e[2] > _SEVERAL * speed]
-    problem.start, problem.breakaway_times = starts[ends.index(max(slower, key=lambda e: e[2], default=best))]
+    slower = [
+        e
+        for e in ends
+        if e[0] == unresolved and e[1] < least + _AS_LIKELY and e[2] > _SEVERAL * speed
+    ]
+    problem.start, problem.breakaway_times = starts[
+        ends.index(max(slower, key=lambda e: e[2], default=best))
+    ]
 
 
 def _missed(problem: Problem, end: _End) -> bool:
@@ -160,10 +193,12 @@ def _missed(problem: Problem, end: _End) -> bool:
 
 
 def _smoothed(problem: Problem, starts: Sequence[tuple[Array, list[Array]]], best: _End) -> _End:
-    """Search from every start with slopes over wide steps, until an end explains the recordings; return the best.
+    """Search from every start with slopes over wide steps, until an end explains the recordings;
+    return the best.
 
-    Away from the true values the filter may stick and slip in slow ramps, and its errors then depend on the parameters
-    without order: slopes over small steps are a hundred times those over wide ones, and lead nowhere.
+    Away from the true values the filter may stick and slip in slow ramps, and its errors then
+    depend on the parameters without order: slopes over small steps are a hundred times those over
+    wide ones, and lead nowhere.
     """
     before = best
     for vector, times in starts:
@@ -175,23 +210,29 @@ def _smoothed(problem: Problem, starts: Sequence[tuple[Array, list[Array]]], bes
 
 
 def _neighbours(problem: Problem, best: _End) -> _End:
-    """Search again from neighbours of an end, with new breakaway times; return the likeliest end found.
+    """Search again from neighbours of an end, with new breakaway times; return the likeliest end
+    found.
 
-    Parameters and breakaway times move together, so that a search may end where no single change is a gain.
+    Parameters and breakaway times move together, so that a search may end where no single change is
+    a gain.
     """
     for beside in _BESIDE:
         for _ in range(_ROUNDS):
             begun = best
             for place, factor in beside:
                 if place in problem.free:
-                    best = min(best, _searched(problem, begun, place, factor), key=lambda end: end[:2])
+                    best = min(
+                        best, _searched(problem, begun, place, factor), key=lambda end: end[:2]
+                    )
             if begun[1] - best[1] < SAME_END:
                 break
     return best
 
 
 def _searched(problem: Problem, begun: _End, place: int, factor: float) -> _End:
-    """Return the end of a search that starts at another end with one parameter multiplied by a factor."""
+    """Return the end of a search that starts at another end with one parameter multiplied by a
+    factor.
+    """
     vector = begun[2].copy()
     vector[place] *= factor
     problem.start = vector
@@ -214,18 +255,24 @@ def _deviance(problem: Problem) -> float:
 
 
 def _resolved(problem: Problem) -> bool:
-    """Return whether load friction falls over more than a share of the speed that its fall adds within a period."""
+    """Return whether load friction falls over more than a share of the speed that its fall adds
+    within a period.
+    """
     p = problem.start
     moment = float(np.median(np.concatenate([m.breakaway_moment for m in problem.motions])))
     period = max(m.recording.period for m in problem.motions)
     return bool(p[OMEGA_SL] > _LEAST_RESOLVED * moment * p[LOAD_RISE] * period / p[INERTIA])
 
 
-def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP) -> Array:
-    """Search at falling noise, the last by likelihood; make the end the start; return the residuals there.
+def refine(
+    problem: Problem, tempering: Sequence[float] = _TEMPERING, step: float = PARAMETER_STEP
+) -> Array:
+    """Search at falling noise, the last by likelihood; make the end the start; return the residuals
+    there.
 
-    Above the noise's own level least squares lead into the basin. At its level the deviations count as well: they
-    depend on the parameters, and least squares with held weights miss the maximum of the likelihood.
+    Above the noise's own level least squares lead into the basin. At its level the deviations count
+    as well: they depend on the parameters, and least squares with held weights miss the maximum of
+    the likelihood.
 
     Args:
         problem: At its start.
@@ -239,7 +286,11 @@ def refine(problem: Problem, tempering: Sequence[float] = _TEMPERING, step: floa
         if factor > 1.0:
             problem.hold_weights()
             found = levenberg.minimise(
-                problem.residuals, problem.jacobian, problem.origin(), threshold=HUBER_THRESHOLD, tolerance=1e-4
+                problem.residuals,
+                problem.jacobian,
+                problem.origin(),
+                threshold=HUBER_THRESHOLD,
+                tolerance=1e-4,
             )
             problem.keep(found.x)
             problem.iterations += found.steps

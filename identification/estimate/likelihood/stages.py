@@ -1,10 +1,12 @@
-"""The unloaded, loaded and joint fit of the prediction errors, from the start values of the equation error.
+"""The unloaded, loaded and joint fit of the prediction errors, from the start values of the
+equation error.
 
-Unknown beside the parameters is the breakaway time of each segment, which is tied to the static limit by the torque
-measured then (M22). Least squares with the inertia held lead into the right basin: the torque noise is first taken
-large and then lowered, because a filter that trusts the encoder more has a smoother cost. At the noise's own level the
-likelihood is searched. The inertia follows from its estimating equation, because least squares and likelihood are
-biased in it (:mod:`identification.estimate.inertia.estimating_equations`).
+Unknown beside the parameters is the breakaway time of each segment, which is tied to the static
+limit by the torque measured then (M22). Least squares with the inertia held lead into the right
+basin: the torque noise is first taken large and then lowered, because a filter that trusts the
+encoder more has a smoother cost. At the noise's own level the likelihood is searched. The inertia
+follows from its estimating equation, because least squares and likelihood are biased in it
+(:mod:`identification.estimate.inertia.estimating_equations`).
 """
 
 from __future__ import annotations
@@ -15,7 +17,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identification.estimate.inertia.estimating_equations import SOLVED, equations_chi2, fit_beside_inertia, solve
+from identification.estimate.inertia.estimating_equations import (
+    SOLVED,
+    equations_chi2,
+    fit_beside_inertia,
+    solve,
+)
 from identification.estimate.likelihood.searches import (
     SAME_END,
     STARTS,
@@ -54,15 +61,21 @@ from identification.recording import Model
 from identification.result import Starts
 
 _Start = tuple[Array, Sequence[Array], float]
-"""Start of a solution of the unloaded fit: parameters, breakaway times, inertia over that of the parameters."""
+"""Start of a solution of the unloaded fit: parameters, breakaway times, inertia over that of the
+parameters.
+"""
 _Solved = tuple[float, Array, list[Array], Noise]
 """End of a solution of the unloaded fit: chi-square (M29), parameters, breakaway times, noise."""
 _AGAIN = 2
-"""Solutions started from the best end where no start is solved; the first without a gain is the last."""
+"""Solutions started from the best end where no start is solved; the first without a gain is the
+last.
+"""
 _INERTIAS = (1.0, 0.8, 0.6, 1.25)
 """Inertias tried, over that of the equation error, which errs upward under noise."""
 _FAR = (3.0, 10.0, 30.0, 100.0, 0.3, 0.1)
-"""Inertias tried where none of these is solved: for short, fast slips the equation error may find a fiftieth."""
+"""Inertias tried where none of these is solved: for short, fast slips the equation error may find a
+fiftieth.
+"""
 
 
 @dataclass(frozen=True)
@@ -72,18 +85,21 @@ class Refined:
     Attributes:
         values: Name to value.
         covariance: Of the fitted ``names``, shape (p, p), in the units of the values.
-        floor: Its Cramer-Rao bound (:mod:`identification.estimate.uncertainty.cramer_rao`), shape (p, p).
+        floor: Its Cramer-Rao bound (:mod:`identification.estimate.uncertainty.cramer_rao`), shape
+        (p, p).
         names: Fitted names in that order.
         innovation_rms: Of innovations with variance inflation; 1 where the noise model holds.
         whiteness: Correlation of neighbouring innovations, likewise.
         noise: Noise of torque and angle.
-        repeating_share: Share of the correlated noise that repeats (M26); zero without correlated noise.
+        repeating_share: Share of the correlated noise that repeats (M26); zero without correlated
+        noise.
         torque_scatter: Torque scatter from sample to sample, N m rms.
         evaluations: Runs of the filter over all recordings.
         iterations: Iterations of the joint fit.
         breakaways: Number of segments.
-        likelihood_drop: Deviance at the end of the loaded fit above that at its likeliest start; positive where the
-            least squares at raised noise left the basin and the likelihood did not return to it.
+        likelihood_drop: Deviance at the end of the loaded fit above that at its likeliest start;
+            positive where the least squares at raised noise left the basin and the likelihood did
+            not return to it.
         equations_chi2: Chi-square of the unloaded fit's estimating equations (M29).
         joint: The joint problem, at the estimate.
         starts: Ends of the searches by start.
@@ -108,10 +124,11 @@ class Refined:
 
 
 def solve_unloaded(problem: Problem, system: Sequence[int], inertia: Sequence[int]) -> float:
-    """Solve the unloaded fit from one start after another, until the estimating equations are solved.
+    """Solve the unloaded fit from one start after another, until the estimating equations are
+    solved.
 
-    Least squares with the inertia held lead into the basin of that inertia; the equation error's may be off by half and
-    more. Leaves the problem at the best end; returns its chi-square (M29).
+    Least squares with the inertia held lead into the basin of that inertia; the equation error's
+    may be off by half and more. Leaves the problem at the best end; returns its chi-square (M29).
 
     Raises:
         numpy.linalg.LinAlgError: The instruments determine the parameters from none of the starts.
@@ -122,7 +139,11 @@ def solve_unloaded(problem: Problem, system: Sequence[int], inertia: Sequence[in
     problem.free = tuple(system)
     searched = breakaway_starts(problem, MC, SYSTEM_RISE, OMEGA_SF) if system else []
     starts = [(vector, begins, share) for share in (_INERTIAS if inertia else (1.0,))]
-    starts += [(p, times, share) for p, times in searched[:STARTS] for share in _INERTIAS[: len(inertia) * 3]]
+    starts += [
+        (p, times, share)
+        for p, times in searched[:STARTS]
+        for share in _INERTIAS[: len(inertia) * 3]
+    ]
     best = _best_of(problem, starts, noise, free, None)
     last: _Solved | None = None
     for _ in range(_AGAIN if both else 0):
@@ -139,7 +160,9 @@ def solve_unloaded(problem: Problem, system: Sequence[int], inertia: Sequence[in
 
 
 def _far(problem: Problem, vector: Array, noise: Noise, system: Sequence[int]) -> Iterator[_Start]:
-    """Yield starts at inertias far from the equation error's, each with its likeliest breakaway times."""
+    """Yield starts at inertias far from the equation error's, each with its likeliest breakaway
+    times.
+    """
     for share in _FAR:
         problem.start, problem.noise, problem.free = vector.copy(), noise, tuple(system)
         problem.start[INERTIA] *= share
@@ -154,7 +177,9 @@ def _best_of(
     free: tuple[Sequence[int], Sequence[int]],
     best: _Solved | None,
 ) -> _Solved | None:
-    """Solve from one start after another until the equations are solved; return the best end, including ``best``."""
+    """Solve from one start after another until the equations are solved; return the best end,
+    including ``best``.
+    """
     for start, times, share in starts:
         found = _solved_from(problem, start, times, share, noise, free)
         if found is not None and (best is None or found[0] < best[0]):
@@ -194,7 +219,8 @@ def _solved_from(
             solve(problem)
         chi2 = equations_chi2(problem) if problem.free else 0.0
     except np.linalg.LinAlgError:
-        # From a start without a rise, as the equation error finds it in slips, the Stribeck speed is undetermined.
+        # From a start without a rise, as the equation error finds it in slips, the Stribeck speed
+        # is undetermined.
         return None
     if not math.isfinite(chi2):
         return None
@@ -203,21 +229,36 @@ def _solved_from(
 
 
 def _sought(model: Model) -> tuple[list[int], list[int], list[int]]:
-    """Return the places of the parameters that are not fixed: of the system, of the load, and of the inertia."""
+    """Return the places of the parameters that are not fixed: of the system, of the load, and of
+    the inertia.
+    """
     fixed = {INDEX[n] for n in model.fixed if n in INDEX}
-    system = [k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed]
+    system = [
+        k for n, k in INDEX.items() if n in ("Mc", "Ms", "omega_sf", "sigma_2") and k not in fixed
+    ]
     if "offset" in model.terms and OFFSET not in fixed:
         system.append(OFFSET)
-    load = [k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed]
+    load = [
+        k for n, k in INDEX.items() if n in ("mu_c", "mu_s", "omega_sL", "mu_2") and k not in fixed
+    ]
     return system, load, [] if INERTIA in fixed else [INERTIA]
 
 
 def _first_problem(
-    unloaded: Sequence[Motion], start: Mapping[str, float], system: Sequence[int], model: Model, correlated: bool
+    unloaded: Sequence[Motion],
+    start: Mapping[str, float],
+    system: Sequence[int],
+    model: Model,
+    correlated: bool,
 ) -> Problem:
-    """Return the problem of the unloaded fit at the equation error's values, with the likeliest noise there."""
-    first = Problem(unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded)))
-    # Without load the equation error is a good start already; with it, friction falls too steeply to be filtered.
+    """Return the problem of the unloaded fit at the equation error's values, with the likeliest
+    noise there.
+    """
+    first = Problem(
+        unloaded, pack(start, model.alpha), system, model, Noise(torque_noise(unloaded))
+    )
+    # Without load the equation error is a good start already; with it, friction falls too steeply
+    # to be filtered.
     first.breakaway_times = [m.static_crossing(static_limit(first.start, m)) for m in unloaded]
     if correlated:
         first.noise = first_correlated_noise(first)
@@ -245,7 +286,13 @@ def refine_stages(
     first = _first_problem(unloaded, start, system, model, correlated)
     chi2 = solve_unloaded(first, system, inertia)
     starts = [
-        Starts("unloaded", "defect of the estimating equations", tuple(first.solution_chi2), SOLVED, absolute=True)
+        Starts(
+            "unloaded",
+            "defect of the estimating equations",
+            tuple(first.solution_chi2),
+            SOLVED,
+            absolute=True,
+        )
     ]
     evaluations = first.evaluations
     motions, begins, noise = tuple(unloaded), list(first.breakaway_times), first.noise
@@ -256,7 +303,9 @@ def refine_stages(
         likelihood_drop = refine_from(second, breakaway_starts(second, MU_C, LOAD_RISE, OMEGA_SL))
         evaluations += second.evaluations
         ends = tuple(end for _, end, *_ in second.search_ends if math.isfinite(end))
-        starts.append(Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END))
+        starts.append(
+            Starts("loaded", "-2 log likelihood", ends, min(ends, default=math.inf) + SAME_END)
+        )
         motions, begins, free = (*motions, *loaded), begins + second.breakaway_times, system + load
         vector = second.start
         others = [(p, first.breakaway_times + times) for p, times in basins(second)]
@@ -268,8 +317,11 @@ def refine_stages(
     residual = fit_beside_inertia(joint, refine)
     names = tuple(n for n, k in INDEX.items() if k in free)
     achieved, floor = named_covariances(covariances(joint), joint, names)
-    # A slip of twenty samples that the filter loses is one segment of many; missing physics is in most of them.
-    inside = np.clip(residual[: len(residual) - joint.breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD)
+    # A slip of twenty samples that the filter loses is one segment of many; missing physics is in
+    # most of them.
+    inside = np.clip(
+        residual[: len(residual) - joint.breakaways], -HUBER_THRESHOLD, HUBER_THRESHOLD
+    )
     return Refined(
         values={**start, **unpack(joint.start, [n for n in INDEX if n in start])},
         covariance=achieved,

@@ -1,8 +1,9 @@
 """All estimators side by side: the searches on one equation error, and the whole default method.
 
-A search fails where it ends more than 0.1 % above the least cost that any of them found: in a wrong basin, or
-unfinished (over the 2000 samples of a 20 s stage that is worse by two standard errors of white noise).
-What is left between the least cost and the truth is the equation error's own limit, which no search can lift.
+A search fails where it ends more than 0.1 % above the least cost that any of them found: in a wrong
+basin, or unfinished (over the 2000 samples of a 20 s stage that is worse by two standard errors of
+white noise). What is left between the least cost and the truth is the equation error's own limit,
+which no search can lift.
 """
 
 from __future__ import annotations
@@ -36,10 +37,11 @@ class Contender:
         failures: Runs that ended above the least cost found in either stage.
         evaluations: Median over the runs, both stages.
         seconds: Median over the runs.
-        excess: Median over the runs of the greater cost over the least found, less one; None for the default method,
-            which goes on from the equation error to the prediction errors.
+        excess: Median over the runs of the greater cost over the least found, less one; None for
+            the default method, which goes on from the equation error to the prediction errors.
         values: Parameters of the run with the median error.
-        error: Worst relative error against the default method over its identified parameters, median of the runs.
+        error: Worst relative error against the default method over its identified parameters,
+        median of the runs.
         worst: The parameter that it belongs to.
         true_error: The same against the true parameters, where those are known.
         true_worst: The parameter that it belongs to.
@@ -78,21 +80,25 @@ def compare(
 
     Args:
         dataset: Recordings with role fit, unloaded ones among them, of the nominal nine parameters.
-        default: Result of the default method on the dataset; its bandwidth is used and its values are the reference.
+        default: Result of the default method on the dataset; its bandwidth is used and its values
+        are the reference.
         seeds: One run of each search that has chance in it per seed.
-        truth: True parameters of a simulated bench; used for the tables only, after all searches are done.
+        truth: True parameters of a simulated bench; used for the tables only, after all searches
+        are done.
         progress: Called with the name of the search and the share of its runs done.
 
     Returns:
         The default method first, then the searches in the order of :data:`OPTIMISERS`.
 
     Raises:
-        RecordingError: Fixed values or declared terms, which the one problem of all searches does not have, or nothing
-            that moves.
+        RecordingError: Fixed values or declared terms, which the one problem of all searches does
+            not have, or nothing that moves.
     """
     if dataset.model.fixed or dataset.model.terms:
         held = ", ".join((*dataset.model.fixed, *dataset.model.terms))
-        raise RecordingError(f"a comparison takes the nominal model; remove model.fixed and model.terms ({held})")
+        raise RecordingError(
+            f"a comparison takes the nominal model; remove model.fixed and model.terms ({held})"
+        )
     prepared = [prepare(r, default.fit.bandwidth_Hz) for r in dataset.part("fit")]
     stages = {s: [p for p in prepared if p.recording.stage == s] for s in ("unloaded", "loaded")}
     alpha = dataset.model.alpha
@@ -108,9 +114,13 @@ def compare(
             runs.setdefault(name, []).append(_run(problems, optimiser, np.random.default_rng(seed)))
             if progress is not None:
                 progress(name, (k + 1) / len(tried))
-    least = [min(run.costs[k] for each in runs.values() for run in each) for k in range(len(problems))]
+    least = [
+        min(run.costs[k] for each in runs.values() for run in each) for k in range(len(problems))
+    ]
     reference = default.values()
-    whole = _contender(DEFAULT, [_Run(reference, (), default.evaluations, default.seconds)], (), reference, truth)
+    whole = _contender(
+        DEFAULT, [_Run(reference, (), default.evaluations, default.seconds)], (), reference, truth
+    )
     return whole, *(_contender(name, each, least, reference, truth) for name, each in runs.items())
 
 
@@ -118,7 +128,9 @@ def _run(problems: Sequence[StageProblem], optimiser: Optimiser, rng: np.random.
     began, before = perf_counter(), sum(p.evaluations for p in problems)
     points: list[Array] = [optimiser(problem, rng) for problem in problems]
     seconds, spent = perf_counter() - began, sum(p.evaluations for p in problems) - before
-    costs = tuple(float(np.linalg.norm(p.residuals(x))) for p, x in zip(problems, points, strict=True))
+    costs = tuple(
+        float(np.linalg.norm(p.residuals(x))) for p, x in zip(problems, points, strict=True)
+    )
     values = {n: v for p, x in zip(problems, points, strict=True) for n, v in p.named(x).items()}
     return _Run(values, costs, spent, seconds)
 
@@ -130,10 +142,17 @@ def _contender(
     reference: Mapping[str, float],
     truth: Mapping[str, float] | None,
 ) -> Contender:
-    excesses = [max((c / b - 1.0 for c, b in zip(run.costs, least, strict=True)), default=0.0) for run in runs]
+    excesses = [
+        max((c / b - 1.0 for c, b in zip(run.costs, least, strict=True)), default=0.0)
+        for run in runs
+    ]
     ranked = sorted((_worst(run.values, reference), k) for k, run in enumerate(runs))
     (error, worst), middle = ranked[(len(ranked) - 1) // 2]
-    true = None if truth is None else sorted(_worst(run.values, truth) for run in runs)[(len(runs) - 1) // 2]
+    true = (
+        None
+        if truth is None
+        else sorted(_worst(run.values, truth) for run in runs)[(len(runs) - 1) // 2]
+    )
     return Contender(
         name=name,
         runs=len(runs),
@@ -151,5 +170,7 @@ def _contender(
 
 def _worst(values: Mapping[str, float], reference: Mapping[str, float]) -> tuple[float, str]:
     """Return the greatest relative error over the parameters that both know, and its name."""
-    errors = [(abs(values[n] / v - 1.0), n) for n, v in reference.items() if n in values and v != 0.0]
+    errors = [
+        (abs(values[n] / v - 1.0), n) for n, v in reference.items() if n in values and v != 0.0
+    ]
     return max(errors, default=(0.0, ""))

@@ -9,14 +9,21 @@ import numpy as np
 from identification.estimate.equation_error import variable_projection as projection
 from identification.estimate.paper_method.stage_problem import StageProblem
 from identification.numerics.arrays import Array
-from identification.numerics.optimisers import cma_es, differential_evolution, genetic_algorithm, multi_start
+from identification.numerics.optimisers import (
+    cma_es,
+    differential_evolution,
+    genetic_algorithm,
+    multi_start,
+)
 
 Optimiser = Callable[[StageProblem, np.random.Generator], Array]
 """Problem and random generator to the best point found, in the unit cube."""
 
 
 def variable_projection(problem: StageProblem, rng: np.random.Generator) -> Array:
-    """Search the Stribeck speed alone, as the default method does; the other coordinates are linear."""
+    """Search the Stribeck speed alone, as the default method does; the other coordinates are
+    linear.
+    """
     solution = projection.solve(problem.design, problem.low[2], problem.high[2])
     return problem.unlinear(solution.omega_s, solution.coefficients)
 

@@ -1,12 +1,14 @@
-"""The paper's method (Sec. 4): the equation error of eq. 15/16, minimised in two stages by a genetic algorithm.
+"""The paper's method (Sec. 4): the equation error of eq. 15/16, minimised in two stages by a
+genetic algorithm.
 
-Stage 1 takes the unloaded recordings and searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 takes the loaded ones,
-holds those five and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum e(k)^2), targets 0.01 and 0.015 N m,
-population 40, at most 1000 generations (Sec. 4.2).
+Stage 1 takes the unloaded recordings and searches x = [Mc, Ms, omega_sf, sigma_2, J]; stage 2 takes
+the loaded ones, holds those five and searches x = [mu_c, mu_s, omega_sL, mu_2]. Fitness sqrt(sum
+e(k)^2), targets 0.01 and 0.015 N m, population 40, at most 1000 generations (Sec. 4.2).
 
-Settled here, because the paper does not say: friction opposes motion, so eq. 13 and 15 carry sgn(omega); samples at
-rest are left out, for there friction balances the drive and gives an inequality, not an equation; the search box comes
-from the size of the recorded signals (:func:`search_box`). The method gives no intervals.
+Settled here, because the paper does not say: friction opposes motion, so eq. 13 and 15 carry
+sgn(omega); samples at rest are left out, for there friction balances the drive and gives an
+inequality, not an equation; the search box comes from the size of the recorded signals
+(:func:`search_box`). The method gives no intervals.
 """
 
 from __future__ import annotations
@@ -35,7 +37,9 @@ GENERATIONS = 1000
 _AT_BOUND = 1e-3  # of the width of the box
 
 STAGES: Mapping[str, tuple[str, ...]] = {"unloaded": SYSTEM_PARAMETERS, "loaded": LOAD_PARAMETERS}
-"""Parameters that each stage searches: Coulomb, static, Stribeck speed, viscous, and without load J."""
+"""Parameters that each stage searches: Coulomb, static, Stribeck speed, viscous, and without load
+J.
+"""
 
 Progress = Callable[[str, float], None]
 
@@ -62,7 +66,8 @@ def identify_paper(
 
     Args:
         dataset: Recordings of one bench.
-        bandwidth_Hz: Of the filter that all signals pass; None chooses the least of what those to fit bear.
+        bandwidth_Hz: Of the filter that all signals pass; None chooses the least of what those to
+        fit bear.
         rng: Source of all randomness.
         progress: Called with the stage and the share of its generations that is done.
         generations: Limit per stage.
@@ -85,7 +90,8 @@ def identify_paper(
             continue
         if not chosen:
             raise RecordingError(
-                "no unloaded recording with role fit; the paper's method starts from one (stage: unloaded)"
+                "no unloaded recording with role fit; the paper's method starts from one (stage: "
+                "unloaded)"
             )
         found, estimates, convergence = search.solve(stage, chosen, known)
         known |= found
@@ -116,11 +122,15 @@ def _left_out(model: Model) -> tuple[str, ...]:
     """
     if model.friction != NOMINAL:
         raise RecordingError(
-            f"the paper's method knows the {NOMINAL} friction only; use the default method for {model.friction}"
+            f"the paper's method knows the {NOMINAL} friction only; use the default method for "
+            f"{model.friction}"
         )
     if not model.terms:
         return ()
-    return (f"the paper's method has no term for {', '.join(model.terms)}; use the default method to fit it",)
+    return (
+        f"the paper's method has no term for {', '.join(model.terms)}; use the default method to "
+        f"fit it",
+    )
 
 
 @dataclass(frozen=True)
@@ -135,15 +145,22 @@ class _Search:
     def solve(
         self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
     ) -> tuple[dict[str, float], dict[str, Parameter], list[Convergence]]:
-        """Return one stage's values, estimates, and how its search went (nothing where all are held)."""
+        """Return one stage's values, estimates, and how its search went (nothing where all are
+        held).
+        """
         names, fixed = STAGES[stage], self.dataset.model.fixed
         units = units_of(prepared)
         held = {name: fixed[name] for name in names if name in fixed}
-        kept = {n: Parameter(n, units[n], value, reason="held by the campaign") for n, value in held.items()}
+        kept = {
+            n: Parameter(n, units[n], value, reason="held by the campaign")
+            for n, value in held.items()
+        }
         if len(held) == len(names):
             return held, kept, []
         samples = collect(stage, prepared, known, self.dataset.model.alpha)
-        box = {name: bounds for name, bounds in search_box(samples, names).items() if name not in held}
+        box = {
+            name: bounds for name, bounds in search_box(samples, names).items() if name not in held
+        }
         done = self._run(stage, samples, box, held)
         found = {name: float(history[-1]) for name, history in done.parameter_history.items()}
         estimates = {n: _parameter(n, found[n], units[n], box[n], samples, done.cost) for n in box}
@@ -159,13 +176,19 @@ class _Search:
     ) -> Convergence:
         """Run the genetic algorithm on one stage and keep what it had after every generation."""
         alpha = self.dataset.model.alpha
-        misfit = TorqueMisfit(samples.torque, samples.velocity, samples.acceleration, samples.load, alpha)
+        misfit = TorqueMisfit(
+            samples.torque, samples.velocity, samples.acceleration, samples.load, alpha
+        )
         low, high = zip(*box.values(), strict=True)
-        algorithm = GeneticAlgorithm(low, high, population=POPULATION, generations=self.generations, rng=self.rng)
+        algorithm = GeneticAlgorithm(
+            low, high, population=POPULATION, generations=self.generations, rng=self.rng
+        )
         target = TARGETS[stage]
         costs: list[float] = []
         history: list[Array] = []
-        constant = {name: np.full(POPULATION, value) for name, value in ({"J": 0.0} | dict(held)).items()}
+        constant = {
+            name: np.full(POPULATION, value) for name, value in ({"J": 0.0} | dict(held)).items()
+        }
         while not algorithm.stop and algorithm.best_cost > target:
             columns = constant | dict(zip(box, algorithm.ask().T, strict=True))
             c, s, w_s, v = (columns[name] for name in STAGES[stage][:4])
@@ -191,9 +214,9 @@ class _Search:
 def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[float, float]]:
     """Return the search box, from the size of the signals alone.
 
-    Dry friction up to twice the largest torque per load (breakaway may fall between samples), viscous friction and
-    inertia up to what would explain that torque at the largest speed and acceleration, the Stribeck speed from 1/500
-    of the largest speed up to it.
+    Dry friction up to twice the largest torque per load (breakaway may fall between samples),
+    viscous friction and inertia up to what would explain that torque at the largest speed and
+    acceleration, the Stribeck speed from 1/500 of the largest speed up to it.
     """
     torque = float(np.max(np.abs(samples.torque / samples.load)))
     speed = float(np.max(np.abs(samples.velocity)))
@@ -209,7 +232,9 @@ def search_box(samples: StageSamples, names: Sequence[str]) -> dict[str, tuple[f
     return box
 
 
-def collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float) -> StageSamples:
+def collect(
+    stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float
+) -> StageSamples:
     """Return the equations of one stage; what earlier stages found is moved to the left side.
 
     Raises:
@@ -221,27 +246,43 @@ def collect(stage: str, prepared: Sequence[Prepared], known: Mapping[str, float]
         rows = np.flatnonzero(p.used & (p.velocity != 0.0))
         torque, load = p.torque[rows], np.ones(len(rows))
         if stage == "loaded":
-            torque = torque - system_friction(p.velocity[rows], known, alpha) - known["J"] * p.acceleration[rows]
+            torque = (
+                torque
+                - system_friction(p.velocity[rows], known, alpha)
+                - known["J"] * p.acceleration[rows]
+            )
             load = p.moment[rows]
         parts.append((torque, p.velocity[rows], p.acceleration[rows], load))
     samples = StageSamples(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     if not np.all(samples.load > 0.0):
         names = ", ".join(p.recording.name for p in prepared)
-        raise RecordingError(f"{names}: loaded, but the contact force is not above 0 N throughout; give weight_mass")
+        raise RecordingError(
+            f"{names}: loaded, but the contact force is not above 0 N throughout; give weight_mass"
+        )
     return samples
 
 
 def _parameter(
-    name: str, value: float, unit: str, bounds: tuple[float, float], samples: StageSamples, cost: float
+    name: str,
+    value: float,
+    unit: str,
+    bounds: tuple[float, float],
+    samples: StageSamples,
+    cost: float,
 ) -> Parameter:
-    """Return one parameter; J is not identifiable where its torque is smaller than what the fit leaves over."""
+    """Return one parameter; J is not identifiable where its torque is smaller than what the fit
+    leaves over.
+    """
     inertial = value * float(np.linalg.norm(samples.acceleration))
     if name == "J" and inertial < cost:
         reason = (
-            f"its torque, {inertial:.3g} (norm over the samples), drowns in the misfit of {cost:.3g}; "
+            f"its torque, {inertial:.3g} (norm over the samples), drowns in the misfit of "
+            f"{cost:.3g}; "
             "excite with higher acceleration"
         )
         return Parameter(name, unit, None, identifiable=False, reason=reason)
     low, high = bounds
     near = min(value - low, high - value) < _AT_BOUND * (high - low)
-    return Parameter(name, unit, value, at_bound=near, reason="at the edge of the search box" if near else "")
+    return Parameter(
+        name, unit, value, at_bound=near, reason="at the edge of the search box" if near else ""
+    )

@@ -1,8 +1,9 @@
-"""One stage of the paper's equation error (eq. 15, 16) as a box-bounded search problem, for any optimiser.
+"""One stage of the paper's equation error (eq. 15, 16) as a box-bounded search problem, for any
+optimiser.
 
-All optimisers see the same samples, the same cost sqrt(sum e(k)^2) and the same box, in the paper's own coordinates:
-x = [Mc, Ms, omega_sf, sigma_2, J] without load, [mu_c, mu_s, omega_sL, mu_2] with it. Coordinates are scaled to the
-unit cube, so that a step means the same share of the box in each.
+All optimisers see the same samples, the same cost sqrt(sum e(k)^2) and the same box, in the paper's
+own coordinates: x = [Mc, Ms, omega_sf, sigma_2, J] without load, [mu_c, mu_s, omega_sL, mu_2] with
+it. Coordinates are scaled to the unit cube, so that a step means the same share of the box in each.
 """
 
 from __future__ import annotations
@@ -29,7 +30,9 @@ class StageProblem:
         alpha: Stribeck exponent.
     """
 
-    def __init__(self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float) -> None:
+    def __init__(
+        self, stage: str, prepared: Sequence[Prepared], known: Mapping[str, float], alpha: float
+    ) -> None:
         self.stage = stage
         self.names = STAGES[stage]
         self.samples: StageSamples = collect(stage, prepared, known, alpha)
@@ -55,7 +58,9 @@ class StageProblem:
         """Return the cost of every row of ``x``, shape (p, d), N m."""
         self.evaluations += len(x)
         coulomb, static, speed, viscous, *inertia = self._physical(x).T
-        return self._misfit.norms(coulomb, static, speed, viscous, inertia[0] if inertia else np.zeros(len(x)))
+        return self._misfit.norms(
+            coulomb, static, speed, viscous, inertia[0] if inertia else np.zeros(len(x))
+        )
 
     def residuals(self, x: Array) -> Array:
         """Return the torque error of every sample at ``x``, shape (d,), N m."""
@@ -63,11 +68,15 @@ class StageProblem:
         coulomb, static, speed, viscous, *inertia = self._physical(x)
         s = self.samples
         shape = stribeck_shape(s.velocity, speed, self._alpha)
-        friction = s.load * ((static - coulomb) * shape + viscous * s.velocity) + coulomb * self._dry
+        friction = (
+            s.load * ((static - coulomb) * shape + viscous * s.velocity) + coulomb * self._dry
+        )
         return np.asarray(s.torque - friction - (inertia[0] if inertia else 0.0) * s.acceleration)
 
     def design(self, omega_s: float) -> Design:
-        """Return the linear problem left at one Stribeck speed, for variable projection; the rise stands for static."""
+        """Return the linear problem left at one Stribeck speed, for variable projection; the rise
+        stands for static.
+        """
         s = self.samples
         shape = s.load * stribeck_shape(s.velocity, omega_s, self._alpha)
         columns = [self._dry, shape, s.load * s.velocity]
@@ -77,7 +86,9 @@ class StageProblem:
         return Design(np.column_stack(columns), s.torque, np.zeros(len(columns)), self.high[kept])
 
     def unlinear(self, omega_s: float, coefficients: Array) -> Array:
-        """Return the point of the unit cube that a solution of :meth:`design` stands for, shape (d,)."""
+        """Return the point of the unit cube that a solution of :meth:`design` stands for, shape
+        (d,).
+        """
         coulomb, rise, *others = coefficients
         physical = np.array([coulomb, coulomb + rise, omega_s, *others])
         return np.asarray((physical - self.low) / (self.high - self.low))

@@ -1,8 +1,8 @@
 """The norm of the torque error of eq. 15/16 for a whole population of candidates at once.
 
-Given the Stribeck speed, the model is linear in everything else, so the squared norm over all samples splits into fixed
-moments of the data and five sums over exp(-|omega/omega_s|^alpha). Only that exponential is evaluated per candidate
-and sample; the rest is a matrix product.
+Given the Stribeck speed, the model is linear in everything else, so the squared norm over all
+samples splits into fixed moments of the data and five sums over exp(-|omega/omega_s|^alpha). Only
+that exponential is evaluated per candidate and sample; the rest is a matrix product.
 """
 
 from __future__ import annotations
@@ -22,12 +22,14 @@ class TorqueMisfit:
         torque: Drive torque less what is already known, N m, shape (n,).
         velocity: w, rad/s, shape (n,); sgn(0) has no equation, so samples at rest must be left out.
         acceleration: dw, rad/s^2, shape (n,).
-        load: What multiplies the bracket, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m for the working
-            load (eq. 13).
+        load: What multiplies the bracket, shape (n,): 1 for the system load (eq. 9), F_P L1 in N m
+            for the working load (eq. 13).
         alpha: Stribeck exponent.
     """
 
-    def __init__(self, torque: Array, velocity: Array, acceleration: Array, load: Array, alpha: float) -> None:
+    def __init__(
+        self, torque: Array, velocity: Array, acceleration: Array, load: Array, alpha: float
+    ) -> None:
         dry = load * np.sign(velocity)
         features = np.stack([torque, dry, load * velocity, acceleration], axis=1)
         self.samples = len(torque)
@@ -61,5 +63,7 @@ class TorqueMisfit:
         weights = np.stack([np.ones_like(c), -c, -v, -inertia], axis=1)
         constant = np.einsum("pi,ij,pj->p", weights, self._gram, weights)
         excess = s - c
-        total = constant - 2.0 * excess * np.einsum("pi,pi->p", weights, linear) + excess**2 * square
+        total = (
+            constant - 2.0 * excess * np.einsum("pi,pi->p", weights, linear) + excess**2 * square
+        )
         return np.asarray(np.sqrt(np.maximum(total, 0.0)))

@@ -1,4 +1,6 @@
-"""Covariance of the refined estimate, its Cramer-Rao bound, and the last step of the inertia (M38 to M41)."""
+"""Covariance of the refined estimate, its Cramer-Rao bound, and the last step of the inertia (M38
+to M41).
+"""
 
 from __future__ import annotations
 
@@ -27,18 +29,22 @@ from identification.numerics.levenberg_marquardt import huber_weight
 _PRIOR, _REPLICATE_PRIOR = 1.0, 16.0
 """Weight of the prior scatter, in segments: without replicates, and of replicates (M41)."""
 _FARTHEST = 1.0
-"""Change of a logarithm beyond which a parameter does not follow the inertia: it is not identifiable, as a Stribeck
-speed below all sampled speeds, and the linearisation does not hold there."""
+"""Change of a logarithm beyond which a parameter does not follow the inertia: it is not
+identifiable, as a Stribeck speed below all sampled speeds, and the linearisation does not hold
+there.
+"""
 
 
 @dataclass(frozen=True)
 class Covariances:
-    """Covariance of the free parameters as estimated, and its bound, in their own units, shape (p, p).
+    """Covariance of the free parameters as estimated, and its bound, in their own units, shape (p,
+    p).
 
     Attributes:
         achieved: With the inertia at the solution of its equation.
         floor: The bound.
-        step: Step of the free parameters to that solution, the others following the inertia, shape (p,).
+        step: Step of the free parameters to that solution, the others following the inertia, shape
+            (p,).
     """
 
     achieved: Array
@@ -49,13 +55,14 @@ class Covariances:
 def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covariances:
     """Return the achieved covariance of the free parameters and its floor at the problem's start.
 
-    The inertia has the variance of its estimating equation, and the others follow it (M39). Each parameter is scaled by
-    the scatter of its scores from segment to segment (M40, M41; Liang and Zeger, Biometrika 73 (1986) 13); that of the
-    inertia is never lowered.
+    The inertia has the variance of its estimating equation, and the others follow it (M39). Each
+    parameter is scaled by the scatter of its scores from segment to segment (M40, M41; Liang and
+    Zeger, Biometrika 73 (1986) 13); that of the inertia is never lowered.
 
     Args:
         problem: At the estimate.
-        replicates: Of its experiment there, for the bound, the prior of the scatter, and instruments of the inertia.
+        replicates: Of its experiment there, for the bound, the prior of the scatter, and
+            instruments of the inertia.
     """
     x = problem.origin()
     problem.hold_weights()
@@ -75,12 +82,21 @@ def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covar
         equation = combined_equation(problem, z, jacobian, residual, replicates)
         influence, weighted = equation.influence, residual * huber_weight(residual, HUBER_THRESHOLD)
         step = -float(influence @ weighted) * least[:, j] / least[j, j]
-        step[[k in LOGARITHMIC and abs(s) > _FARTHEST for k, s in zip(problem.free, step, strict=True)]] = 0.0
+        step[
+            [
+                k in LOGARITHMIC and abs(s) > _FARTHEST
+                for k, s in zip(problem.free, step, strict=True)
+            ]
+        ] = 0.0
         variance = float(influence @ influence) * max(float(np.mean(residual**2)), 1.0)
         achieved = _beside_inertia(reached, j, variance)
-        inflated = [(slopes.without(j), errors) for slopes, errors in (r.inflated() for r in replicates)]
+        inflated = [
+            (slopes.without(j), errors) for slopes, errors in (r.inflated() for r in replicates)
+        ]
         spread = _spread(jacobian.without(j), residual, inflated)
-        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(influence * weighted)
+        scatter = np.linalg.norm(np.bincount(problem.owners, equation.parts)) / np.linalg.norm(
+            influence * weighted
+        )
         spread = np.insert(spread, j, max(float(scatter), 1.0))
     return Covariances(achieved * np.outer(spread, spread) * scale, floor * scale, step)
 
@@ -88,7 +104,8 @@ def covariances(problem: Problem, replicates: Sequence[Replicate] = ()) -> Covar
 def _replicate_bounds(
     problem: Problem, jacobian: BlockArrow, replicates: Sequence[Replicate]
 ) -> tuple[Array, Array] | None:
-    """Return the bound with variance inflation, and without, (p, p) each; None where replicates give none.
+    """Return the bound with variance inflation, and without, (p, p) each; None where replicates
+    give none.
 
     Inflation is a choice of the estimator and no part of the floor (M38).
     """
@@ -98,13 +115,16 @@ def _replicate_bounds(
     matching = matching_means(uninflated, instruments(problem, uninflated), problem.matching_count)
     information = replicate_information(problem, matching, replicates)
     inflated, plain = (
-        replicate_bound(information / f[:, None, None] ** 2) for f in (problem.inflation, np.ones(len(information)))
+        replicate_bound(information / f[:, None, None] ** 2)
+        for f in (problem.inflation, np.ones(len(information)))
     )
     return None if inflated is None or plain is None else (inflated, plain)
 
 
 def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
-    """Return the covariance of least squares with the ``j``-th parameter, the inertia, of this variance (M39)."""
+    """Return the covariance of least squares with the ``j``-th parameter, the inertia, of this
+    variance (M39).
+    """
     others = [k for k in range(len(floor)) if k != j]
     known = np.ix_(others, others)
     follow = floor[others, j] / floor[j, j]
@@ -115,11 +135,15 @@ def _beside_inertia(floor: Array, j: int, variance: float) -> Array:
     return out
 
 
-def _spread(jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]) -> Array:
-    """Return the scatter of scores between segments over that of the noise model, as deviations, shape (p,) (M41).
+def _spread(
+    jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[BlockArrow, Array]]
+) -> Array:
+    """Return the scatter of scores between segments over that of the noise model, as deviations,
+    shape (p,) (M41).
 
-    A recording has few segments, so the ratio is drawn toward its mean over replicates, or toward one without any. It
-    may be below one: the drive's loop compensates part of the current noise within a segment.
+    A recording has few segments, so the ratio is drawn toward its mean over replicates, or toward
+    one without any. It may be below one: the drive's loop compensates part of the current noise
+    within a segment.
 
     Args:
         jacobian: Of the residuals.
@@ -134,10 +158,11 @@ def _spread(jacobian: BlockArrow, residual: Array, replicates: Sequence[tuple[Bl
 
 
 def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
-    """Return the ratio of clustered to plain variance of each parameter, and the number of segments behind it (M40).
+    """Return the ratio of clustered to plain variance of each parameter, and the number of segments
+    behind it (M40).
 
-    Both of shape (p,). Scores are taken about their mean, so that an estimate beside the least-squares one does not
-    count as scatter.
+    Both of shape (p,). Scores are taken about their mean, so that an estimate beside the
+    least-squares one does not count as scatter.
     """
     weight = huber_weight(residual, HUBER_THRESHOLD)
     normal, scale = equilibrated(jacobian.product(weight))
@@ -154,11 +179,17 @@ def _scatter(jacobian: BlockArrow, residual: Array) -> tuple[Array, Array]:
     return ratio, segments
 
 
-def named_covariances(found: Covariances, joint: Problem, names: Sequence[str]) -> tuple[Array, Array]:
-    """Return achieved covariance and floor in the order of ``names``, for static limits in place of rises, (p, p)."""
+def named_covariances(
+    found: Covariances, joint: Problem, names: Sequence[str]
+) -> tuple[Array, Array]:
+    """Return achieved covariance and floor in the order of ``names``, for static limits in place of
+    rises, (p, p).
+    """
     order = [joint.free.index(INDEX[n]) for n in names]
     turn = rise_to_static(names)
-    achieved, floor = (turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor))
+    achieved, floor = (
+        turn @ c[np.ix_(order, order)] @ turn.T for c in (found.achieved, found.floor)
+    )
     return achieved, floor
 
 

@@ -1,12 +1,14 @@
 """The Cramer-Rao bound of an experiment as it was made (M37, M38).
 
-The measured current is a given input, because the drive's loop is unknown; the encoder is quantised; breakaway times
-are unknown. The Fisher information is that of the mean of the prediction errors: products of sensitivities over
-standard deviations, summed over samples (Ljung, System Identification, 2nd ed., 7.4), breakaway times eliminated.
+The measured current is a given input, because the drive's loop is unknown; the encoder is
+quantised; breakaway times are unknown. The Fisher information is that of the mean of the prediction
+errors: products of sensitivities over standard deviations, summed over samples (Ljung, System
+Identification, 2nd ed., 7.4), breakaway times eliminated.
 
-A segment's own sensitivities contain the current noise, whose square would count as excitation. With replicates,
-products of two different noises are taken. Without, the mean over matching half cycles is taken: the share of the noise
-falls with their number, but differences between them are lost, so that this bound is up to a quarter too high.
+A segment's own sensitivities contain the current noise, whose square would count as excitation.
+With replicates, products of two different noises are taken. Without, the mean over matching half
+cycles is taken: the share of the noise falls with their number, but differences between them are
+lost, so that this bound is up to a quarter too high.
 """
 
 from __future__ import annotations
@@ -15,7 +17,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from identification.estimate.inertia.half_cycles import Replicate, ReplicatedSegment, replicated_segments
+from identification.estimate.inertia.half_cycles import (
+    Replicate,
+    ReplicatedSegment,
+    replicated_segments,
+)
 from identification.filter.likelihood import Problem
 from identification.numerics.arrays import Array
 from identification.numerics.block_arrow import BlockArrow
@@ -40,8 +46,8 @@ def bound(matching: BlockArrow) -> Array:
     """Return the smallest covariance that an unbiased estimate can have, by matching half cycles.
 
     Args:
-        matching: d residuals / d unknowns, residuals over their deviations, of r rows and p columns; from
-            :func:`matching_means`.
+        matching: d residuals / d unknowns, residuals over their deviations, of r rows and p
+            columns; from :func:`matching_means`.
 
     Returns:
         Shape (p, p).
@@ -55,13 +61,16 @@ def bound(matching: BlockArrow) -> Array:
     return np.asarray(np.linalg.inv(normal) / np.outer(scale, scale))
 
 
-def replicate_information(problem: Problem, matching: BlockArrow, replicates: Sequence[Replicate]) -> Array:
-    """Return the information of each segment on the free parameters by replicates (M37, M12), shape (m, p, p).
+def replicate_information(
+    problem: Problem, matching: BlockArrow, replicates: Sequence[Replicate]
+) -> Array:
+    """Return the information of each segment on the free parameters by replicates (M37, M12), shape
+    (m, p, p).
 
     Args:
         problem: At its start.
-        matching: Sensitivities by matching half cycles without inflation, for ties and for samples that fewer than two
-            noises cover.
+        matching: Sensitivities by matching half cycles without inflation, for ties and for samples
+            that fewer than two noises cover.
         replicates: With two noises at least.
     """
     count = len(problem.free)
@@ -73,7 +82,9 @@ def replicate_information(problem: Problem, matching: BlockArrow, replicates: Se
         here = _products(segment, rows[segment.rows]) + np.outer(tie, tie)
         out[segment.number] = here[:count, :count]
         if here[count, count] > 0.0:
-            out[segment.number] -= np.outer(here[:count, count], here[count, :count]) / here[count, count]
+            out[segment.number] -= (
+                np.outer(here[:count, count], here[count, :count]) / here[count, count]
+            )
     return out
 
 
@@ -96,13 +107,21 @@ def replicate_bound(information: Array) -> Array | None:
 
 
 def _products(segment: ReplicatedSegment, matching: Array) -> Array:
-    """Return the sum over a segment's samples of the expected products of its sensitivities, shape (p + 1, p + 1).
+    """Return the sum over a segment's samples of the expected products of its sensitivities, shape
+    (p + 1, p + 1).
 
-    The mean of products over all pairs of different noises (Hoeffding, Ann. Math. Statist. 19 (1948) 293).
+    The mean of products over all pairs of different noises (Hoeffding, Ann. Math. Statist. 19
+    (1948) 293).
     """
     noises = {curve.noise for curve in segment.curves}
-    total, squares, seen = np.zeros_like(matching), np.zeros((matching.shape[1],) * 2), np.zeros((len(matching), 1))
-    means = [segment.mean([c for c in segment.curves if c.noise == noise]) for noise in sorted(noises)]
+    total, squares, seen = (
+        np.zeros_like(matching),
+        np.zeros((matching.shape[1],) * 2),
+        np.zeros((len(matching), 1)),
+    )
+    means = [
+        segment.mean([c for c in segment.curves if c.noise == noise]) for noise in sorted(noises)
+    ]
     for mean, number in means:
         total += mean
         seen += number > 0.0

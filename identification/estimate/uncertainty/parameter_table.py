@@ -1,4 +1,6 @@
-"""The parameter table and the fit errors of a report: values, intervals, and why a value is withheld (M43)."""
+"""The parameter table and the fit errors of a report: values, intervals, and why a value is
+withheld (M43).
+"""
 
 from __future__ import annotations
 
@@ -42,17 +44,22 @@ def units_of(prepared: Sequence[Prepared]) -> dict[str, str]:
 
 
 def fit_of(
-    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float, validate: Sequence[Prepared] = ()
+    prepared: Sequence[Prepared],
+    values: Mapping[str, float],
+    alpha: float,
+    validate: Sequence[Prepared] = (),
 ) -> Fit:
     """Return the error over the used samples, and over those set aside.
 
-    In the unit of the torque; on a bench where only the voltage was measured, in volts: the armature voltage R I that
-    the torque error stands for.
+    In the unit of the torque; on a bench where only the voltage was measured, in volts: the
+    armature voltage R I that the torque error stands for.
     """
     first = prepared[0]
     volts = volts_per_torque(first.recording)
     rms, relative = _errors(prepared, values, alpha)
-    held: tuple[float | None, float | None] = _errors(validate, values, alpha) if validate else (None, None)
+    held: tuple[float | None, float | None] = (
+        _errors(validate, values, alpha) if validate else (None, None)
+    )
     scale = 1.0 if volts is None else volts
     return Fit(
         unit=torque_unit(first.recording) if volts is None else "V",
@@ -67,14 +74,16 @@ def fit_of(
 def typical_error(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> float:
     """Return the geometric mean over the recordings of their rms torque errors, N m or N.
 
-    Recordings have unknown error levels of their own: one that turns too fast for the bandwidth has an error many times
-    that of the others. In the geometric mean each counts alike, however long.
+    Recordings have unknown error levels of their own: one that turns too fast for the bandwidth has
+    an error many times that of the others. In the geometric mean each counts alike, however long.
     """
     errors = [_errors([p], values, alpha)[0] for p in prepared if np.any(p.used)]
     return math.exp(math.fsum(math.log(max(e, 1e-300)) for e in errors) / max(len(errors), 1))
 
 
-def _errors(prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float) -> tuple[float, float]:
+def _errors(
+    prepared: Sequence[Prepared], values: Mapping[str, float], alpha: float
+) -> tuple[float, float]:
     """Return (rms torque error, its norm over that of the drive's torque) over the used samples."""
     error = torque = 0.0
     count = 0
@@ -110,21 +119,35 @@ def parameter_table(
     model: Model,
     floors: Mapping[str, float],
 ) -> dict[str, Parameter]:
-    """Return every parameter with its interval and its floor where that is known, or the words why it has none."""
+    """Return every parameter with its interval and its floor where that is known, or the words why
+    it has none.
+    """
     units = units_of(prepared)
     fastest = max(float(np.max(np.abs(p.velocity[p.used]), initial=0.0)) for p in prepared)
     table: dict[str, Parameter] = {}
-    order = [n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, *GEAR_PARAMETERS, "offset") if n in values]
+    order = [
+        n for n in (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, *GEAR_PARAMETERS, "offset") if n in values
+    ]
     for name in order:
         value = values[name]
         if name in model.fixed:
-            table[name] = Parameter(name, units[name], value, value, value, reason="fixed by the campaign, not fitted")
+            table[name] = Parameter(
+                name, units[name], value, value, value, reason="fixed by the campaign, not fitted"
+            )
         elif name not in spread.names:
-            table[name] = Parameter(name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name))
+            table[name] = Parameter(
+                name, units[name], None, identifiable=False, at_bound=True, reason=_absent(name)
+            )
         else:
-            judged = _judge(name, units[name], value, spread.half_width(name), fastest, prepared, values)
+            judged = _judge(
+                name, units[name], value, spread.half_width(name), fastest, prepared, values
+            )
             table[name] = replace(judged, floor=floors.get(name))
-    seen = {names for names in STRIBECK_TERMS if names[1] in spread.names and _rise_is_seen(names, values, spread)}
+    seen = {
+        names
+        for names in STRIBECK_TERMS
+        if names[1] in spread.names and _rise_is_seen(names, values, spread)
+    }
     for names in STRIBECK_TERMS:
         if names[1] in spread.names:
             shared = any(other[2] == names[2] for other in seen - {names})
@@ -146,23 +169,33 @@ def _judge_rise(
     *,
     keep_speed: bool,
 ) -> None:
-    """Withhold static friction, and the Stribeck speed unless another rise shows it, where the rise is not seen."""
+    """Withhold static friction, and the Stribeck speed unless another rise shows it, where the rise
+    is not seen.
+    """
     coulomb, static, speed = names
     rise, half = values[static] - values[coulomb], spread.half_width_above(static, coulomb)
     if not _rise_is_seen(names, values, spread):
         unit = "" if table[static].unit == "1" else f" {table[static].unit}"
-        reason = f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not seen in these recordings"
+        reason = (
+            f"friction's rise toward rest, {rise:.2g} +- {half:.2g}{unit}, is not seen in "
+            f"these recordings"
+        )
         withheld = (static,) if keep_speed else (static, speed)
         for name in (n for n in withheld if n in spread.names and table[n].identifiable):
             table[name] = Parameter(name, table[name].unit, None, identifiable=False, reason=reason)
     elif table[speed].at_bound and table[static].identifiable:
         reason = f"it is the end of the falling part of friction, and {table[speed].reason}"
-        table[static] = Parameter(static, table[static].unit, None, identifiable=False, reason=reason)
+        table[static] = Parameter(
+            static, table[static].unit, None, identifiable=False, reason=reason
+        )
 
 
 def _absent(name: str) -> str:
     coulomb, static, _ = next(names for names in STRIBECK_TERMS if name in names[1:])
-    return f"friction does not rise toward rest in these recordings: {static} would fall to {coulomb}, its bound"
+    return (
+        f"friction does not rise toward rest in these recordings: {static} would fall to "
+        f"{coulomb}, its bound"
+    )
 
 
 def _judge(
@@ -178,9 +211,13 @@ def _judge(
     speed = name in ("omega_sf", "omega_sL")
     at_bound = value <= 0.0 if name != "offset" and not speed else False
     if speed:
-        at_bound = value >= 0.999 * HIGHEST_SHARE * fastest or value <= 1.001 * LOWEST_SHARE * fastest
+        at_bound = (
+            value >= 0.999 * HIGHEST_SHARE * fastest or value <= 1.001 * LOWEST_SHARE * fastest
+        )
     if name == "offset":
-        scale = math.sqrt(sum(float(np.mean(p.torque[p.used] ** 2)) for p in prepared if np.any(p.used)))
+        scale = math.sqrt(
+            sum(float(np.mean(p.torque[p.used] ** 2)) for p in prepared if np.any(p.used))
+        )
         loose = half > 0.1 * scale
     else:
         loose = not half <= WIDEST * abs(value)
@@ -207,13 +244,23 @@ def _why(
 ) -> str:
     """Say in words why a parameter is not pinned."""
     if at_bound and name in ("omega_sf", "omega_sL"):
-        return f"the search ends at its bound of {value:.3g} {unit}: the falling part of friction is not seen"
+        return (
+            f"the search ends at its bound of {value:.3g} {unit}: the falling part of friction "
+            f"is not seen"
+        )
     if at_bound:
         return "the data ask for a value below 0, its bound"
     suffix = "" if unit == "1" else f" {unit}"
-    interval = f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide to call it known"
+    interval = (
+        f"its 90 % interval, {value - half:.3g} to {value + half:.3g}{suffix}, is too wide "
+        f"to call it known"
+    )
     if name == "J":
-        inertia = max(float(np.std((values["J"] * p.acceleration)[p.used])) for p in prepared if np.any(p.used))
+        inertia = max(
+            float(np.std((values["J"] * p.acceleration)[p.used]))
+            for p in prepared
+            if np.any(p.used)
+        )
         torque = max(float(np.std(p.torque[p.used])) for p in prepared if np.any(p.used))
         return f"J domega/dt is {100.0 * inertia / torque:.2g} % of the torque: {interval}"
     return interval

@@ -1,4 +1,6 @@
-"""What the covariance of an estimate says in words: which parameters trade off, and what of them is pinned together."""
+"""What the covariance of an estimate says in words: which parameters trade off, and what of them is
+pinned together.
+"""
 
 from __future__ import annotations
 
@@ -17,12 +19,16 @@ _SHOWN = 0.3
 """Least share of a combination that is listed, over its greatest."""
 
 _AT_SPEED = {("Mc", "sigma_2"), ("mu_c", "mu_2")}
-"""Pairs (a, b) whose sum a + b omega is friction at a speed (eq. 9 and 13 beyond the Stribeck speed)."""
+"""Pairs (a, b) whose sum a + b omega is friction at a speed (eq. 9 and 13 beyond the Stribeck
+speed).
+"""
 _AT_LOAD = {("Mc", "mu_c"), ("Ms", "mu_s"), ("sigma_2", "mu_2")}
 """Pairs (a, b) whose sum a + b F_P L1 is friction under a contact moment (eq. 15)."""
 
 
-def tradeoffs(spread: Spread, values: Mapping[str, float], units: Mapping[str, str]) -> tuple[Tradeoff, ...]:
+def tradeoffs(
+    spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
+) -> tuple[Tradeoff, ...]:
     """Return the pairs that correlate by :data:`TRADE_OFF` or more, the closest first.
 
     Args:
@@ -44,7 +50,8 @@ def tradeoffs(spread: Spread, values: Mapping[str, float], units: Mapping[str, s
 
 
 def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
-    """Say what combination of relative changes the recordings pin least; empty where nothing was fitted.
+    """Say what combination of relative changes the recordings pin least; empty where nothing was
+    fitted.
 
     It is the eigenvector of the relative covariance with the greatest eigenvalue.
     """
@@ -56,21 +63,34 @@ def least_pinned(spread: Spread, values: Mapping[str, float]) -> str:
     vector = vectors[:, -1] / vectors[np.argmax(np.abs(vectors[:, -1])), -1]
     shown = [(names[k], vector[k]) for k in np.argsort(-np.abs(vector)) if abs(vector[k]) >= _SHOWN]
     changes = [f"{name} by {100.0 * share:+.0f} %" for name, share in shown]
-    where = f"{shown[0][0]} alone" if len(shown) == 1 else "a change of " + ", ".join(changes) + " together"
+    where = (
+        f"{shown[0][0]} alone"
+        if len(shown) == 1
+        else "a change of " + ", ".join(changes) + " together"
+    )
     upper = np.triu(np.abs(correlation), 1)
-    line = f"least pinned is {where}: relative standard deviation {100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
+    line = (
+        f"least pinned is {where}: relative standard deviation "
+        f"{100.0 * math.sqrt(max(shares[-1], 0.0)):.2g} %"
+    )
     if len(names) > 1:
         j, k = np.unravel_index(int(np.argmax(upper)), upper.shape)
-        line += f"; the greatest correlation is {correlation[j, k]:+.2f}, of {names[j]} and {names[k]}"
+        line += (
+            f"; the greatest correlation is {correlation[j, k]:+.2f}, of {names[j]} and {names[k]}"
+        )
     return line
 
 
 def _correlation(spread: Spread, values: Mapping[str, float]) -> tuple[list[str], Array]:
     """Return the names whose variance is finite and above 0, and their correlations."""
     variance = np.diag(spread.covariance)
-    kept = [k for k, n in enumerate(spread.names) if 0.0 < variance[k] < math.inf and values[n] != 0.0]
+    kept = [
+        k for k, n in enumerate(spread.names) if 0.0 < variance[k] < math.inf and values[n] != 0.0
+    ]
     deviation = np.sqrt(variance[kept])
-    return [spread.names[k] for k in kept], spread.covariance[np.ix_(kept, kept)] / np.outer(deviation, deviation)
+    return [spread.names[k] for k in kept], spread.covariance[np.ix_(kept, kept)] / np.outer(
+        deviation, deviation
+    )
 
 
 def _relative(spread: Spread, values: Mapping[str, float], names: list[str]) -> Array:
@@ -78,7 +98,9 @@ def _relative(spread: Spread, values: Mapping[str, float], names: list[str]) -> 
     return np.array([math.sqrt(variance[n]) / abs(values[n]) for n in names])
 
 
-def _pinned(a: str, b: str, spread: Spread, values: Mapping[str, float], units: Mapping[str, str]) -> str:
+def _pinned(
+    a: str, b: str, spread: Spread, values: Mapping[str, float], units: Mapping[str, str]
+) -> str:
     """Say which combination of two parameters has the least variance."""
     j, k = spread.names.index(a), spread.names.index(b)
     c = spread.covariance
@@ -88,9 +110,18 @@ def _pinned(a: str, b: str, spread: Spread, values: Mapping[str, float], units: 
         half = spread.half_width_along({a: 1.0, b: weight})
         unit = "" if units[a] == "1" else f" {units[a]}"
         scale = "rad/s" if units["omega_sf"].endswith("rad/s") else "m/s"
-        at = f"{weight:.3g} {scale}" if (a, b) in _AT_SPEED else f"a contact moment of {weight:.3g} {units['Mc']}"
-        return f"only their sum at {at} is pinned, {a} + {weight:.3g} {b} = {total:.5g} +- {half:.2g}{unit}"
+        at = (
+            f"{weight:.3g} {scale}"
+            if (a, b) in _AT_SPEED
+            else f"a contact moment of {weight:.3g} {units['Mc']}"
+        )
+        return (
+            f"only their sum at {at} is pinned, {a} + {weight:.3g} {b} = {total:.5g} +- "
+            f"{half:.2g}{unit}"
+        )
     power = -float(c[j, k] / c[k, k] * values[b] / values[a])
     half = 100.0 * spread.half_width_along({a: 1.0 / values[a], b: power / values[b]})
-    kind, shown = ("product", f"{a} {b}^{power:.2g}") if power > 0.0 else ("ratio", f"{a} / {b}^{-power:.2g}")
+    kind, shown = (
+        ("product", f"{a} {b}^{power:.2g}") if power > 0.0 else ("ratio", f"{a} / {b}^{-power:.2g}")
+    )
     return f"only the {kind} {shown} is pinned, to {half:.2g} %"

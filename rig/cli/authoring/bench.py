@@ -50,15 +50,28 @@ def _free_speed_deg_s(answers: Mapping[str, Any]) -> float:
 
 _EDS: Final = "name the maker's EDS file, relative to the bench file"
 QUESTIONS: Final = (
-    Question("drive", "Kind of drive", kind=click.Choice(("canopen", "epos4-serial", "dbc")), default="canopen"),
+    Question(
+        "drive",
+        "Kind of drive",
+        kind=click.Choice(("canopen", "epos4-serial", "dbc")),
+        default="canopen",
+    ),
     Question(
         "devices",
         "Simulated or real devices",
         kind=click.Choice(("simulated", "real")),
         default="simulated",
     ),
-    Question("interface", "Interface of python-can", kind=click.STRING, default="socketcan", when=_real_can),
-    Question("channel", "Channel of that interface", kind=click.STRING, default="can0", when=_real_can),
+    Question(
+        "interface",
+        "Interface of python-can",
+        kind=click.STRING,
+        default="socketcan",
+        when=_real_can,
+    ),
+    Question(
+        "channel", "Channel of that interface", kind=click.STRING, default="can0", when=_real_can
+    ),
     Question(
         "port",
         "Serial port of the drive",
@@ -83,14 +96,17 @@ QUESTIONS: Final = (
     ),
     Question(
         "round_trip",
-        "What adapter and drive add to a request and its answer; an FTDI adapter 16, in low-latency mode 6",
+        "What adapter and drive add to a request and its answer; an FTDI adapter 16, in "
+        "low-latency mode 6",
         "ms",
         kind=Number(at_least=0.0),
         default=1.0,
         when=lambda a: _real(a) and _serial(a),
     ),
     Question("servo_eds", "EDS file of the drive", kind=click.STRING, when=_real, why=_EDS),
-    Question("encoder_eds", "EDS file of the joint encoder", kind=click.STRING, when=_real_can, why=_EDS),
+    Question(
+        "encoder_eds", "EDS file of the joint encoder", kind=click.STRING, when=_real_can, why=_EDS
+    ),
     Question("torque_constant", "Torque constant of the motor", "N m/A", default=0.03),
     Question(
         "back_emf_constant",
@@ -102,7 +118,9 @@ QUESTIONS: Final = (
     Question("inductance", "Winding inductance", "H", default=0.00132),
     Question("gear_ratio", "Gear ratio, motor turns per turn of the joint", default=100.0),
     Question("supply", "Supply voltage", "V", default=60.0),
-    Question("rated_current", "Rated current of the drive, as in its object 6075h", "A", default=15.0),
+    Question(
+        "rated_current", "Rated current of the drive, as in its object 6075h", "A", default=15.0
+    ),
     Question(
         "current_limit",
         "Limit on the motor current",
@@ -110,7 +128,10 @@ QUESTIONS: Final = (
         default=lambda a: float(f"{_OVER_RATED * a['rated_current']:.3g}"),
     ),
     Question(
-        "motor_counts", "Counts of the motor encoder per turn, edges counted", kind=click.IntRange(1), default=4096
+        "motor_counts",
+        "Counts of the motor encoder per turn, edges counted",
+        kind=click.IntRange(1),
+        default=4096,
     ),
     Question(
         "joint_counts",
@@ -122,10 +143,13 @@ QUESTIONS: Final = (
     Question("moment_arm", "Radius at which the load presses on the joint", "m", default=0.095),
     Question(
         "lever_ratio",
-        "Lever ratio, contact force over weight; 1 for a weight that presses straight on that radius",
+        "Lever ratio, contact force over weight; 1 for a weight that presses straight on that "
+        "radius",
         why="it scales every working load; 1 where the weight presses straight on the moment arm",
     ),
-    Question("weights", "Weights that can be hung, or none", "kg", kind=Numbers(), default=(2.0, 5.0)),
+    Question(
+        "weights", "Weights that can be hung, or none", "kg", kind=Numbers(), default=(2.0, 5.0)
+    ),
     Question("angle_limit", "Largest joint angle to either side", "deg", default=30.0),
     Question("speed_limit", "Limit on the joint speed", "deg/s", default=_free_speed_deg_s),
     Question("following_error", "Largest following error", "deg", kind=Number(), default=2.0),
@@ -154,8 +178,10 @@ def bench_text(name: str, answers: Answers) -> str:
     if answers["devices"] == "simulated":
         sections["mock"] = _mock(sections)
     head = (
-        f"# Bench {name}, written by `rig new bench`. Every key is explained above it: meaning, unit, default.\n"
-        f"# Look at it with `rig check`, which moves nothing; then `rig new sequence` and `rig run`.\n"
+        f"# Bench {name}, written by `rig new bench`. Every key is explained above it: meaning, "
+        f"unit, default.\n"
+        f"# Look at it with `rig check`, which moves nothing; then `rig new sequence` and `rig "
+        f"run`.\n"
     )
     return head + render(Block(Bench, sections, {"mock": ""}))
 
@@ -170,12 +196,14 @@ def remarks(answers: Answers) -> list[str]:
     needed = Joint.Ms_N_m * share + Joint.mu_s * arm_N_m * answers["moment_arm"]
     if answers["devices"] == "simulated" and needed > _HARD_SHARE * torque:
         found.append(
-            f"note: with {heaviest:g} kg the simulated friction reaches {needed:.3g} N m, of a torque limit of "
+            f"note: with {heaviest:g} kg the simulated friction reaches {needed:.3g} N m, of a "
+            f"torque limit of "
             f"{torque:.3g} N m: use less weight, or a smaller lever ratio"
         )
     if answers["drive"] == "dbc":
         found.append(
-            "note: signals, states and orders are those of the simulated drive; put your DBC file and its names there"
+            "note: signals, states and orders are those of the simulated drive; put your DBC file "
+            "and its names there"
         )
     return found
 
@@ -214,7 +242,10 @@ def _bus(answers: Answers) -> Block:
         )
     if not real:
         return Block(Bus, {"interface": "mock", "bitrate": 1_000_000})
-    return Block(Bus, {"interface": answers["interface"], "channel": answers["channel"], "bitrate": 1_000_000})
+    return Block(
+        Bus,
+        {"interface": answers["interface"], "channel": answers["channel"], "bitrate": 1_000_000},
+    )
 
 
 def _servo(answers: Answers) -> Block | Raw:
@@ -248,7 +279,8 @@ def _dbc_servo(answers: Answers) -> Raw:
     )
     dumped = yaml.safe_dump(servo, sort_keys=False, default_flow_style=None, width=90)
     return Raw(
-        "# DBC file of the drive, and what its signals mean: docs/reference/bench.md. Those below are\n"
+        "# DBC file of the drive, and what its signals mean: docs/reference/bench.md. Those below "
+        "are\n"
         "# the simulated drive's. `held` are the limits set in the drive with its maker's tool.\n"
         f"{dumped}"
     )
@@ -309,9 +341,12 @@ def _limits(answers: Answers) -> Block:
 
 
 def _mock(sections: Mapping[str, Any]) -> Block:
-    """Return the simulated machine: what nobody knows before it is identified; the rest follows from the bench."""
+    """Return the simulated machine: what nobody knows before it is identified; the rest follows
+    from the bench.
+    """
     plain = {
-        name: dict(section.values) if isinstance(section, Block) else section for name, section in sections.items()
+        name: dict(section.values) if isinstance(section, Block) else section
+        for name, section in sections.items()
     }
     values = derived(plain)["joint"]
     assert isinstance(values, dict)

@@ -36,7 +36,9 @@ def write_schema(kind: str, folder: Path) -> Path:
         folder.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps(json_schema(kind), indent=1) + "\n")
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another folder") from error
+        raise InputError(
+            f"{path}: cannot be written: {error.strerror}; choose another folder"
+        ) from error
     return path
 
 
@@ -44,11 +46,14 @@ def require_schema_place(path: Path) -> None:
     """Check that a schema can be written there.
 
     Raises:
-        InputError: The folder can't be made, or a file that isn't a schema of this program is there.
+        InputError: The folder can't be made, or a file that isn't a schema of this program is
+            there.
     """
     require_folder(path.parent, "--out")
     try:
         if path.exists() and _OWN not in path.read_text(encoding="utf-8", errors="replace")[:400]:
-            raise InputError(f"{path}: exists already and is no schema of this program; move it away")
+            raise InputError(
+                f"{path}: exists already and is no schema of this program; move it away"
+            )
     except OSError as error:
         raise InputError(f"{path}: cannot be read: {error.strerror}; move it away") from error

@@ -16,12 +16,27 @@ from rig.cli.authoring.questions import Answers, Number, Numbers, Question, ask_
 from rig.cli.authoring.yaml_text import Block, render
 from rig.common.errors import InputError
 from rig.config.bench import Constants
-from rig.config.campaign import BenchSection, Campaign, ChannelSection, ReadSection, RecordingSection
+from rig.config.campaign import (
+    BenchSection,
+    Campaign,
+    ChannelSection,
+    ReadSection,
+    RecordingSection,
+)
 from rig.sources.formats import FORMATS, open_table
 from rig.sources.table import format_of
 from rig.terminal.prompt import Asker
 
-_ASKED: Final = ("time", "current", "voltage", "torque", "angle", "motor_angle", "velocity", "command")
+_ASKED: Final = (
+    "time",
+    "current",
+    "voltage",
+    "torque",
+    "angle",
+    "motor_angle",
+    "velocity",
+    "command",
+)
 """Channels that are asked for; the others are taken where a column is named for them."""
 _NONE: Final = "-"
 
@@ -111,12 +126,26 @@ def _constants(
             default=masses,
         ),
         Question(
-            "torque_constant", "Torque constant of the motor", "N m/A", default=0.03, when=has("current", "voltage")
+            "torque_constant",
+            "Torque constant of the motor",
+            "N m/A",
+            default=0.03,
+            when=has("current", "voltage"),
         ),
         Question(
-            "back_emf_constant", "Back-EMF constant", "V s/rad", default=lambda a: a["torque_constant"], when=by_voltage
+            "back_emf_constant",
+            "Back-EMF constant",
+            "V s/rad",
+            default=lambda a: a["torque_constant"],
+            when=by_voltage,
         ),
-        Question("resistance", "Winding resistance", "ohm", when=by_voltage, why="it turns the voltage into a current"),
+        Question(
+            "resistance",
+            "Winding resistance",
+            "ohm",
+            when=by_voltage,
+            why="it turns the voltage into a current",
+        ),
         Question("gear_ratio", "Gear ratio, motor turns per turn of the joint", default=1.0),
         Question(
             "moment_arm",
@@ -129,7 +158,8 @@ def _constants(
             "lever_ratio",
             "Lever ratio, contact force over weight",
             when=loaded,
-            why="it scales every working load; 1 where the weight presses straight on the moment arm",
+            why="it scales every working load; 1 where the weight presses straight on the moment "
+            "arm",
         ),
     )
 
@@ -144,19 +174,27 @@ class Masses(Numbers):
     def __init__(self, count: int) -> None:
         self._count = count
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
         """Return the masses, or fail with words."""
         if isinstance(value, tuple):
             return value
         words = str(value).replace(",", " ").split()
         if self._count and len(words) != self._count:
-            self.fail(f"{len(words)} masses for {self._count} recordings; give one for each, 0 for none", param, ctx)
+            self.fail(
+                f"{len(words)} masses for {self._count} recordings; give one for each, 0 for none",
+                param,
+                ctx,
+            )
         return tuple(Number(at_least=0.0).convert(word, param, ctx) for word in words)
 
 
 OPTIONS: Final = (
     *(
-        Question(channel, f"Column of {channel.replace('_', ' ')}, by name or index", kind=click.STRING)
+        Question(
+            channel, f"Column of {channel.replace('_', ' ')}, by name or index", kind=click.STRING
+        )
         for channel in _ASKED
     ),
     Question("rate", "Sampling rate, where there is no column of time", "Hz"),
@@ -172,7 +210,10 @@ OPTIONS: Final = (
 
 
 def answer(
-    files: Sequence[DataFile], given: Mapping[str, Any], asker: Asker | None, tell: Callable[[str], None]
+    files: Sequence[DataFile],
+    given: Mapping[str, Any],
+    asker: Asker | None,
+    tell: Callable[[str], None],
 ) -> Answers:
     """Return the answers about files; the columns are told first.
 
@@ -181,12 +222,19 @@ def answer(
     """
     masses = given.get("masses")
     if masses is not None and len(masses) != len(files):
-        raise InputError(f"--masses: {len(masses)} masses for {len(files)} recordings; give one for each, 0 for none")
+        raise InputError(
+            f"--masses: {len(masses)} masses for {len(files)} recordings; give one for each, 0 "
+            f"for none"
+        )
     named = [name for name in files[0].names if name]
-    tell(f"columns of {files[0].path.name}: {', '.join(named) if named else f'{len(files[0].names)} without a name'}")
+    tell(
+        f"columns of {files[0].path.name}: "
+        f"{', '.join(named) if named else f'{len(files[0].names)} without a name'}"
+    )
     answers = ask_all(questions(files), given, asker, tell)
     problems = [
-        f"{_option(channel)}: {file.path.name} has no column {answers[channel]!r}; it has {', '.join(file.names)}"
+        f"{_option(channel)}: {file.path.name} has no column {answers[channel]!r}; it has "
+        f"{', '.join(file.names)}"
         for channel in _ASKED
         for file in files
         if answers[channel] != _NONE and _column(answers[channel], file.names) is None
@@ -212,7 +260,11 @@ def _column(answer: str, names: Sequence[str]) -> str | int | None:
 def _common(files: Sequence[DataFile]) -> dict[str, Guess]:
     """Return guesses that hold for every file."""
     first, *others = [guess_channels(file.names) for file in files]
-    return {channel: guess for channel, guess in first.items() if all(other.get(channel) == guess for other in others)}
+    return {
+        channel: guess
+        for channel, guess in first.items()
+        if all(other.get(channel) == guess for other in others)
+    }
 
 
 def campaign_text(path: Path, files: Sequence[DataFile], answers: Answers) -> str:
@@ -233,12 +285,16 @@ def campaign_text(path: Path, files: Sequence[DataFile], answers: Answers) -> st
         for n, (file, mass) in enumerate(zip(files, answers["masses"], strict=True))
     ]
     head = (
-        "# Campaign of recordings made elsewhere, written by `rig new campaign`. The keys of the first\n"
-        "# recording are explained. Check scale and sign of every channel: SI = scale * column + offset.\n"
+        "# Campaign of recordings made elsewhere, written by `rig new campaign`. The keys of the "
+        "first\n"
+        "# recording are explained. Check scale and sign of every channel: SI = scale * column + "
+        "offset.\n"
         f"# Then: rig identify {path.name}\n"
     )
     return head + render(
-        Block(Campaign, {"campaign": 1, "bench": Block(BenchSection, bench), "recordings": recordings})
+        Block(
+            Campaign, {"campaign": 1, "bench": Block(BenchSection, bench), "recordings": recordings}
+        )
     )
 
 
@@ -258,7 +314,10 @@ def _channels(file: DataFile, answers: Answers) -> Block:
     guesses = guess_channels(file.names)
     chosen: dict[str, str | int] = {}
     for channel in _ASKED:
-        if answers[channel] != _NONE and (column := _column(answers[channel], file.names)) is not None:
+        if (
+            answers[channel] != _NONE
+            and (column := _column(answers[channel], file.names)) is not None
+        ):
             chosen[channel] = column
     for channel, guess in guesses.items():
         if channel not in _ASKED and guess.column not in chosen.values():
@@ -267,6 +326,8 @@ def _channels(file: DataFile, answers: Answers) -> Block:
     for channel in CHANNELS:
         if channel in chosen:
             column = chosen[channel]
-            scale = next((g.scale for c, g in guesses.items() if c == channel and g.column == column), 1.0)
+            scale = next(
+                (g.scale for c, g in guesses.items() if c == channel and g.column == column), 1.0
+            )
             values[channel] = {"column": column, "scale": scale, "offset": 0.0}
     return Block(ChannelSection, values)

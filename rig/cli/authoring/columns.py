@@ -46,9 +46,18 @@ _NAMES: Final[Mapping[str, tuple[str, str]]] = {
     "voltage": ("V", r"u|v|volt|voltage|u_?m|u_?motor|motor_?voltage|spannung"),
     "current": ("A", r"i|iq|i_?q|current|i_?meas|i_?m|i_?motor|motor_?current|cur|strom"),
     "torque": ("N m", r"torque|trq|tau|m_?d|moment|drehmoment|force"),
-    "motor_angle": ("rad", r"motor_?(angle|pos|position)|phi_?m|theta_?m|(pos|position|angle)_?motor"),
-    "command": ("rad", r"command|cmd|target|setpoint|reference|ref|desired|goal|(pos|position|angle)_?(ref|cmd|des)"),
-    "angle": ("rad", r"angle|pos|position|phi|theta|q|winkel|joint|joint_?angle|(pos|position|angle)_?(joint|load)"),
+    "motor_angle": (
+        "rad",
+        r"motor_?(angle|pos|position)|phi_?m|theta_?m|(pos|position|angle)_?motor",
+    ),
+    "command": (
+        "rad",
+        r"command|cmd|target|setpoint|reference|ref|desired|goal|(pos|position|angle)_?(ref|cmd|des)",
+    ),
+    "angle": (
+        "rad",
+        r"angle|pos|position|phi|theta|q|winkel|joint|joint_?angle|(pos|position|angle)_?(joint|load)",
+    ),
     "velocity": ("rad/s", r"velocity|vel|speed|omega|dq|qd|dphi|dtheta|drehzahl"),
     "load_force": ("N", r"load_?force|f_?load"),
     "temperature": ("deg C", r"temp|temperature|t_?motor"),
@@ -80,7 +89,9 @@ def split_unit(name: str) -> tuple[str, str]:
     if found is None:
         for unit in sorted(_UNIT, key=len, reverse=True):
             tail = re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit)}\s*", name, re.IGNORECASE)
-            tail = tail or re.fullmatch(rf"\s*(.+?)[_/ ]{re.escape(unit.replace('/', '_'))}\s*", name, re.IGNORECASE)
+            tail = tail or re.fullmatch(
+                rf"\s*(.+?)[_/ ]{re.escape(unit.replace('/', '_'))}\s*", name, re.IGNORECASE
+            )
             if tail is not None:
                 return tail[1].strip(), unit
         return name.strip(), ""

@@ -1,4 +1,6 @@
-"""Questions whose answers make a file: put at the terminal, given as options, or left at their defaults."""
+"""Questions whose answers make a file: put at the terminal, given as options, or left at their
+defaults.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ class Number(Kind):
         self._above = above if at_least is None else None
         self._at_least = at_least
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> float:
         """Return the number, or fail with words."""
         try:
             number = float(str(value).strip().replace(",", "."))
@@ -57,7 +61,9 @@ class Numbers(Kind):
 
     name = "numbers"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[float, ...]:
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[float, ...]:
         """Return the numbers in the order given, or fail with words."""
         if isinstance(value, tuple):
             return value
@@ -102,7 +108,9 @@ class Question:
     def prompt(self, default: Any) -> str:
         """Return what is shown at the terminal."""
         unit = f", {self.unit}" if self.unit else ""
-        choices = f" ({', '.join(self.kind.choices)})" if isinstance(self.kind, click.Choice) else ""
+        choices = (
+            f" ({', '.join(self.kind.choices)})" if isinstance(self.kind, click.Choice) else ""
+        )
         return f"{self.words}{unit}{choices}{'' if default is None else f' [{shown(default)}]'}: "
 
 
@@ -122,7 +130,9 @@ def options(questions: Iterable[Question]) -> Callable[[Any], Any]:
             static = question.default is not None and not callable(question.default)
             default = f" [default: {shown(question.default)}]" if static else ""
             text = f"{question.words}{unit}.{default}"
-            command = click.option(question.option, question.name, type=question.kind, help=text)(command)
+            command = click.option(question.option, question.name, type=question.kind, help=text)(
+                command
+            )
         return command
 
     return decorate
@@ -152,7 +162,9 @@ def ask_all(
         value = given.get(question.name)
         if not question.when(answers):
             if value is not None:
-                missing.append(f"{question.option}: does not apply to the other choices; leave it out")
+                missing.append(
+                    f"{question.option}: does not apply to the other choices; leave it out"
+                )
             continue
         default = question.default_for(answers)
         if value is None and asker is not None:
@@ -161,7 +173,8 @@ def ask_all(
             value = default
         if value is None:
             missing.append(f"{question.option}: missing; {question.why}")
-            # The questions that follow are still looked at, so that all that is missing is told at once.
+            # The questions that follow are still looked at, so that all that is missing is told at
+            # once.
             value = 1.0 if isinstance(question.kind, Number) else ""
         answers[question.name] = value
     if missing:
@@ -176,7 +189,8 @@ def _ask(question: Question, default: Any, asker: Asker, tell: Callable[[str], N
             typed = asker.ask(question.prompt(default))
         except InputEndedError as error:
             raise InputError(
-                f"{question.option}: {error} before this was answered; give the option, or --yes for the defaults"
+                f"{question.option}: {error} before this was answered; give the option, or --yes "
+                f"for the defaults"
             ) from error
         if not typed:
             if default is not None:

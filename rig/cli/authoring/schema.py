@@ -37,7 +37,10 @@ KINDS: Final[Mapping[str, type[BaseModel]]] = {
 """Kind of file to the record that it is read into."""
 DIALECT: Final = "http://json-schema.org/draft-07/schema#"
 """The dialect that YAML editors know best."""
-_SHORT_CHANNEL: Final = {"type": ["string", "integer"], "description": "Column, by name or by index from 0."}
+_SHORT_CHANNEL: Final = {
+    "type": ["string", "integer"],
+    "description": "Column, by name or by index from 0.",
+}
 
 
 def json_schema(kind: str) -> Tree:
@@ -140,11 +143,16 @@ def _bench(tree: Tree, definitions: Tree) -> None:
     definitions["Machine"]["properties"]["effects"] = _effects()
     # The kind of bus is told by its interface; as plain text it would be any.
     definitions["Bus"]["properties"]["interface"]["not"] = {"const": "epos_serial"}
-    definitions["ServoSection"]["not"] = {"properties": {"kind": {"const": "dbc"}}, "required": ["kind"]}
+    definitions["ServoSection"]["not"] = {
+        "properties": {"kind": {"const": "dbc"}},
+        "required": ["kind"],
+    }
 
 
 def _bound(node: Tree, sign: str) -> None:
-    targets = [item for item in node.get("anyOf", [node]) if item.get("type") in ("number", "integer")]
+    targets = [
+        item for item in node.get("anyOf", [node]) if item.get("type") in ("number", "integer")
+    ]
     for target in targets:
         if sign == "> 0":
             target["exclusiveMinimum"] = 0
@@ -199,14 +207,18 @@ def _campaign(tree: Tree, definitions: Tree) -> None:
     model["fixed"] = {
         "type": "object",
         "description": model["fixed"].get("description", ""),
-        "properties": {name: {"type": "number", **({} if name == "offset" else {"minimum": 0})} for name in PARAMETERS},
+        "properties": {
+            name: {"type": "number", **({} if name == "offset" else {"minimum": 0})}
+            for name in PARAMETERS
+        },
         "additionalProperties": False,
     }
     channel = {"anyOf": [_SHORT_CHANNEL, {"$ref": "#/definitions/ChannelSection"}]}
     units = {**CHANNELS, ANGLE_TIME: "s"}
     channels = definitions["RecordingSection"]["properties"]["channels"]
     channels["properties"] = {
-        name: {**channel, "description": f"In {unit}, after scale and offset."} for name, unit in units.items()
+        name: {**channel, "description": f"In {unit}, after scale and offset."}
+        for name, unit in units.items()
     }
     channels["additionalProperties"] = False
     channels.pop("propertyNames", None)
@@ -232,7 +244,9 @@ def _partial(definitions: Mapping[str, Tree], name: str) -> Iterator[tuple[str, 
     def copied(node: Any) -> Any:
         if isinstance(node, dict):
             return {
-                key: f"{value.rpartition('/')[0]}/{_PART}{value.rpartition('/')[2]}" if key == "$ref" else copied(value)
+                key: f"{value.rpartition('/')[0]}/{_PART}{value.rpartition('/')[2]}"
+                if key == "$ref"
+                else copied(value)
                 for key, value in node.items()
             }
         return [copied(item) for item in node] if isinstance(node, list) else node

@@ -35,7 +35,9 @@ QUESTIONS: Final = (
     Question("amplitude", "Amplitude of the sine at the joint", "deg", default=20.0),
     Question("frequency", "Frequency of the sine", "Hz", default=0.2),
     Question("duration", "Duration of each stage", "s", default=_duration_s),
-    Question("center", "Angle about which the joint swings", "deg", kind=Number(above=None), default=0.0),
+    Question(
+        "center", "Angle about which the joint swings", "deg", kind=Number(above=None), default=0.0
+    ),
 )
 """What is asked, in order."""
 
@@ -48,10 +50,14 @@ def sequence_text(name: str, answers: Answers) -> str:
         answers: To :data:`QUESTIONS`.
     """
     masses = [0.0, *answers["weights"]]
-    stages = [_stage(mass, masses[:n].count(mass), answers, bare=n > 0) for n, mass in enumerate(masses)]
+    stages = [
+        _stage(mass, masses[:n].count(mass), answers, bare=n > 0) for n, mass in enumerate(masses)
+    ]
     head = (
-        f"# Sequence {name}, written by `rig new sequence`. The keys of the first stage are explained.\n"
-        f"# See what it would do with `rig run SEQUENCE --bench BENCH --dry-run`, which moves nothing.\n"
+        f"# Sequence {name}, written by `rig new sequence`. The keys of the first stage are "
+        f"explained.\n"
+        f"# See what it would do with `rig run SEQUENCE --bench BENCH --dry-run`, which moves "
+        f"nothing.\n"
     )
     return head + render(Block(Sequence, {"sequence": 1, "name": name, "stages": stages}))
 

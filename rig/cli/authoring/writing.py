@@ -19,7 +19,9 @@ def require_new(path: Path, kind: str) -> None:
     if path.suffix.lower() not in (".yaml", ".yml"):
         raise InputError(f"{path}: must end in .yaml, as the commands that read it expect")
     if path.exists():
-        raise InputError(f"{path}: exists already; it is not overwritten. Choose another name, or move it away")
+        raise InputError(
+            f"{path}: exists already; it is not overwritten. Choose another name, or move it away"
+        )
     require_file(path, "PATH")
     require_schema_place(path.parent / FOLDER / f"{kind}.schema.json")
 
@@ -51,7 +53,11 @@ def write_new(path: Path, kind: str, body: str, load: Callable[[Path], object]) 
                 raise InputError(named) from error
             schema = write_schema(kind, path.parent / FOLDER)
             if path.exists():
-                raise InputError(f"{path}: was made by another program meanwhile; it is not overwritten")
+                raise InputError(
+                    f"{path}: was made by another program meanwhile; it is not overwritten"
+                )
     except OSError as error:
-        raise InputError(f"{path}: cannot be written: {error.strerror}; choose another place") from error
+        raise InputError(
+            f"{path}: cannot be written: {error.strerror}; choose another place"
+        ) from error
     return [path, schema]

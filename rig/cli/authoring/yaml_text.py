@@ -1,4 +1,6 @@
-"""YAML text of a record in which every key has a comment: what it means, its unit and its default."""
+"""YAML text of a record in which every key has a comment: what it means, its unit and its
+default.
+"""
 
 from __future__ import annotations
 
@@ -84,7 +86,9 @@ def _item(block: Block, indent: int) -> list[str]:
 
 def _comment(words: str, indent: int) -> Iterator[str]:
     start = f"{' ' * indent}# "
-    yield from textwrap.wrap(words, _COLUMNS, initial_indent=start, subsequent_indent=start, break_long_words=False)
+    yield from textwrap.wrap(
+        words, _COLUMNS, initial_indent=start, subsequent_indent=start, break_long_words=False
+    )
 
 
 def _default(record: type, key: str) -> str:
@@ -113,7 +117,9 @@ def scalar(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.12g}"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{scalar(key)}: {scalar(item)}" for key, item in value.items()) + "}"
+        return (
+            "{" + ", ".join(f"{scalar(key)}: {scalar(item)}" for key, item in value.items()) + "}"
+        )
     if isinstance(value, list | tuple):
         return "[" + ", ".join(scalar(item) for item in value) + "]"
     text = str(value)

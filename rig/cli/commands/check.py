@@ -17,14 +17,28 @@ from rig.wiring.ownership import say_taken_over
 
 @click.command("check")
 @click.argument("bench")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the findings to this file.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the mock bench's noise.",
+)
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(path_type=Path),
+    help="Also write the findings to this file.",
+)
 def command(bench: str, seed: int, json_file: Path | None) -> int:
-    """Connect to BENCH, and read identities, live values, state and limits. Nothing moves, is energised or written.
+    """Connect to BENCH, and read identities, live values, state and limits.
 
-    Exits with 1 where a run would refuse to start, for each reason in the words of the run: a limit looser than the
-    drive's own, units that differ, an overdue calibration, implausible constants, a drive that is energised or in
-    fault, a reading beyond its limit. A bench that cannot be connected to ends with 2 or 4.
+    Nothing moves, is energised or written.
+
+    Exits with 1 where a run would refuse to start, for each reason in the words of the run: a limit
+    looser than the drive's own, units that differ, an overdue calibration, implausible constants, a
+    drive that is energised or in fault, a reading beyond its limit. A bench that cannot be
+    connected to ends with 2 or 4.
 
     \b
     Example:

@@ -1,4 +1,6 @@
-"""``rig diagnose``: locate the mismatch, name the physics that was left out, model it, show the fit improve."""
+"""``rig diagnose``: locate the mismatch, name the physics that was left out, model it, show the fit
+improve.
+"""
 
 from __future__ import annotations
 
@@ -18,24 +20,41 @@ import click
 @click.option(
     "--refine/--no-refine",
     default=None,
-    help="Refit the nominal parameters by prediction errors, with what was found taken out. Without it a corrected "
-    "model may lack the rise of friction toward rest. If left out: where there are 60 000 samples at most, as it takes "
+    help="Refit the nominal parameters by prediction errors, with what was found taken out. "
+    "Without it a corrected "
+    "model may lack the rise of friction toward rest. If left out: where there are 60 000 samples "
+    "at most, as it takes "
     "the search's time again there, and minutes with eight recordings of 30 s.",
 )
 @click.option(
     "--gas",
     is_flag=True,
-    help="Diagnose the gas generator, from pressure and valve angle; needed only where there is torque as well.",
+    help="Diagnose the gas generator, from pressure and valve angle; needed only where there is "
+    "torque as well.",
 )
-@click.option("--partial", is_flag=True, help="Also take what was recorded of excitations that a run stopped in.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random generator.")
+@click.option(
+    "--partial",
+    is_flag=True,
+    help="Also take what was recorded of excitations that a run stopped in.",
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the random generator.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
     help="Folder for report, figures and corrected model; RUN/diagnosis, or ./CAMPAIGN-diagnosed.",
 )
 @click.option(
-    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file.",
 )
 def command(
     source: Path,
@@ -49,9 +68,10 @@ def command(
 ) -> None:
     """Say what physics is missing from the model of SOURCE, a run folder or a campaign file.
 
-    The verdict is one of four, and all of them end with status 0: a name, several names that these recordings cannot
-    tell apart (with the experiment that would, as a sequence file), something outside the catalogue, or nothing
-    missing. Recordings of role validate are never used for a decision. The corrected model lies beside the report.
+    The verdict is one of four, and all of them end with status 0: a name, several names that these
+    recordings cannot tell apart (with the experiment that would, as a sequence file), something
+    outside the catalogue, or nothing missing. Recordings of role validate are never used for a
+    decision. The corrected model lies beside the report.
 
     \b
     Example:
@@ -66,7 +86,9 @@ def command(
     from rig.results.diagnose.output import text, write
     from rig.terminal.bar import ShareBar
 
-    folder = out or (source / "diagnosis" if is_folder(source) else Path(f"{source.stem}-diagnosed"))
+    folder = out or (
+        source / "diagnosis" if is_folder(source) else Path(f"{source.stem}-diagnosed")
+    )
     require_folder(folder, "--out")
     require_file(json_file, "--json")
     with ShareBar() as bar:

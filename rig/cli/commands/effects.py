@@ -10,7 +10,11 @@ import click
 @click.command("effects")
 @click.argument("name", required=False)
 @click.option(
-    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file.",
 )
 def command(name: str | None, json_file: Path | None) -> None:
     """List the effects that a diagnosis can name; with NAME, everything the catalogue knows of one.

@@ -16,15 +16,26 @@ from rig.sources import load_source
 
 @click.command("export")
 @click.argument("source", type=click.Path(path_type=Path))
-@click.option("--format", "kind", type=click.Choice(list(WRITERS)), default="csv", show_default=True)
-@click.option("--partial", is_flag=True, help="Also take what was recorded of excitations that a run stopped in.")
-@click.option("--out", type=click.Path(path_type=Path), help="File to write [default: <source name>.<format>].")
+@click.option(
+    "--format", "kind", type=click.Choice(list(WRITERS)), default="csv", show_default=True
+)
+@click.option(
+    "--partial",
+    is_flag=True,
+    help="Also take what was recorded of excitations that a run stopped in.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="File to write [default: <source name>.<format>].",
+)
 def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     """Write the recordings of SOURCE, a run folder or a campaign file, for other tools.
 
-    Channels keep their canonical names and SI units. MATLAB and Parquet files hold all recordings, and a field or
-    column names each. A CSV file holds one: of several, each gets its own, OUT with its name in it. Excitations that
-    a run stopped in are left out unless --partial is given; their names then end in "(partial)".
+    Channels keep their canonical names and SI units. MATLAB and Parquet files hold all recordings,
+    and a field or column names each. A CSV file holds one: of several, each gets its own, OUT with
+    its name in it. Excitations that a run stopped in are left out unless --partial is given; their
+    names then end in "(partial)".
 
     \b
     Example:
@@ -35,7 +46,9 @@ def command(source: Path, kind: str, partial: bool, out: Path | None) -> int:
     require_file(path, "--out")
     dataset = load_source(source, partial=partial)
     wanted = files(dataset, path, kind)
-    taken = [f"{place}: exists already; give --out another name" for place in wanted if place.exists()]
+    taken = [
+        f"{place}: exists already; give --out another name" for place in wanted if place.exists()
+    ]
     if taken:
         raise InputError(taken)
     for place, part in wanted.items():

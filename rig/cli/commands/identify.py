@@ -1,4 +1,6 @@
-"""``rig identify``: staged identification of a run or a campaign, with tables, figures and a report."""
+"""``rig identify``: staged identification of a run or a campaign, with tables, figures and a
+report.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,11 @@ from typing import Literal
 
 import click
 
-_METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("paper",), "both": ("default", "paper")}
+_METHODS: dict[str, tuple[str, ...]] = {
+    "default": ("default",),
+    "paper": ("paper",),
+    "both": ("default", "paper"),
+}
 
 
 @click.command("identify")
@@ -23,37 +29,48 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     "--compare",
     "compared",
     is_flag=True,
-    help="Also the paper's GA, differential evolution, CMA-ES and multi-start least squares, on one problem.",
+    help="Also the paper's GA, differential evolution, CMA-ES and multi-start least squares, on "
+    "one problem.",
 )
 @click.option(
     "--profile",
     is_flag=True,
-    help="Also the likelihood profile of every parameter, with the 90 % range that follows; ten seconds more or so.",
+    help="Also the likelihood profile of every parameter, with the 90 % range that follows; ten "
+    "seconds more or so.",
 )
 @click.option(
     "--bootstrap",
     "draws",
     metavar="N",
     type=click.IntRange(min=20),
-    help="Also the spread over N draws of the stretches of motion, with replacement; half a second each or so.",
+    help="Also the spread over N draws of the stretches of motion, with replacement; half a "
+    "second each or so.",
 )
 @click.option(
     "--plan",
     "sequence",
     metavar="SEQUENCE",
-    help="Instead of a SOURCE: what this sequence would pin, and one of the same duration that would pin more.",
+    help="Instead of a SOURCE: what this sequence would pin, and one of the same duration that "
+    "would pin more.",
 )
-@click.option("--bench", default="practical", show_default=True, help="With --plan: the bench it is planned for.")
+@click.option(
+    "--bench",
+    default="practical",
+    show_default=True,
+    help="With --plan: the bench it is planned for.",
+)
 @click.option(
     "--nominal",
     type=click.Path(path_type=Path),
-    help="With --plan: last accepted result of `rig identify --json`. [default: the catalogue's nominal values]",
+    help="With --plan: last accepted result of `rig identify --json`. [default: the catalogue's "
+    "nominal values]",
 )
 @click.option(
     "--current-noise",
     metavar="A",
     type=click.FloatRange(min=0.0, min_open=True),
-    help="With --plan: noise of the logged current, rms. [default: what the --nominal file found, else a thousandth of "
+    help="With --plan: noise of the logged current, rms. [default: what the --nominal file found, "
+    "else a thousandth of "
     "the current limit]",
 )
 @click.option(
@@ -62,22 +79,40 @@ _METHODS: dict[str, tuple[str, ...]] = {"default": ("default",), "paper": ("pape
     type=click.FloatRange(min=0.0, min_open=True),
     help="Bandwidth of torque and regressors; chosen from the recordings if left out.",
 )
-@click.option("--partial", is_flag=True, help="Also take what was recorded of excitations that a run stopped in.")
-@click.option("--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well.")
+@click.option(
+    "--partial",
+    is_flag=True,
+    help="Also take what was recorded of excitations that a run stopped in.",
+)
+@click.option(
+    "--ladder", is_flag=True, help="Fit and score every friction model of the ladder as well."
+)
 @click.option(
     "--score",
     metavar="SOURCE",
     type=click.Path(path_type=Path),
-    help="Another source to score the result on: its error there against the noise floor, and what moved.",
+    help="Another source to score the result on: its error there against the noise floor, and "
+    "what moved.",
 )
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random generator.")
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the random generator.",
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
-    help="Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or ./SEQUENCE-planned.",
+    help="Folder for report and figures; the run folder itself, ./CAMPAIGN-identified or "
+    "./SEQUENCE-planned.",
 )
 @click.option(
-    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file.",
 )
 def command(
     source: Path | None,
@@ -99,8 +134,8 @@ def command(
 ) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
-    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one that takes no
-    longer. It may have more stages, and other weights.
+    With --plan, before anything is recorded: say what a sequence can pin, and propose a better one
+    that takes no longer. It may have more stages, and other weights.
 
     \b
     Example:
@@ -122,16 +157,21 @@ def command(
     from rig.terminal.bar import ShareBar
 
     if (source is None) is (sequence is None):
-        raise click.UsageError("give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be")
+        raise click.UsageError(
+            "give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be"
+        )
     if sequence is not None:
         _plan(sequence, bench, nominal, current_noise, seed, out, json_file)
         return
     assert source is not None
     if compared and method == "paper":
-        raise click.UsageError("--compare sets the others beside the default method; leave out --method paper")
+        raise click.UsageError(
+            "--compare sets the others beside the default method; leave out --method paper"
+        )
     if method == "paper" and (ladder or score or profile or draws):
         raise click.UsageError(
-            "--ladder, --score, --profile and --bootstrap are of the default method; leave --method paper out"
+            "--ladder, --score, --profile and --bootstrap are of the default method; leave "
+            "--method paper out"
         )
     folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")

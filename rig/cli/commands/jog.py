@@ -33,14 +33,33 @@ SCHEMA = "loadrig.jog/1"
 
 @click.command("jog")
 @click.argument("bench")
-@click.option("--to", "angles", type=float, multiple=True, help="Joint angle, deg; may be given several times.")
+@click.option(
+    "--to",
+    "angles",
+    type=float,
+    multiple=True,
+    help="Joint angle, deg; may be given several times.",
+)
 @click.option("--speed", default=5.0, show_default=True, help="Greatest speed on the way, deg/s.")
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
 @click.option(
-    "--reset-fault", is_flag=True, help="Clear a fault that the drive is in; its cause must be removed first."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the mock bench's noise.",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write how it ended to this file.")
+@click.option(
+    "--reset-fault",
+    is_flag=True,
+    help="Clear a fault that the drive is in; its cause must be removed first.",
+)
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(path_type=Path),
+    help="Also write how it ended to this file.",
+)
 def command(
     bench: str,
     angles: tuple[float, ...],
@@ -50,10 +69,12 @@ def command(
     reset_fault: bool,
     json_file: Path | None,
 ) -> int:
-    """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and after.
+    """Move BENCH to joint angles, slowly and at low limits; the drive is de-energised before and
+    after.
 
-    Without --to, angles are asked for one by one, the drive off in between; an empty answer ends it. Nothing is
-    recorded. Ctrl-C brakes and takes the power off; again while it brakes, takes the power off without waiting.
+    Without --to, angles are asked for one by one, the drive off in between; an empty answer ends
+    it. Nothing is recorded. Ctrl-C brakes and takes the power off; again while it brakes, takes the
+    power off without waiting.
 
     \b
     Example:
@@ -110,11 +131,19 @@ def _asked(prompt: Prompt, stop: StopButton, screen: Screen) -> Iterator[tuple[f
             screen.say(f"{typed!r} is not an angle in degrees")
 
 
-def _move(bench: Bench, jog: Jog, devices: Devices, stop: StopButton, screen: Screen, reset_fault: bool) -> Outcome:
+def _move(
+    bench: Bench, jog: Jog, devices: Devices, stop: StopButton, screen: Screen, reset_fault: bool
+) -> Outcome:
     span = math.radians(bench.limits.angle_max_deg - bench.limits.angle_min_deg)
     with RunProgress(bench.cycle_s, len(jog.angles) * span / jog.speed, screen) as progress:
         return move(
-            jog, bench, devices, stop, progress, lambda words, good: screen.say(words, err=not good), reset_fault
+            jog,
+            bench,
+            devices,
+            stop,
+            progress,
+            lambda words, good: screen.say(words, err=not good),
+            reset_fault,
         )
 
 

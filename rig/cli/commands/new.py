@@ -21,15 +21,18 @@ from rig.terminal.prompt import Asker, Prompt
 from rig.terminal.screen import Screen
 
 _PATH = click.argument("path", type=click.Path(path_type=Path))
-_YES = click.option("--yes", is_flag=True, help="Ask nothing: take the defaults of what no option gives.")
+_YES = click.option(
+    "--yes", is_flag=True, help="Ask nothing: take the defaults of what no option gives."
+)
 
 
 @click.group("new")
 def command() -> None:
-    """Write a bench, sequence or campaign file to start from, after a few questions or from options.
+    """Write a bench, sequence or campaign file to start from, after a few questions or from
+    options.
 
-    Every key of the file is explained in a comment. Its first line names a JSON Schema, written beside it into the
-    folder schemas, by which an editor completes and checks it.
+    Every key of the file is explained in a comment. Its first line names a JSON Schema, written
+    beside it into the folder schemas, by which an editor completes and checks it.
 
     \b
     Example:
@@ -58,8 +61,8 @@ def _name(path: Path) -> str:
 def bench(path: Path, yes: bool, **given: Any) -> None:
     """Write a bench file to PATH. What no option gives is asked for, with a default.
 
-    A simulated bench is the machine that the file describes, with friction scaled to its torque, so that sequences
-    can be tried before there is hardware.
+    A simulated bench is the machine that the file describes, with friction scaled to its torque, so
+    that sequences can be tried before there is hardware.
 
     \b
     Example:
@@ -78,10 +81,16 @@ def bench(path: Path, yes: bool, **given: Any) -> None:
 @command.command("sequence")
 @_PATH
 @options(sequences.QUESTIONS)
-@click.option("--bench", "bench_name", metavar="BENCH", help="Bench file or packaged name whose limits it must keep.")
+@click.option(
+    "--bench",
+    "bench_name",
+    metavar="BENCH",
+    help="Bench file or packaged name whose limits it must keep.",
+)
 @_YES
 def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> None:
-    """Write a sequence file to PATH: one stage of a sine on the empty lever, and one for each weight.
+    """Write a sequence file to PATH: one stage of a sine on the empty lever, and one for each
+    weight.
 
     \b
     Example:
@@ -105,18 +114,22 @@ def sequence(path: Path, bench_name: str | None, yes: bool, **given: Any) -> Non
 def campaign(path: Path, files: tuple[Path, ...], yes: bool, **given: Any) -> None:
     """Write a campaign file to PATH that describes recordings made elsewhere, FILES.
 
-    Columns are read from the files, and guesses of what they hold are proposed with a scale to SI where a name states
-    a unit. A mass in a file's name, such as log_5kg.csv, is taken as that on the lever.
+    Columns are read from the files, and guesses of what they hold are proposed with a scale to SI
+    where a name states a unit. A mass in a file's name, such as log_5kg.csv, is taken as that on
+    the lever.
 
     \b
     Example:
-      rig new campaign campaign.yaml log_0kg.csv log_5kg.csv --current i_meas --moment-arm 0.15 --lever-ratio 1
+      rig new campaign campaign.yaml log_0kg.csv log_5kg.csv --current i_meas --moment-arm 0.15
+      --lever-ratio 1
     """
     require_new(path, "campaign")
     tables = campaigns.read_names(files)
     with _terminal(yes) as (asker, tell):
         answers = campaigns.answer(tables, given, asker, tell)
-    written = write_new(path, "campaign", campaigns.campaign_text(path, tables, answers), load_campaign)
+    written = write_new(
+        path, "campaign", campaigns.campaign_text(path, tables, answers), load_campaign
+    )
     _say(written, f"rig identify {path}")
 
 

@@ -11,8 +11,16 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
 
 
 @click.command("paper")
-@click.option("--seeds", type=click.IntRange(min=1), default=20, show_default=True, help="Searches per method.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them.")
+@click.option(
+    "--seeds",
+    type=click.IntRange(min=1),
+    default=20,
+    show_default=True,
+    help="Searches per method.",
+)
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The first of them."
+)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -21,13 +29,19 @@ _STUDY_SHARE = 0.4  # of the time, with 20 seeds
     help="Folder for page and figures.",
 )
 @click.option(
-    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file.",
 )
 def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
-    """Reproduce the paper's tables and figures, each beside what the paper prints or shows, on one page (paper.html).
+    """Reproduce the paper's tables and figures, each beside what the paper prints or shows, on one
+    page (paper.html).
 
-    The literal bench is simulated and identified by both methods from every seed; slow ramps, uniform motion and a hot
-    firing run through the whole simulated chain. Every figure is there as PNG and its numbers as CSV too.
+    The literal bench is simulated and identified by both methods from every seed; slow ramps,
+    uniform motion and a hot firing run through the whole simulated chain. Every figure is there as
+    PNG and its numbers as CSV too.
 
     \b
     Example:
@@ -50,7 +64,8 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     with ShareBar() as bar:
         shown = study(seed, lambda what, share: bar(what, _STUDY_SHARE * share))
         found = reproduce(
-            range(seed, seed + seeds), lambda what, share: bar(what, _STUDY_SHARE + (1.0 - _STUDY_SHARE) * share)
+            range(seed, seed + seeds),
+            lambda what, share: bar(what, _STUDY_SHARE + (1.0 - _STUDY_SHARE) * share),
         )
         provenance = Provenance.of(seed, found.dataset.recordings, time.perf_counter() - started)
         report = write(out, found, [*shown, *exhibits(found)], provenance, json_file)

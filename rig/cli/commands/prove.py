@@ -9,7 +9,9 @@ import click
 
 
 @click.command("prove")
-@click.option("--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many.")
+@click.option(
+    "--rigs", type=click.IntRange(min=1), default=600, show_default=True, help="How many."
+)
 @click.option(
     "--from",
     "source",
@@ -24,16 +26,40 @@ import click
     help="Folder; one begun before is gone on with.",
 )
 @click.option("--jobs", type=click.IntRange(min=1), default=1, show_default=True, help="Processes.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of draws and diagnosis.")
-@click.option("--gas", is_flag=True, help="Rigs that hide something in their gas generator; pressure and angle alone.")
-@click.option("--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each.")
 @click.option(
-    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of draws and diagnosis.",
+)
+@click.option(
+    "--gas",
+    is_flag=True,
+    help="Rigs that hide something in their gas generator; pressure and angle alone.",
+)
+@click.option(
+    "--keep", is_flag=True, help="Keep the recordings of rigs that are scored, 7 MB each."
+)
+@click.option(
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file.",
 )
 def command(
-    rigs: int, source: Path | None, out: Path, jobs: int, seed: int, gas: bool, keep: bool, json_file: Path | None
+    rigs: int,
+    source: Path | None,
+    out: Path,
+    jobs: int,
+    seed: int,
+    gas: bool,
+    keep: bool,
+    json_file: Path | None,
 ) -> None:
-    """Prove the diagnosis blind: draw rigs that hide physics, seal the truth, diagnose, unseal, score.
+    """Prove the diagnosis blind: draw rigs that hide physics, seal the truth, diagnose, unseal,
+    score.
 
     The SHA-256 of every sealed truth is printed before the first diagnosis starts.
 
@@ -66,7 +92,8 @@ def command(
         provenance = Provenance.of(seed, (), time.perf_counter() - started, out / PROOF_FILE)
     except OSError as error:
         raise InputError(
-            f"{error.filename or out}: cannot be written: {error.strerror}; give --out another place"
+            f"{error.filename or out}: cannot be written: {error.strerror}; give --out another "
+            f"place"
         ) from error
     result = output.record(rows, provenance)
     report = output.write(out, result, provenance, json_file)

@@ -21,11 +21,18 @@ from rig.wiring.ownership import until_the_end
 
 @click.command("recover")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write the completed run.json here.")
+@click.option(
+    "--json",
+    "json_file",
+    type=click.Path(path_type=Path),
+    help="Also write the completed run.json here.",
+)
 def command(run: Path, json_file: Path | None) -> int:
-    """Rewrite RUN's recording from everything that is readable in it, and complete its run.json and its page.
+    """Rewrite RUN's recording from everything that is readable in it, and complete its run.json and
+    its page.
 
-    The damaged file is kept beside it. A whole run is left as it is; its page is written where it is missing.
+    The damaged file is kept beside it. A whole run is left as it is; its page is written where it
+    is missing.
 
     \b
     Example:

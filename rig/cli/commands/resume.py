@@ -33,8 +33,18 @@ from rig.wiring.preflight import require_startable
 
 @click.command("resume")
 @click.argument("run", type=click.Path(path_type=Path))
-@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
-@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
+@click.option(
+    "--yes",
+    is_flag=True,
+    help="Answer the weight prompts as planned; refused with weights on a real bench.",
+)
+@click.option(
+    "--operator",
+    "operator_name",
+    metavar="NAME",
+    type=valid,
+    help="Who runs it; kept with the recording.",
+)
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -43,15 +53,19 @@ from rig.wiring.preflight import require_startable
 @click.option(
     "--first-pass/--no-first-pass",
     default=None,
-    help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
+    help="Go through each stage at 10 % first. [default: on a real bench, or with "
+    "--identification]",
 )
 @click.option(
     "--reset-fault",
     is_flag=True,
-    help="Clear a fault that the drive is in; its cause must be removed first. Always done where the writer died, "
+    help="Clear a fault that the drive is in; its cause must be removed first. Always done where "
+    "the writer died, "
     "as the drive's own watch has then tripped.",
 )
-@click.option("--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file.")
+@click.option(
+    "--json", "json_file", type=click.Path(path_type=Path), help="Also write run.json to this file."
+)
 def command(
     run: Path,
     yes: bool,
@@ -61,10 +75,12 @@ def command(
     reset_fault: bool,
     json_file: Path | None,
 ) -> int:
-    """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same folder.
+    """Go on with RUN at its first unfinished stage, after a crash, a stop or a trip, into the same
+    folder.
 
-    A recording whose writer died is mended first. The unfinished stage begins again; what it left behind is kept in
-    its recording but not used. Bench and sequence files must be those of the run. Ctrl-C does what it does in a run.
+    A recording whose writer died is mended first. The unfinished stage begins again; what it left
+    behind is kept in its recording but not used. Bench and sequence files must be those of the run.
+    Ctrl-C does what it does in a run.
 
     \b
     Example:
@@ -89,7 +105,14 @@ def command(
     seed = record.seed + len(record.parts)
     reset = reset_fault or resumed.died
     inputs = Inputs(
-        resumed.bench, resumed.sequence, seed, record.realtime, operator_name, reference, reset, feedforward
+        resumed.bench,
+        resumed.sequence,
+        seed,
+        record.realtime,
+        operator_name,
+        reference,
+        reset,
+        feedforward,
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
@@ -98,7 +121,9 @@ def command(
     require_attendance(plan, bench, yes, at_terminal())
     with closing(screen), StopButton(screen.say) as stop:
         offset = feedforward is not None
-        with connected(stop, bench, seed, record.realtime, torque_offset=offset, purpose="rig resume") as devices:
+        with connected(
+            stop, bench, seed, record.realtime, torque_offset=offset, purpose="rig resume"
+        ) as devices:
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
             operator = (
@@ -107,5 +132,7 @@ def command(
                 else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
             )
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
-                folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress, record=record)
+                folder, outcome = execute(
+                    inputs, plan, devices, run, operator, stop, progress, record=record
+                )
         return conclude(folder, outcome, reference, json_file, screen)

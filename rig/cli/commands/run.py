@@ -40,19 +40,46 @@ from rig.wiring.preflight import require_startable
 
 @click.command("run")
 @click.argument("sequence")
-@click.option("--bench", default="practical", show_default=True, help="Bench file, or the name of a packaged one.")
-@click.option("--out", type=click.Path(path_type=Path), help="Run folder, new or empty. [default: runs/<utc>-<name>]")
-@click.option("--yes", is_flag=True, help="Answer the weight prompts as planned; refused with weights on a real bench.")
+@click.option(
+    "--bench",
+    default="practical",
+    show_default=True,
+    help="Bench file, or the name of a packaged one.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path),
+    help="Run folder, new or empty. [default: runs/<utc>-<name>]",
+)
+@click.option(
+    "--yes",
+    is_flag=True,
+    help="Answer the weight prompts as planned; refused with weights on a real bench.",
+)
 @click.option("--realtime", is_flag=True, help="Hold the mock bench to real time.")
-@click.option("--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the mock bench's noise.")
+@click.option(
+    "--dry-run", is_flag=True, help="Print the plan and the torque it takes; connect to nothing."
+)
+@click.option(
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Of the mock bench's noise.",
+)
 @click.option(
     "--faults",
     "fault_file",
     type=click.Path(path_type=Path),
     help="Schedule (YAML or CSV) of what goes wrong on the mock bench.",
 )
-@click.option("--operator", "operator_name", metavar="NAME", type=valid, help="Who runs it; kept with the recording.")
+@click.option(
+    "--operator",
+    "operator_name",
+    metavar="NAME",
+    type=valid,
+    help="Who runs it; kept with the recording.",
+)
 @click.option(
     "--identification",
     type=click.Path(path_type=Path),
@@ -62,21 +89,26 @@ from rig.wiring.preflight import require_startable
     "--feedforward",
     "feedforward_file",
     type=click.Path(path_type=Path),
-    help="Result of `rig identify --json` on this bench: the drive adds the friction and inertia torque it predicts.",
+    help="Result of `rig identify --json` on this bench: the drive adds the friction and inertia "
+    "torque it predicts.",
 )
 @click.option(
     "--first-pass/--no-first-pass",
     default=None,
-    help="Go through each stage at 10 % first. [default: on a real bench, or with --identification]",
+    help="Go through each stage at 10 % first. [default: on a real bench, or with "
+    "--identification]",
 )
 @click.option(
-    "--reset-fault", is_flag=True, help="Clear a fault that the drive is in; its cause must be removed first."
+    "--reset-fault",
+    is_flag=True,
+    help="Clear a fault that the drive is in; its cause must be removed first.",
 )
 @click.option(
     "--prompt-timeout",
     "prompt_timeout_s",
     type=click.FloatRange(min=0, min_open=True),
-    help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of the bench file]",
+    help="Seconds to wait for an answer, then stop with status 3. [default: prompt_timeout_s of "
+    "the bench file]",
 )
 @click.option(
     "--json",
@@ -103,12 +135,14 @@ def command(
 ) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
 
-    Before each stage the drive is de-energised and the weight is asked for; `repeat` and `abort` are answers too.
-    SIGUSR1 pauses at the end of the stage, where the drive is off; `rig resume` goes on after a stop or a crash.
+    Before each stage the drive is de-energised and the weight is asked for; `repeat` and `abort`
+    are answers too. SIGUSR1 pauses at the end of the stage, where the drive is off; `rig resume`
+    goes on after a stop or a crash.
 
-    Ctrl-C, or SIGTERM, once: stops at once, brakes with the drive's ramp, takes the power off and verifies that it is.
-    Again while it brakes: takes the power off without waiting for the ramp. After that it changes nothing: the reading
-    back has a time-out of its own and is always done. It is a stop function in software, not an emergency stop.
+    Ctrl-C, or SIGTERM, once: stops at once, brakes with the drive's ramp, takes the power off and
+    verifies that it is. Again while it brakes: takes the power off without waiting for the ramp.
+    After that it changes nothing: the reading back has a time-out of its own and is always done. It
+    is a stop function in software, not an emergency stop.
 
     \b
     Example:
@@ -120,7 +154,9 @@ def command(
     bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
     click.echo(bench_line(bench_file))
     constants = bench_constants(bench_file.value)
-    feedforward = None if feedforward_file is None else load_feedforward(feedforward_file, constants)
+    feedforward = (
+        None if feedforward_file is None else load_feedforward(feedforward_file, constants)
+    )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(sequence_file, bench_file, low, feedforward)
     if feedforward is not None and feedforward.remark:
@@ -131,26 +167,49 @@ def command(
     if not (path / OWNER_FILE).exists():
         require_unused(path)
     reference = None if identification is None else load_reference(identification, constants)
-    inputs = Inputs(bench_file, sequence_file, seed, realtime, operator_name, reference, reset_fault, feedforward)
+    inputs = Inputs(
+        bench_file,
+        sequence_file,
+        seed,
+        realtime,
+        operator_name,
+        reference,
+        reset_fault,
+        feedforward,
+    )
     patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
-    saboteur = None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
+    saboteur = (
+        None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
+    )
     require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
     require_attendance(plan, bench_file, yes, dry_run or at_terminal())
-    for words in (of_another_bench(file, constants) for file in (identification, feedforward_file) if file):
+    for words in (
+        of_another_bench(file, constants) for file in (identification, feedforward_file) if file
+    ):
         if words is not None:
             click.echo(f"warning: {words}", err=True)
     if dry_run:
-        return _dry_run(bench_file, plan, friction_model(constants, identification or feedforward_file), yes, json_file)
+        return _dry_run(
+            bench_file,
+            plan,
+            friction_model(constants, identification or feedforward_file),
+            yes,
+            json_file,
+        )
     screen = Screen()
     with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
         attach = None if saboteur is None else saboteur.attach
-        with connected(stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run") as devices:
+        with connected(
+            stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run"
+        ) as devices:
             say_taken_over(devices.lock, screen)
             until_the_end(create_folder(path, "rig run"))
             operator = (
                 AutomaticOperator(screen=screen)
                 if yes
-                else ConsoleOperator(screen, patience_s=patience_s, tolerance=bench_file.value.weight_tolerance)
+                else ConsoleOperator(
+                    screen, patience_s=patience_s, tolerance=bench_file.value.weight_tolerance
+                )
             )
             carry_out = execute if saboteur is None else saboteur.execute
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
@@ -161,7 +220,9 @@ def command(
     return status
 
 
-def _dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, yes: bool, json_file: Path | None) -> int:
+def _dry_run(
+    bench: Document[Bench], plan: Plan, model: FrictionModel, yes: bool, json_file: Path | None
+) -> int:
     computed = compute_dry_run(bench, plan, model, asks=not yes)
     click.echo(describe_dry_run(computed))
     write_asked(json_file, dry_run_record(computed))

@@ -19,9 +19,11 @@ _KINDS = ("bench", "sequence", "campaign", "faults")
     help="Write KIND.schema.json into this folder; without KIND, the schemas of all kinds of file.",
 )
 def command(kind: str | None, out: Path | None) -> None:
-    """Write the JSON Schema of bench, sequence, campaign or faults files, by which editors complete and check them.
+    """Write the JSON Schema of bench, sequence, campaign or faults files, by which editors complete
+    and check them.
 
-    Files that `rig new` writes name their schema in their first line; files written by hand can do the same.
+    Files that `rig new` writes name their schema in their first line; files written by hand can do
+    the same.
 
     \b
     Example:
@@ -35,7 +37,9 @@ def command(kind: str | None, out: Path | None) -> None:
 
     if out is None:
         if kind is None:
-            raise click.UsageError(f"name a KIND ({', '.join(_KINDS)}), or give --out DIR for all of them")
+            raise click.UsageError(
+                f"name a KIND ({', '.join(_KINDS)}), or give --out DIR for all of them"
+            )
         click.echo(json.dumps(json_schema(kind), indent=1))
         return
     for name in (kind,) if kind else _KINDS:

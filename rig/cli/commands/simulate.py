@@ -25,20 +25,30 @@ import click
     help="Bandwidth of the errors; that of the first result if left out.",
 )
 @click.option(
-    "--out", type=click.Path(path_type=Path, file_okay=False), help="Folder for report and figures; ./SOURCE-simulated."
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder for report and figures; ./SOURCE-simulated.",
 )
 @click.option(
-    "--json", "json_file", metavar="FILE", type=click.Path(path_type=Path, dir_okay=False), help="Result file."
+    "--json",
+    "json_file",
+    metavar="FILE",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Result file.",
 )
 def command(
-    source: Path, results: tuple[Path, ...], bandwidth: float | None, out: Path | None, json_file: Path | None
+    source: Path,
+    results: tuple[Path, ...],
+    bandwidth: float | None,
+    out: Path | None,
+    json_file: Path | None,
 ) -> None:
     """Predict the recordings of SOURCE with the model of a result, and compare.
 
-    Torque, voltage and the difference of the encoders are predicted from the motion, with the effects of a diagnosis
-    and without. Where the campaign declares a controller the closed loop is simulated too, from its command alone;
-    its errors stand beside those with half of the friction and with none. The model as a simulated bench lies beside
-    the report.
+    Torque, voltage and the difference of the encoders are predicted from the motion, with the
+    effects of a diagnosis and without. Where the campaign declares a controller the closed loop is
+    simulated too, from its command alone; its errors stand beside those with half of the friction
+    and with none. The model as a simulated bench lies beside the report.
 
     \b
     Example:

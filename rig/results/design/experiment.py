@@ -1,4 +1,6 @@
-"""``rig identify --plan``: what a sequence would pin on a bench, and a sequence that would pin the weakest better."""
+"""``rig identify --plan``: what a sequence would pin on a bench, and a sequence that would pin the
+weakest better.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ from rig.results.design.planned_nominal import believed
 from rig.runs.run import bench_constants
 
 NOISE_SHARE = 1e-3
-"""Current noise, as a share of the bench's current limit, where neither the caller nor an identification tells it."""
+"""Current noise, as a share of the bench's current limit, where neither the caller nor an
+identification tells it.
+"""
 WEIGHTS_KG = (1.0, 2.0, 5.0, 10.0, 20.0, 40.0)
 """Masses to choose from, beside those of the sequence, where the bench file lists none."""
 
@@ -62,14 +66,17 @@ def plan_experiment(
     seed: int,
     progress: Callable[[str, float], None],
 ) -> Experiment:
-    """Judge a sequence on the nominal model of a bench, and search for a better one of the same duration.
+    """Judge a sequence on the nominal model of a bench, and search for a better one of the same
+    duration.
 
     Args:
         sequence: The experiment in mind.
-        bench: Its limits, sensors and believed constants; nothing is taken from the description of a simulated machine.
-        nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's nominal values.
-        current_noise_A: Noise of the logged current, A rms; None for what the nominal file says, or a thousandth of the
-            current limit.
+        bench: Its limits, sensors and believed constants; nothing is taken from the description of
+        a simulated machine.
+        nominal_file: Result of ``rig identify --json`` on this bench; None for the catalogue's
+        nominal values.
+        current_noise_A: Noise of the logged current, A rms; None for what the nominal file says, or
+            a thousandth of the current limit.
         seed: Of the search.
         progress: Called with what is being done and the share that is done.
 
@@ -79,12 +86,18 @@ def plan_experiment(
     started = time.perf_counter()
     limits = make_plan(sequence, bench).limits
     sequence.require(
-        (("stages", k, "ramp"), "an experiment is planned from tones; leave this stage out of the sequence")
+        (
+            ("stages", k, "ramp"),
+            "an experiment is planned from tones; leave this stage out of the sequence",
+        )
         for k, stage in enumerate(sequence.value.stages)
         if stage.ramp is not None
     )
     sequence.require(
-        (("stages", k, "stage"), "an experiment is planned with weights; leave hot firings out of the sequence")
+        (
+            ("stages", k, "stage"),
+            "an experiment is planned with weights; leave hot firings out of the sequence",
+        )
         for k, stage in enumerate(sequence.value.stages)
         if stage.stage == "hot_fire"
     )
@@ -94,7 +107,9 @@ def plan_experiment(
         noise = known.torque_noise / limits.torque_per_ampere
     elif noise is None:
         noise = NOISE_SHARE * bench.value.limits.current_A
-    torque = min(limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A)
+    torque = min(
+        limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A
+    )
     step = _joint_step(bench.value)
     nominal = Nominal(
         known.values,
@@ -116,16 +131,27 @@ def plan_experiment(
     frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
     found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, known.weakest)
     stages = _stages(sequence.value.stages, frames, found.stages)
-    proposed = sequence.value.model_copy(update={"name": f"{sequence.value.name}-proposed", "stages": stages})
+    proposed = sequence.value.model_copy(
+        update={"name": f"{sequence.value.name}-proposed", "stages": stages}
+    )
     return Experiment(
-        sequence.value, nominal, known.source, noise, found, proposed, seed, time.perf_counter() - started
+        sequence.value,
+        nominal,
+        known.source,
+        noise,
+        found,
+        proposed,
+        seed,
+        time.perf_counter() - started,
     )
 
 
 def _joint_step(bench: Bench) -> float:
     """Return the joint angle of one step of the finer encoder, rad."""
     encoder = bench.encoder
-    counts = [float(encoder.counts_per_turn if isinstance(encoder, EncoderSection) else COUNTS_PER_TURN)]
+    counts = [
+        float(encoder.counts_per_turn if isinstance(encoder, EncoderSection) else COUNTS_PER_TURN)
+    ]
     if isinstance(bench.servo, ServoSection):
         counts.append(bench.servo.counts_per_motor_turn * bench.machine.gear_ratio)
     return 2.0 * math.pi / max(counts)
@@ -144,9 +170,13 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
     present = Excitation(tones, stage.weight_kg, stage.duration_s)
 
     def render(e: Excitation) -> Array:
-        """Return the joint angles of all repeats; the phases of the sequence hold only for its own tones."""
+        """Return the joint angles of all repeats; the phases of the sequence hold only for its own
+        tones.
+        """
         section = stage if e is present else _with(stage, e, stage.name)
-        once = np.concatenate([np.zeros(round(section.settle_s / cycle_s)), excitation(section, cycle_s)])
+        once = np.concatenate(
+            [np.zeros(round(section.settle_s / cycle_s)), excitation(section, cycle_s)]
+        )
         once[: round(section.settle_s / cycle_s)] = math.radians(section.center_deg)
         return np.tile(once, section.repeats)
 
@@ -154,7 +184,9 @@ def _frame(stage: StageSection, cycle_s: float) -> Frame:
     return Frame(stage.stage == "loaded", present, total, stage.settle_s, render)
 
 
-def _stages(stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]) -> tuple[StageSection, ...]:
+def _stages(
+    stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[Part, ...]
+) -> tuple[StageSection, ...]:
     """Return the stages of a proposal; those in place of one stage bear its name and a number."""
     out = []
     for number, (stage, frame) in enumerate(zip(stages, frames, strict=True)):
@@ -167,18 +199,31 @@ def _stages(stages: tuple[StageSection, ...], frames: list[Frame], parts: tuple[
 
 
 def _with(stage: StageSection, e: Excitation, name: str) -> StageSection:
-    """Return a stage with another excitation about the same centre, rounded as it will be written."""
-    changes: dict[str, Any] = {"name": name, "weight_kg": e.weight, "duration_s": e.seconds, "repeats": 1}
-    # What a limit of the old stage's time was meant for is not what is proposed; the plan gives a bound of its own.
+    """Return a stage with another excitation about the same centre, rounded as it will be
+    written.
+    """
+    changes: dict[str, Any] = {
+        "name": name,
+        "weight_kg": e.weight,
+        "duration_s": e.seconds,
+        "repeats": 1,
+    }
+    # What a limit of the old stage's time was meant for is not what is proposed; the plan gives a
+    # bound of its own.
     changes["time_limit_s"] = None
     if e.ramps is None:
         tones = tuple(
-            Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4)) for a, f in e.tones
+            Tone(amplitude_deg=round(math.degrees(a), 3) or 0.001, frequency_Hz=round(f, 4))
+            for a, f in e.tones
         )
         fades = {"ramp_in_s": e.fade, "ramp_out_s": e.fade}
         return stage.model_copy(update={**changes, "tones": tones, **fades})
     speed = round(math.degrees(e.ramps.speed), 3)
-    travel = math.floor(1e3 * speed * e.ramps.away - 1e-6) / 1e3  # so that there and back fit in the duration
+    travel = (
+        math.floor(1e3 * speed * e.ramps.away - 1e-6) / 1e3
+    )  # so that there and back fit in the duration
     ramp = Ramp(travel_deg=travel, speed_deg_s=speed, rest_s=0.0, times=round(e.seconds / e.step))
-    unfaded = {name: StageSection.model_fields[name].default for name in ("ramp_in_s", "ramp_out_s")}
+    unfaded = {
+        name: StageSection.model_fields[name].default for name in ("ramp_in_s", "ramp_out_s")
+    }
     return stage.model_copy(update={**changes, "tones": (), "ramp": ramp, **unfaded})

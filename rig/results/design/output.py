@@ -25,10 +25,22 @@ def text(experiment: Experiment) -> str:
     """Return what is pinned now and would be, and the stages of the proposal, for the terminal."""
     now, then = experiment.proposal.present, experiment.proposal.pinned
     rows = [
-        [n, number(experiment.nominal.values[n]), _width(now, n), _width(then, n), _gain(now, then, n)]
+        [
+            n,
+            number(experiment.nominal.values[n]),
+            _width(now, n),
+            _width(then, n),
+            _gain(now, then, n),
+        ]
         for n in now.half_widths
     ]
-    header = ["parameter", "nominal", experiment.sequence.name, experiment.proposed.name, "times tighter"]
+    header = [
+        "parameter",
+        "nominal",
+        experiment.sequence.name,
+        experiment.proposed.name,
+        "times tighter",
+    ]
     lines = [
         "90 % interval over the value, half width, from a rehearsal on the nominal model:",
         "",
@@ -38,9 +50,14 @@ def text(experiment: Experiment) -> str:
         f"{experiment.proposed.name}: {_words(then)}",
         _advice(experiment),
         "",
-        table(["stage", "kg", "s", "excitation"], [_stage(s) for s in experiment.proposed.stages], (1, 2)),
+        table(
+            ["stage", "kg", "s", "excitation"],
+            [_stage(s) for s in experiment.proposed.stages],
+            (1, 2),
+        ),
         "",
-        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A rms; "
+        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
+        f"rms; "
         f"{_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
         f"{experiment.proposal.rehearsed} experiments rehearsed, in {experiment.seconds:.1f} s",
     ]
@@ -48,18 +65,22 @@ def text(experiment: Experiment) -> str:
 
 
 def _advice(experiment: Experiment) -> str:
-    """Say what the proposal is for; or that nothing better bore a rehearsal, and it is the sequence as it was."""
+    """Say what the proposal is for; or that nothing better bore a rehearsal, and it is the sequence
+    as it was.
+    """
     aim = f"aimed at {experiment.proposal.weakest}, which is pinned worst now"
     if experiment.proposal.pinned == experiment.proposal.present:
         return (
-            f"{aim}: no experiment that promises more bore its rehearsal, so the sequence is proposed as it is; "
+            f"{aim}: no experiment that promises more bore its rehearsal, so the sequence is "
+            f"proposed as it is; "
             "another --seed tries others"
         )
     return f"{aim}; where another parameter comes out wider, run both and identify them together"
 
 
 def write(folder: Path, experiment: Experiment, bench: str, json_file: Path | None) -> Path:
-    """Write proposal and result file into ``folder``, and the result once more where asked; return the proposal.
+    """Write proposal and result file into ``folder``, and the result once more where asked; return
+    the proposal.
 
     Raises:
         InputError: A place cannot be written.
@@ -80,14 +101,17 @@ def write(folder: Path, experiment: Experiment, bench: str, json_file: Path | No
 def _yaml(experiment: Experiment, bench: str) -> str:
     worst = experiment.proposal.pinned
     head = (
-        f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench {bench}, "
+        f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
+        f"{bench}, "
         f"seed {experiment.seed}.\n# Nominal: {experiment.nominal_source}.\n# {_words(worst)}.\n"
     )
     return head + yaml.safe_dump(_plain(experiment.proposed), sort_keys=False, allow_unicode=True)
 
 
 def _plain(sequence: Sequence) -> dict[str, Any]:
-    """Return a sequence as its file states it; what is at its default is left out, but for what a reader looks for."""
+    """Return a sequence as its file states it; what is at its default is left out, but for what a
+    reader looks for.
+    """
     plain: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
     return {"sequence": sequence.sequence, **plain}
 
@@ -107,7 +131,9 @@ def _record(experiment: Experiment, bench: str) -> dict[str, Any]:
         "aimed_at": experiment.proposal.weakest,
         "present": _pinned_record(experiment.sequence, experiment.proposal.present),
         "proposed": _pinned_record(experiment.proposed, experiment.proposal.pinned),
-        "fisher_half_widths": {n: finite(w) for n, w in experiment.proposal.promised.half_widths.items()},
+        "fisher_half_widths": {
+            n: finite(w) for n, w in experiment.proposal.promised.half_widths.items()
+        },
         "judged": experiment.proposal.judged,
         "rehearsed": experiment.proposal.rehearsed,
     }
@@ -125,7 +151,10 @@ def _words(found: Pinned) -> str:
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:
         return f"says nothing of {', '.join(open_names)}"
-    return f"pins all {len(found.half_widths)}; the weakest is {found.weakest}, to {percent(100.0 * found.worst)}"
+    return (
+        f"pins all {len(found.half_widths)}; the weakest is {found.weakest}, to "
+        f"{percent(100.0 * found.worst)}"
+    )
 
 
 def _drive(experiment: Experiment) -> str:
@@ -153,5 +182,8 @@ def excitation_words(stage: StageSection) -> str:
     """Return what a stage commands, in words: sines, or ramps."""
     if stage.ramp is not None:
         ramp = stage.ramp
-        return f"{ramp.times} times {ramp.travel_deg:g} deg there and back at {ramp.speed_deg_s:g} deg/s"
+        return (
+            f"{ramp.times} times {ramp.travel_deg:g} deg there and back at "
+            f"{ramp.speed_deg_s:g} deg/s"
+        )
     return ", ".join(f"{t.amplitude_deg:g} deg at {t.frequency_Hz:g} Hz" for t in stage.tones)

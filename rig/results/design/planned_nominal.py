@@ -1,4 +1,6 @@
-"""What `rig identify --plan` is told of a bench: the result of an identification, and the drive in its recordings."""
+"""What `rig identify --plan` is told of a bench: the result of an identification, and the drive in
+its recordings.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,8 @@ class Believed:
 
 
 def believed(path: Path | None) -> Believed:
-    """Return what a result of `rig identify --json` says; what it left open comes from the catalogue.
+    """Return what a result of `rig identify --json` says; what it left open comes from the
+    catalogue.
 
     Raises:
         InputError: The file cannot be read or is no result of ``rig identify`` on a rotary bench.
@@ -71,7 +74,8 @@ def believed(path: Path | None) -> Believed:
 
 
 def _torque_noise(noise: dict[str, Any] | None) -> float | None:
-    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it was not found.
+    """Return the noise of the measured torque in a result file, both parts, N m rms; None where it
+    was not found.
 
     Raises:
         KeyError, TypeError, ValueError: It is damaged.
@@ -85,13 +89,17 @@ def _torque_noise(noise: dict[str, Any] | None) -> float | None:
 
 
 def _half_width(parameter: dict[str, Any]) -> float:
-    """Return a parameter's relative half width in a result file; infinite where it was left open."""
+    """Return a parameter's relative half width in a result file; infinite where it was left
+    open.
+    """
     value, low, high = (parameter[key] for key in ("value", "low", "high"))
     return math.inf if not value or low is None or high is None else 0.5 * (high - low) / abs(value)
 
 
 def _recordings(inputs: dict[Path, str]) -> tuple[Recording, ...]:
-    """Return the recordings of the runs among the inputs that are still what they were; others are left out."""
+    """Return the recordings of the runs among the inputs that are still what they were; others are
+    left out.
+    """
     out: list[Recording] = []
     for folder in sorted({file.parent for file in inputs}):
         mine = {file: digest for file, digest in inputs.items() if file.parent == folder}

@@ -63,14 +63,17 @@ def diagnose_source(
     Args:
         source: Run folder or campaign file.
         seed: Of the random generator.
-        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its own.
+        bandwidth_Hz: Bandwidth of every error; None leaves it to the recordings. Pressure keeps its
+        own.
         progress: Called with what is being done and the share that is done.
-        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken out, where the
-            recordings allow it; None where there are :data:`REFINED_SAMPLES` at most. Those of a gas generator always
-            are.
-        gas: Diagnose the gas generator though there is torque as well; recordings in which none burns are left out.
+        refine: Whether to refit the nominal parameters by prediction errors, with the effects taken
+            out, where the recordings allow it; None where there are :data:`REFINED_SAMPLES` at
+            most. Those of a gas generator always are.
+        gas: Diagnose the gas generator though there is torque as well; recordings in which none
+        burns are left out.
         onlooker: Shown the nominal model's fit before anything is sought; not of a gas generator.
-        partial: Whether to take the unfinished excitations of a run as well; the result warns of them.
+        partial: Whether to take the unfinished excitations of a run as well; the result warns of
+            them.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -86,7 +89,9 @@ def diagnose_source(
             dataset = burning(dataset)
             found, refine = diagnose_gas(dataset, rng=rng, progress=progress), False
         else:
-            found = diagnose(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker)
+            found = diagnose(
+                dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=progress, onlooker=onlooker
+            )
         if refine is None:
             found, refine = _refined_or_told(dataset, found)
         if refine:
@@ -113,14 +118,19 @@ def burning(dataset: Dataset) -> Dataset:
     Raises:
         RecordingError: There are none.
     """
-    kept = tuple(r for r in dataset.recordings if bears(r) and (r.hot_fire or not r.channels.keys() & EFFORT))
+    kept = tuple(
+        r for r in dataset.recordings if bears(r) and (r.hot_fire or not r.channels.keys() & EFFORT)
+    )
     if not kept:
-        raise RecordingError("no hot firing with pressure and angle on a bench with bench.gas_generator")
+        raise RecordingError(
+            "no hot firing with pressure and angle on a bench with bench.gas_generator"
+        )
     return dataclasses.replace(dataset, recordings=kept)
 
 
 def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
-    """Return a diagnosis whose nominal parameters are those of the default estimator with the effects taken out.
+    """Return a diagnosis whose nominal parameters are those of the default estimator with the
+    effects taken out.
 
     Raises:
         RecordingError: The recordings cannot pin the nominal model.
@@ -129,7 +139,9 @@ def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
     model = model_of(record, [r.name for r in dataset.recordings])
     result = refit(dataset, model, found.fit.bandwidth_Hz)
     values = result.values()
-    shift = {n: dataclasses.replace(s, after=values.get(n)) for n, s in found.parameter_shift.items()}
+    shift = {
+        n: dataclasses.replace(s, after=values.get(n)) for n, s in found.parameter_shift.items()
+    }
     notes = tuple(f"refined: {w}" for w in result.warnings)
     return dataclasses.replace(
         found,
@@ -140,16 +152,23 @@ def refined(dataset: Dataset, found: Diagnosis) -> Diagnosis:
 
 
 def _refined_or_told(dataset: Dataset, found: Diagnosis) -> tuple[Diagnosis, bool]:
-    """Say whether refining takes no longer than the search; where it does, tell how to ask for it."""
+    """Say whether refining takes no longer than the search; where it does, tell how to ask for
+    it.
+    """
     samples = sum(len(r.time) for r in dataset.part("fit"))
     if samples <= REFINED_SAMPLES:
         return found, True
-    note = f"not refined: {samples} samples are fitted, and refining them takes minutes; --refine does it"
+    note = (
+        f"not refined: {samples} samples are fitted, and refining them takes minutes; --refine "
+        f"does it"
+    )
     return dataclasses.replace(found, warnings=(*found.warnings, note)), False
 
 
 def _refined_if_possible(dataset: Dataset, found: Diagnosis) -> Diagnosis:
-    """Refine where the recordings allow it; where not, say why and keep the values of the search."""
+    """Refine where the recordings allow it; where not, say why and keep the values of the
+    search.
+    """
     try:
         return refined(dataset, found)
     except RecordingError as error:
@@ -159,15 +178,19 @@ def _refined_if_possible(dataset: Dataset, found: Diagnosis) -> Diagnosis:
 def settled(found: Diagnosis) -> Diagnosis:
     """Return a diagnosis that says nothing of friction at rest where its recordings do not pin it.
 
-    The equation errors at a low bandwidth may leave static friction at any height above a speed too low to be seen, and
-    a machine made of that never breaks away: it is brought down to Coulomb's, and the reader told.
+    The equation errors at a low bandwidth may leave static friction at any height above a speed too
+    low to be seen, and a machine made of that never breaks away: it is brought down to Coulomb's,
+    and the reader told.
     """
     parameters, notes = dict(found.parameters), []
     for static, coulomb in (("Ms", "Mc"), ("mu_s", "mu_c"), ("mu_gs", "mu_gc")):
         shift = found.parameter_shift.get(static)
         if shift is not None and shift.after is None and {static, coulomb} <= parameters.keys():
             parameters[static] = parameters[coulomb]
-            notes.append(f"{static} is not pinned by these recordings; the corrected model has it equal to {coulomb}")
+            notes.append(
+                f"{static} is not pinned by these recordings; the corrected model has it equal to "
+                f"{coulomb}"
+            )
     return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))
 
 

@@ -1,4 +1,6 @@
-"""What a diagnosis leaves beside its report: the corrected model in three forms, and the experiment that decides."""
+"""What a diagnosis leaves beside its report: the corrected model in three forms, and the experiment
+that decides.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,8 @@ class Beside:
 
 
 def write_beside(folder: Path, source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Beside:
-    """Write the corrected model as YAML, Python and simulated bench, and the experiment that splits an alias group.
+    """Write the corrected model as YAML, Python and simulated bench, and the experiment that splits
+    an alias group.
 
     Args:
         folder: Where to; made already.
@@ -49,8 +52,12 @@ def write_beside(folder: Path, source: Path, outcome: Outcome, record: Mapping[s
         OSError: The folder cannot be written.
     """
     if of_gas(outcome.diagnosis):
-        write_text(folder / GAS_FILE, gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench))
-        return Beside(((GAS_FILE, "the corrected gas generator, as a block of a campaign file"),), ())
+        write_text(
+            folder / GAS_FILE, gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
+        )
+        return Beside(
+            ((GAS_FILE, "the corrected gas generator, as a block of a campaign file"),), ()
+        )
     texts: list[tuple[str, str, str]] = []
     notes: list[str] = []
     recordings = outcome.dataset.recordings
@@ -71,9 +78,16 @@ def write_beside(folder: Path, source: Path, outcome: Outcome, record: Mapping[s
     if outcome.diagnosis.verdict is Verdict.AMBIGUOUS:
         limits = Bench.model_validate_json(json.dumps(base), strict=True)
         for effect in outcome.diagnosis.effects:
-            sequence = separating_sequence(effect.alias_group, limits) if len(effect.alias_group) > 1 else None
+            sequence = (
+                separating_sequence(effect.alias_group, limits)
+                if len(effect.alias_group) > 1
+                else None
+            )
             if sequence is not None:
-                use = f"splits {', '.join(effect.alias_group)}: rig run {SEQUENCE_FILE}, then diagnose both together"
+                use = (
+                    f"splits {', '.join(effect.alias_group)}: rig run {SEQUENCE_FILE}, then "
+                    f"diagnose both together"
+                )
                 texts.append((SEQUENCE_FILE, use, sequence))
                 break
         else:

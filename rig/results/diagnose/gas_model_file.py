@@ -1,4 +1,6 @@
-"""What a diagnosis of the gas generator leaves beside its report: corrected constants and effects."""
+"""What a diagnosis of the gas generator leaves beside its report: corrected constants and
+effects.
+"""
 
 from __future__ import annotations
 
@@ -44,10 +46,13 @@ def gas_text(found: Diagnosis, bench: Bench) -> str:
         "back_pressure": g.p_c0,
         "valve": {key: float(found.parameters[name]) for name, key in _VALVE_KEYS.items()},
     }
-    effects: Mapping[str, Any] = {e.name: {n: float(v.value) for n, v in e.parameters.items()} for e in found.effects}
+    effects: Mapping[str, Any] = {
+        e.name: {n: float(v.value) for n, v in e.parameters.items()} for e in found.effects
+    }
     return (
-        "# Corrected constants, for `bench:` of a campaign; free_volume is the mean over the recordings.\n"
+        "# Corrected constants, for `bench:` of a campaign; free_volume is the mean over the "
+        "recordings.\n"
         + yaml.safe_dump({"gas_generator": block}, sort_keys=False)
-        + "# What eq. 2 to 8 lack, by the catalogue's names; `rig effects NAME` has the equations.\n"
-        + yaml.safe_dump({"effects": effects}, sort_keys=False)
+        + "# What eq. 2 to 8 lack, by the catalogue's names; `rig effects NAME` has the "
+        "equations.\n" + yaml.safe_dump({"effects": effects}, sort_keys=False)
     )

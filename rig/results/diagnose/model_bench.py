@@ -64,8 +64,11 @@ def _plain(text: str) -> Tree:
     return plain
 
 
-def model_bench(base: Mapping[str, Any], model: CorrectedModel, constants: Constants) -> tuple[Tree, list[str]]:
-    """Return a bench file's data whose simulated machine is the model of a result, and what it cannot carry.
+def model_bench(
+    base: Mapping[str, Any], model: CorrectedModel, constants: Constants
+) -> tuple[Tree, list[str]]:
+    """Return a bench file's data whose simulated machine is the model of a result, and what it
+    cannot carry.
 
     Args:
         base: Bench whose drive loops, sensors and limits are kept.
@@ -81,11 +84,15 @@ def model_bench(base: Mapping[str, Any], model: CorrectedModel, constants: Const
     absent = [key for key, name in _MOTOR.items() if getattr(constants, name) is None]
     if missing or absent or constants.motion != "rotary":
         why = ", ".join([*missing, *absent]) or "rotary motion"
-        raise InputError(f"a simulated bench needs {why}, which the result or its recordings do not give")
+        raise InputError(
+            f"a simulated bench needs {why}, which the result or its recordings do not give"
+        )
     bench = json.loads(json.dumps(base))
     mock = bench.setdefault("mock", {})
     joint = mock.setdefault("joint", {})
-    joint.update({JOINT_FIELDS[name]: value for name, value in values.items() if name in JOINT_FIELDS})
+    joint.update(
+        {JOINT_FIELDS[name]: value for name, value in values.items() if name in JOINT_FIELDS}
+    )
     joint.update({JOINT_FIELDS[name]: 0.0 for name in _LOAD if name not in values})
     joint["alpha"] = model.alpha
     motor = {key: getattr(constants, name) for key, name in _MOTOR.items()}
@@ -102,7 +109,8 @@ def model_bench(base: Mapping[str, Any], model: CorrectedModel, constants: Const
     mock["effects"] = effects
     if model.curve is not None:
         notes.append(
-            "the empirical curve of what is missing is left out of the simulated bench, which has no such term"
+            "the empirical curve of what is missing is left out of the simulated bench, which has "
+            "no such term"
         )
     bench["name"] = f"{bench['name']}-corrected"
     return bench, notes
@@ -117,9 +125,12 @@ def bench_text(bench: Mapping[str, Any], notes: Sequence[str]) -> str:
     try:
         Bench.model_validate_json(json.dumps(bench), strict=True)
     except ValueError as error:
-        raise InputError(f"the corrected model is no machine that can be simulated: {error}") from error
+        raise InputError(
+            f"the corrected model is no machine that can be simulated: {error}"
+        ) from error
     head = [
-        "# A simulated bench whose machine is the corrected model; run it with `rig run SEQUENCE --bench` this file."
+        "# A simulated bench whose machine is the corrected model; run it with `rig run SEQUENCE "
+        "--bench` this file."
     ]
     body = yaml.safe_dump(dict(bench), sort_keys=False, default_flow_style=False)
     return "\n".join([*head, *(f"# {note}" for note in notes)]) + "\n" + body

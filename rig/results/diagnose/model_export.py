@@ -1,4 +1,6 @@
-"""The corrected model for other tools: as YAML, and as a file of plain Python that needs nothing but numpy."""
+"""The corrected model for other tools: as YAML, and as a file of plain Python that needs nothing
+but numpy.
+"""
 
 from __future__ import annotations
 
@@ -21,11 +23,13 @@ _TABLES: Mapping[str, Mapping[str, Callable[..., Any]]] = {
     "VOLTAGE": motor.VOLTAGE,
 }
 _HEAD = '''\
-"""Corrected model of {name}: what the motion asks of the drive, and what its sensors show. Needs numpy alone.
+"""Corrected model of {name}: what the motion asks of the drive, and what its sensors show.
+
+Needs numpy alone.
 
     s = signals(M, time, angle, velocity, acceleration, contact_force=3000.0, current=current)
     torque(s)        N m at the joint that the motion asks for
-    drive(s)         N m at the joint that the logged current gives; equal to torque(s) but for noise
+    drive(s)         N m at the joint that the logged current gives; torque(s) but for noise
     twist(s)         motor_angle / i - angle, rad
     voltage(s)       V that the logged current asks for
 
@@ -42,7 +46,7 @@ Array = np.ndarray
 M = {numbers}
 """Nominal parameters and constants of the bench, SI, at the joint but for R, L and Ke."""
 CURVE: Any = {curve}
-"""What is missing and has no name: equation, signal, grid, values; None where there is no such thing."""
+"""Unmodelled torque without an effect: equation, signal, grid, values; None where there is none."""
 '''
 _TAIL = '''\
 def torque(s: Any) -> Array:
@@ -84,8 +88,14 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
         "model": 1,
         "parameters": {name: float(value) for name, value in model.parameters.items()},
         "alpha": float(model.alpha),
-        "constants": {k: v for k, v in model.numbers(recording).items() if k not in model.parameters and k != "alpha"},
-        "effects": {name: {k: float(v) for k, v in given.items()} for name, given in model.effects.items()},
+        "constants": {
+            k: v
+            for k, v in model.numbers(recording).items()
+            if k not in model.parameters and k != "alpha"
+        },
+        "effects": {
+            name: {k: float(v) for k, v in given.items()} for name, given in model.effects.items()
+        },
     }
     if model.curve is not None:
         curve = model.curve
@@ -97,11 +107,14 @@ def yaml_text(model: CorrectedModel, recording: Recording) -> str:
             "grid": curve.grid.tolist(),
             "value": curve.value.tolist(),
         }
-    return "# Corrected model, SI units, at the joint after the gear.\n" + yaml.safe_dump(record, sort_keys=False)
+    return "# Corrected model, SI units, at the joint after the gear.\n" + yaml.safe_dump(
+        record, sort_keys=False
+    )
 
 
 def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
-    """Return the model as a Python file: the functions this program computes with, as they stand in its source.
+    """Return the model as a Python file: the functions this program computes with, as they stand in
+    its source.
 
     Args:
         model: The corrected model.
@@ -111,7 +124,11 @@ def python_text(model: CorrectedModel, recording: Recording, name: str) -> str:
     used: list[Callable[..., Any]] = [torque.nominal_torque, motor.nominal_voltage, arrays.signals]
     lists = []
     for table, functions in _TABLES.items():
-        rows = [(functions[effect], dict(given)) for effect, given in model.effects.items() if effect in functions]
+        rows = [
+            (functions[effect], dict(given))
+            for effect, given in model.effects.items()
+            if effect in functions
+        ]
         used += [function for function, _ in rows]
         body = "".join(f"    ({function.__name__}, {given!r}),\n" for function, given in rows)
         lists.append(f"{table}: Any = [\n{body}]" if rows else f"{table}: Any = []")
@@ -151,4 +168,6 @@ def _curve_literal(model: CorrectedModel) -> str:
     curve = model.curve
     if curve is None:
         return "None"
-    return repr((curve.equation, COORDINATES[curve.coordinate], curve.grid.tolist(), curve.value.tolist()))
+    return repr(
+        (curve.equation, COORDINATES[curve.coordinate], curve.grid.tolist(), curve.value.tolist())
+    )

@@ -1,4 +1,6 @@
-"""The model that a result file carries: nominal parameters, effects, and the curve of what has no name."""
+"""The model that a result file carries: nominal parameters, effects, and the curve of what has no
+name.
+"""
 
 from __future__ import annotations
 
@@ -41,10 +43,12 @@ def read_result(path: Path) -> dict[str, Any]:
 
 
 def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
-    """Refuse a result of a rotary bench for a linear one, and the other way round: its numbers are in other units.
+    """Refuse a result of a rotary bench for a linear one, and the other way round: its numbers are
+    in other units.
 
     Raises:
-        InputError: The result says that it is of the other motion, by itself or by the unit of its inertia.
+        InputError: The result says that it is of the other motion, by itself or by the unit of its
+            inertia.
     """
     found = record.get("motion")
     if found is None:
@@ -53,12 +57,15 @@ def require_motion(record: Mapping[str, Any], motion: str, place: str) -> None:
         found = next((_MOTION_OF_INERTIA[u] for u in units if u in _MOTION_OF_INERTIA), motion)
     if found != motion:
         raise InputError(
-            f"{place}: motion: a result of a {found} bench, and the recordings are of a {motion} one; give a result "
+            f"{place}: motion: a result of a {found} bench, and the recordings are of a {motion} "
+            f"one; give a result "
             f"of a {motion} bench, or set bench.motion: {found} in the campaign"
         )
 
 
-def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = "result") -> CorrectedModel:
+def model_of(
+    record: Mapping[str, Any], recordings: Sequence[str], place: str = "result"
+) -> CorrectedModel:
     """Return the model of a result.
 
     Args:
@@ -67,11 +74,14 @@ def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = 
         place: Of the record, for messages.
 
     Raises:
-        InputError: A value is missing or not a number, an effect has other parameters than the catalogue's, or the
-            diagnosis is one of a gas generator.
+        InputError: A value is missing or not a number, an effect has other parameters than the
+            catalogue's, or the diagnosis is one of a gas generator.
     """
     if record.get("fit", {}).get("equation") == PRESSURE:
-        raise InputError(f"{place}: a diagnosis of a gas generator says nothing of the torque; give one of the motion")
+        raise InputError(
+            f"{place}: a diagnosis of a gas generator says nothing of the torque; give one of the "
+            f"motion"
+        )
     given = record.get("fitted") or record.get("parameters") or {}
     parameters = {}
     for name, entry in given.items():
@@ -83,11 +93,15 @@ def model_of(record: Mapping[str, Any], recordings: Sequence[str], place: str = 
     effects = dict(_effect(place, effect, recordings) for effect in record.get("effects", ()))
     alpha = _finite(place, "alpha", record.get("alpha", 2.0))
     if not 0.0 < alpha <= LARGEST_ALPHA:
-        raise InputError(f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})")
+        raise InputError(
+            f"{place}: alpha: must be above 0 and at most {LARGEST_ALPHA:g} (got {alpha:g})"
+        )
     return CorrectedModel(parameters, alpha, effects, _curve(place, record.get("curve")))
 
 
-def _effect(place: str, effect: Mapping[str, Any], recordings: Sequence[str]) -> tuple[str, dict[str, float]]:
+def _effect(
+    place: str, effect: Mapping[str, Any], recordings: Sequence[str]
+) -> tuple[str, dict[str, float]]:
     name = effect["name"]
     if name not in ENTRIES:
         raise InputError(f"{place}: effects: {name} is no effect of the catalogue; see rig effects")
@@ -101,7 +115,9 @@ def _effect(place: str, effect: Mapping[str, Any], recordings: Sequence[str]) ->
         shown = [recordings.index(r) for r in effect["where"]["recordings"] if r in recordings]
         given["recording"] = 1.0 + min(shown, default=0)
     if known - given.keys():
-        raise InputError(f"{place}: effects: {name} lacks {', '.join(sorted(known - given.keys()))}")
+        raise InputError(
+            f"{place}: effects: {name} lacks {', '.join(sorted(known - given.keys()))}"
+        )
     return name, given
 
 
@@ -111,14 +127,19 @@ def _curve(place: str, entry: Mapping[str, Any] | None) -> Curve | None:
     if entry["coordinate"] not in COORDINATES:
         return None
     grid, value = (
-        np.array([_finite(place, f"curve.{key}", v) for v in entry[key]], dtype=float) for key in ("grid", "value")
+        np.array([_finite(place, f"curve.{key}", v) for v in entry[key]], dtype=float)
+        for key in ("grid", "value")
     )
-    return Curve(entry["equation"], entry["coordinate"], entry["unit"], entry["residual_unit"], grid, value)
+    return Curve(
+        entry["equation"], entry["coordinate"], entry["unit"], entry["residual_unit"], grid, value
+    )
 
 
 def _finite(place: str, name: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         raise InputError(f"{place}: {name}: must be a finite number (got {value!r})")
     if abs(value) > _LARGEST:
-        raise InputError(f"{place}: {name}: must be from {-_LARGEST:g} to {_LARGEST:g} (got {value:g})")
+        raise InputError(
+            f"{place}: {name}: must be from {-_LARGEST:g} to {_LARGEST:g} (got {value:g})"
+        )
     return float(value)

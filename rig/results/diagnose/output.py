@@ -1,4 +1,6 @@
-"""What ``rig diagnose`` leaves behind: text for the terminal, result file, report, the corrected model."""
+"""What ``rig diagnose`` leaves behind: text for the terminal, result file, report, the corrected
+model.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,13 @@ from rig.common.tables import table
 from rig.results.diagnose.diagnose import Outcome, as_json
 from rig.results.diagnose.files import Beside, write_beside
 from rig.results.diagnose.report import write_report
-from rig.results.diagnose.tables import effect_table, fit_table, rival_table, shift_table, where_table
+from rig.results.diagnose.tables import (
+    effect_table,
+    fit_table,
+    rival_table,
+    shift_table,
+    where_table,
+)
 from rig.results.identify.output import reading_notes
 
 RESULT_FILE = "diagnose.json"
@@ -31,7 +39,9 @@ def text(outcome: Outcome) -> str:
     found = outcome.diagnosis
     blocks = [f"verdict: {VERDICTS[found.verdict.value]}\n{textwrap.fill(found.statement, _WIDTH)}"]
     blocks += [
-        textwrap.fill(f"{e.name}: {e.statement}", _WIDTH) for e in found.effects if e.statement not in found.statement
+        textwrap.fill(f"{e.name}: {e.statement}", _WIDTH)
+        for e in found.effects
+        if e.statement not in found.statement
     ]
     tables = (effect_table, where_table, rival_table, fit_table, shift_table)
     blocks += [_shown(cells) for made in tables if (cells := made(found)).rows]
@@ -44,8 +54,11 @@ def text(outcome: Outcome) -> str:
     return "\n\n".join([*blocks, *(["\n".join(lines)] if lines else [])])
 
 
-def write(folder: Path, source: Path, outcome: Outcome, json_file: Path | None) -> tuple[Path, Beside]:
-    """Write result file, figures, report and corrected model into ``folder``, and the result once more where asked.
+def write(
+    folder: Path, source: Path, outcome: Outcome, json_file: Path | None
+) -> tuple[Path, Beside]:
+    """Write result file, figures, report and corrected model into ``folder``, and the result once
+    more where asked.
 
     Returns:
         The page, and what lies beside it.
@@ -59,7 +72,9 @@ def write(folder: Path, source: Path, outcome: Outcome, json_file: Path | None) 
         for path in filter(None, (folder / RESULT_FILE, json_file)):
             write_json(path, record)
         beside = write_beside(folder, source, outcome, record)
-        page = write_report(folder, f"Diagnosis of {source_name(source)}", outcome, beside.files, beside.notes)
+        page = write_report(
+            folder, f"Diagnosis of {source_name(source)}", outcome, beside.files, beside.notes
+        )
     except OSError as error:
         places = " or ".join(str(place) for place in (folder, json_file) if place)
         raise InputError(

@@ -13,8 +13,8 @@ DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
 def diagnosis_record(found: Diagnosis, provenance: Provenance) -> dict[str, Any]:
     """Return one diagnosis as the record of ``rig diagnose --json``.
 
-    Beside the verdict it holds the corrected model whole: ``parameters`` and ``alpha`` with the effects' own, and
-    ``curve`` where what is missing has no name.
+    Beside the verdict it holds the corrected model whole: ``parameters`` and ``alpha`` with the
+    effects' own, and ``curve`` where what is missing has no name.
     """
     return {
         **provenance.record(DIAGNOSE_SCHEMA),
@@ -37,7 +37,9 @@ def diagnosis_record(found: Diagnosis, provenance: Provenance) -> dict[str, Any]
 
 
 def effects_record(found: Diagnosis) -> dict[str, Any]:
-    """Return what the corrected model adds to the nominal one: effects, and the curve of what has no name."""
+    """Return what the corrected model adds to the nominal one: effects, and the curve of what has
+    no name.
+    """
     return {
         "effects": [_effect_record(e) for e in found.effects],
         "curve": None if found.curve is None else _curve_record(found.curve),
@@ -53,7 +55,10 @@ def _effect_record(effect: Effect) -> dict[str, Any]:
         "assumption_broken": effect.assumption_broken,
         "where": _location_record(effect.where),
         "parameters": {name: _estimate_record(e) for name, e in effect.parameters.items()},
-        "rivals": [{"name": r.name, "confidence": finite(r.confidence), "why_not": r.why_not} for r in effect.rivals],
+        "rivals": [
+            {"name": r.name, "confidence": finite(r.confidence), "why_not": r.why_not}
+            for r in effect.rivals
+        ],
         "separating_experiment": effect.separating_experiment,
     }
 

@@ -10,7 +10,14 @@ from identification.plots import mismatch
 from rig.common.figures import Picture, save
 from rig.common.places import write_text
 from rig.results.diagnose.diagnose import Outcome
-from rig.results.diagnose.tables import effect_table, fit_table, rival_table, shift_table, step_table, where_table
+from rig.results.diagnose.tables import (
+    effect_table,
+    fit_table,
+    rival_table,
+    shift_table,
+    step_table,
+    where_table,
+)
 from rig.results.report import provenance_tables, render
 
 HEADLINES = {
@@ -23,7 +30,11 @@ _SHOWN_PER_ROLE = 4
 
 
 def write_report(
-    folder: Path, title: str, outcome: Outcome, beside: Sequence[tuple[str, str]], beside_notes: Sequence[str]
+    folder: Path,
+    title: str,
+    outcome: Outcome,
+    beside: Sequence[tuple[str, str]],
+    beside_notes: Sequence[str],
 ) -> Path:
     """Write ``report.html`` and ``figures/*.png`` of one diagnosis.
 
@@ -51,7 +62,8 @@ def write_report(
     page = render(
         "diagnose.html.j2",
         title=title,
-        subtitle=f"{len(outcome.dataset.recordings)} recordings; the test that anything is missing at all has "
+        subtitle=f"{len(outcome.dataset.recordings)} recordings; the test that anything is "
+        f"missing at all has "
         f"p = {found.p_value:.2g}",
         verdict=found.verdict.value,
         headline=HEADLINES[found.verdict.value],
@@ -76,7 +88,11 @@ def write_report(
 
 
 def _shown(traces: Sequence[ResidualTrace]) -> list[ResidualTrace]:
-    return [t for role in ("validate", "fit") for t in [t for t in traces if t.role == role][:_SHOWN_PER_ROLE]]
+    return [
+        t
+        for role in ("validate", "fit")
+        for t in [t for t in traces if t.role == role][:_SHOWN_PER_ROLE]
+    ]
 
 
 def _maps(found: Diagnosis) -> list[Picture]:
@@ -84,7 +100,8 @@ def _maps(found: Diagnosis) -> list[Picture]:
     return [
         Picture.of(
             f"maps_{equation}",
-            f"Mismatch of the {equation} equation against each coordinate, largest share first, with simultaneous 90 % "
+            f"Mismatch of the {equation} equation against each coordinate, largest share first, "
+            f"with simultaneous 90 % "
             "bands, before and after the correction",
             mismatch.maps([m for m in found.maps if m.equation == equation]),
         )
@@ -94,7 +111,9 @@ def _maps(found: Diagnosis) -> list[Picture]:
 
 def _rivals(found: Diagnosis) -> list[Picture]:
     return [
-        Picture.of(f"rivals_{e.name}", f"{e.name} and what was considered instead", mismatch.rivals(e))
+        Picture.of(
+            f"rivals_{e.name}", f"{e.name} and what was considered instead", mismatch.rivals(e)
+        )
         for e in found.effects
         if e.rivals
     ]
@@ -103,7 +122,10 @@ def _rivals(found: Diagnosis) -> list[Picture]:
 def _curve(found: Diagnosis) -> list[Picture]:
     if found.curve is None:
         return []
-    caption = f"What is missing, as a smooth curve over {found.curve.coordinate}; a simulation can carry it"
+    caption = (
+        f"What is missing, as a smooth curve over {found.curve.coordinate}; a simulation "
+        f"can carry it"
+    )
     return [Picture.of("missing", caption, mismatch.curve(found.curve))]
 
 

@@ -17,7 +17,9 @@ _SLOW_HZ = 0.1
 _SPEED_STEPS = (0.1, 0.2, 0.4, 1.0)
 _RESTS_S = (0.1, 0.5, 2.0, 8.0)
 _STILL_DEG = 0.02
-"""Amplitude so small that a joint with friction stays at rest, and the torque that holds it is recorded."""
+"""Amplitude so small that a joint with friction stays at rest, and the torque that holds it is
+recorded.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,9 @@ class Room:
         )
 
     def frequency(self, amplitude_deg: float, share: float = 1.0) -> float:
-        """Return the frequency, Hz, at which a sine of this amplitude reaches a share of the speed."""
+        """Return the frequency, Hz, at which a sine of this amplitude reaches a share of the
+        speed.
+        """
         return share * self.speed_deg_s / (2.0 * math.pi * amplitude_deg)
 
 
@@ -60,7 +64,8 @@ class _Stage:
         stage = "loaded" if self.weight_kg else "unloaded"
         return (
             f"  - {{name: {self.name}, stage: {stage}, weight_kg: {self.weight_kg:.4g}, "
-            f"tones: [{{amplitude_deg: {self.amplitude_deg:.4g}, frequency_Hz: {self.frequency_Hz:.4g}}}], "
+            f"tones: [{{amplitude_deg: {self.amplitude_deg:.4g}, frequency_Hz: "
+            f"{self.frequency_Hz:.4g}}}], "
             f"duration_s: {duration:.4g}, repeats: {self.repeats}, settle_s: {self.settle_s:g}, "
             f"center_deg: {self.center_deg:.4g}}}"
         )
@@ -100,20 +105,29 @@ def _speeds(room: Room) -> list[_Stage]:
 
 def _slow(room: Room) -> list[_Stage]:
     amplitude = 0.2 * room.travel_deg
-    return [_Stage(f"slow-{k}", amplitude, f, periods=2.0) for k, f in enumerate((0.02, 0.05, 0.1, 0.2), 1)]
+    return [
+        _Stage(f"slow-{k}", amplitude, f, periods=2.0)
+        for k, f in enumerate((0.02, 0.05, 0.1, 0.2), 1)
+    ]
 
 
 def _rests(room: Room) -> list[_Stage]:
     amplitude = 0.1 * room.travel_deg
     mixed = (_RESTS_S[2], _RESTS_S[0], _RESTS_S[3], _RESTS_S[1])
-    return [_Stage(f"rest-{rest:g}s", amplitude, 0.25, periods=1.0, repeats=4, settle_s=rest) for rest in mixed]
+    return [
+        _Stage(f"rest-{rest:g}s", amplitude, 0.25, periods=1.0, repeats=4, settle_s=rest)
+        for rest in mixed
+    ]
 
 
 def _small_loops(room: Room) -> list[_Stage]:
     rests = (("short", 0.2), ("long", 8.0))
     return [
         _Stage(f"{size}-after-{rest}-rest", amplitude, 0.5, periods=4.0, repeats=2, settle_s=settle)
-        for size, amplitude in (("tiny", 0.002 * room.travel_deg), ("small", 0.02 * room.travel_deg))
+        for size, amplitude in (
+            ("tiny", 0.002 * room.travel_deg),
+            ("small", 0.02 * room.travel_deg),
+        )
         for rest, settle in rests
     ]
 
@@ -130,7 +144,10 @@ def _session(room: Room) -> list[_Stage]:
     slow, fast = room.frequency(room.travel_deg, 0.1), room.frequency(room.travel_deg)
     work = _Stage("work", room.travel_deg, fast, periods=120.0 * fast, weight_kg=room.weight_kg)
     pairs = [
-        (_Stage(f"{when}-slow", room.travel_deg, slow, 2.0), _Stage(f"{when}-fast", room.travel_deg, fast, 5.0))
+        (
+            _Stage(f"{when}-slow", room.travel_deg, slow, 2.0),
+            _Stage(f"{when}-fast", room.travel_deg, fast, 5.0),
+        )
         for when in ("cold", "warm", "rested")
     ]
     rested = _Stage("rested-slow", room.travel_deg, slow, 2.0, settle_s=300.0)
@@ -142,8 +159,19 @@ def _hold(room: Room) -> list[_Stage]:
     stages = []
     for load, weight in (("unloaded", 0.0), ("heavy", room.weight_kg)):
         for side, center in (("above", away), ("below", -away)):
-            stages.append(_Stage(f"{load}-to-{side}", 0.2 * room.travel_deg, _SLOW_HZ, 1.0, weight, center_deg=center))
-            stages.append(_Stage(f"{load}-held-from-{side}", _STILL_DEG, 0.25, 2.0, weight, settle_s=1.0))
+            stages.append(
+                _Stage(
+                    f"{load}-to-{side}",
+                    0.2 * room.travel_deg,
+                    _SLOW_HZ,
+                    1.0,
+                    weight,
+                    center_deg=center,
+                )
+            )
+            stages.append(
+                _Stage(f"{load}-held-from-{side}", _STILL_DEG, 0.25, 2.0, weight, settle_s=1.0)
+            )
     return [*stages, *_travel(room)[:1]]
 
 
@@ -156,23 +184,36 @@ def _after_hanging(room: Room) -> list[_Stage]:
 
 Recipe = Callable[[Room], list[_Stage]]
 RECIPES: Mapping[str, Recipe] = {
-    **dict.fromkeys(("cogging", "torque_ripple", "transmission_efficiency", "load_dependent_friction"), _loads),
-    **dict.fromkeys(("torque_saturation", "load_exponent", "lever_pivot_friction", "wrong_weight"), _loads),
-    **dict.fromkeys(("backlash", "compliance", "transport_delay", "coupling_hysteresis"), _loads_and_speeds),
+    **dict.fromkeys(
+        ("cogging", "torque_ripple", "transmission_efficiency", "load_dependent_friction"), _loads
+    ),
+    **dict.fromkeys(
+        ("torque_saturation", "load_exponent", "lever_pivot_friction", "wrong_weight"), _loads
+    ),
+    **dict.fromkeys(
+        ("backlash", "compliance", "transport_delay", "coupling_hysteresis"), _loads_and_speeds
+    ),
     **dict.fromkeys(("load_inertia",), _loads_and_speeds),
     **dict.fromkeys(("current_loop_lag", "time_skew"), _frequencies),
     **dict.fromkeys(("asymmetric_viscous", "quadratic_drag"), _speeds),
     **dict.fromkeys(("stribeck_shape", "friction_memory"), _slow),
     **dict.fromkeys(("dwell_static_friction",), _rests),
     **dict.fromkeys(("presliding",), _small_loops),
-    **dict.fromkeys(("position_dependent_friction", "load_position_dependence", "gravity_imbalance"), _travel),
+    **dict.fromkeys(
+        ("position_dependent_friction", "load_position_dependence", "gravity_imbalance"), _travel
+    ),
     **dict.fromkeys(("return_spring", "end_stop", "gear_mesh_ripple"), _travel),
-    **dict.fromkeys(("viscous_thermal_drift", "coulomb_drift", "winding_heating", "current_drift"), _session),
+    **dict.fromkeys(
+        ("viscous_thermal_drift", "coulomb_drift", "winding_heating", "current_drift"), _session
+    ),
     **dict.fromkeys(("asymmetric_coulomb", "current_offset"), _hold),
     **dict.fromkeys(("load_swing",), _after_hanging),
 }
-"""Effect to what splits it from its likes. Those without one need a hand on the bench: another supply voltage, or the
-encoder turned on its shaft."""
+"""Effect to what splits it from its likes.
+
+Those without one need a hand on the bench: another supply voltage, or the encoder turned on its
+shaft.
+"""
 
 
 def separating_sequence(names: Sequence[str], bench: Bench) -> str | None:

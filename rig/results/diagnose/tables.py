@@ -44,7 +44,12 @@ def effect_table(found: Diagnosis) -> Table:
 def rival_table(found: Diagnosis) -> Table:
     """Return what was considered instead of each effect, and why it was not taken."""
     rows = tuple(
-        (effect.name, rival.name, number(rival.confidence, 2), rival.why_not or "these recordings cannot reject it")
+        (
+            effect.name,
+            rival.name,
+            number(rival.confidence, 2),
+            rival.why_not or "these recordings cannot reject it",
+        )
         for effect in found.effects
         for rival in effect.rivals
     )
@@ -52,19 +57,37 @@ def rival_table(found: Diagnosis) -> Table:
 
 
 def fit_table(found: Diagnosis) -> Table:
-    """Return the errors before and after the correction, one row per equation and role, at one bandwidth each."""
+    """Return the errors before and after the correction, one row per equation and role, at one
+    bandwidth each.
+    """
     fits = found.fits if found.fit in found.fits else (found.fit, *found.fits)
     rows = tuple(row for fit in fits for row in _fit_rows(fit))
-    header = ("equation", "recordings", "rms before", "rms after", "noise floor", "unit", "bandwidth")
+    header = (
+        "equation",
+        "recordings",
+        "rms before",
+        "rms after",
+        "noise floor",
+        "unit",
+        "bandwidth",
+    )
     return Table(header, rows, (2, 3, 4, 6))
 
 
 def shift_table(found: Diagnosis) -> Table:
-    """Return the nominal parameters before and after, what the missing physics had bent; none where none moved."""
+    """Return the nominal parameters before and after, what the missing physics had bent; none where
+    none moved.
+    """
     if all(s.before == s.after for s in found.parameter_shift.values()):
         return Table((), (), ())
     rows = tuple(
-        (name, number(s.before), number(s.after), _change(s.before, s.after), "" if s.unit == "1" else s.unit)
+        (
+            name,
+            number(s.before),
+            number(s.after),
+            _change(s.before, s.after),
+            "" if s.unit == "1" else s.unit,
+        )
         for name, s in found.parameter_shift.items()
     )
     return Table(("parameter", "before", "after", "change", "unit"), rows, (1, 2, 3))
@@ -76,7 +99,13 @@ def where_table(found: Diagnosis) -> Table:
     if not places and found.location is not None:
         places = [("the mismatch", found.location)]
     rows = tuple(
-        (name, where.coordinate, _ranges(where), percent(100.0 * where.share_of_mismatch), _names(where.recordings))
+        (
+            name,
+            where.coordinate,
+            _ranges(where),
+            percent(100.0 * where.share_of_mismatch),
+            _names(where.recordings),
+        )
         for name, where in places
     )
     return Table(("what", "against", "where", "share of the mismatch", "recordings"), rows, (3,))
@@ -85,7 +114,14 @@ def where_table(found: Diagnosis) -> Table:
 def step_table(found: Diagnosis) -> Table:
     """Return the search's steps in order."""
     rows = tuple(
-        (str(k), s.action, s.name, "-" if s.p_value is None else f"{s.p_value:.2g}", number(s.gain, 3), s.note)
+        (
+            str(k),
+            s.action,
+            s.name,
+            "-" if s.p_value is None else f"{s.p_value:.2g}",
+            number(s.gain, 3),
+            s.note,
+        )
         for k, s in enumerate(found.steps, 1)
     )
     return Table(("step", "what was done", "with", "p", "gain", "note"), rows, (0, 3, 4))
@@ -119,7 +155,9 @@ def _ranges(where: Location) -> str:
         return "everywhere"
     shown, factor = ("deg", _DEG) if where.unit == "rad" else (where.unit, 1.0)
     unit = "" if shown in ("", "1") else f" {shown}"
-    return ", ".join(f"{low * factor:.3g} to {high * factor:.3g}" for low, high in where.ranges) + unit
+    return (
+        ", ".join(f"{low * factor:.3g} to {high * factor:.3g}" for low, high in where.ranges) + unit
+    )
 
 
 def _names(recordings: tuple[str, ...], shown: int = 4) -> str:

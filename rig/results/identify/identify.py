@@ -49,8 +49,10 @@ METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identi
 
 
 _FED = (
-    "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, and breakaways are "
-    "lost; static friction and Stribeck speeds may be off by tens of percent, outside their intervals; identify a run "
+    "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
+    "and breakaways are "
+    "lost; static friction and Stribeck speeds may be off by tens of percent, outside their "
+    "intervals; identify a run "
     "without it"
 )
 
@@ -103,7 +105,8 @@ def identify_source(
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
         draws: Bootstrap draws of the default method, 0 for none.
-        take_partial: Whether to take the unfinished excitations of a run as well; the result warns of them.
+        take_partial: Whether to take the unfinished excitations of a run as well; the result warns
+            of them.
 
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
@@ -133,11 +136,18 @@ def identify_source(
         except RecordingError as error:
             raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
         warnings = (*result.warnings, *off)
-        results.append(dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings))
+        results.append(
+            dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings)
+        )
     rungs: tuple[Rung, ...] = ()
     if ladder:
         try:
-            rungs = climb(dataset, bandwidth_Hz=bandwidth_Hz, rng=np.random.default_rng(seed), progress=progress)
+            rungs = climb(
+                dataset,
+                bandwidth_Hz=bandwidth_Hz,
+                rng=np.random.default_rng(seed),
+                progress=progress,
+            )
         except RecordingError as error:
             raise InputError(f"{source}: {error}") from error
     carried = None
@@ -157,9 +167,13 @@ COMPARED_SEEDS = 5
 
 
 def compare_methods(
-    source: Path, outcome: Outcome, truth: Mapping[str, float] | None, progress: Callable[[str, float], None]
+    source: Path,
+    outcome: Outcome,
+    truth: Mapping[str, float] | None,
+    progress: Callable[[str, float], None],
 ) -> Outcome:
-    """Return the outcome with all estimators side by side, each search run from ``COMPARED_SEEDS`` seeds.
+    """Return the outcome with all estimators side by side, each search run from ``COMPARED_SEEDS``
+    seeds.
 
     Args:
         source: What was identified, for messages.
@@ -174,7 +188,9 @@ def compare_methods(
     seed = outcome.provenance.seed
     seeds = range(seed, seed + COMPARED_SEEDS)
     try:
-        found = compare(outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress)
+        found = compare(
+            outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress
+        )
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     spent = outcome.provenance.seconds + time.perf_counter() - started

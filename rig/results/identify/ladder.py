@@ -13,7 +13,9 @@ from rig.common.tables import interval, number, percent
 
 
 def ladder_table(rungs: Sequence[Rung]) -> Table:
-    """Return one row per rung: error of the fit, on what was set aside, and of the simulated angle there."""
+    """Return one row per rung: error of the fit, on what was set aside, and of the simulated angle
+    there.
+    """
     first = rungs[0].result
     unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
     scale = 1e3 if first.motion == "rotary" else 1e6
@@ -47,12 +49,16 @@ def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
     first = rungs[0]
     where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
     lines = [
-        f"Torque errors at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are over recordings, drawn anew "
+        f"Torque errors at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are over "
+        f"recordings, drawn anew "
         "for fit and score.",
         f"Best in: share of the draws in which a rung has the least torque error on {where}.",
     ]
     if first.angle is not None:
-        lines.append(f"Angle: error of the closed loop simulated from its command and first sample, on {where}.")
+        lines.append(
+            f"Angle: error of the closed loop simulated from its command and first sample, on "
+            f"{where}."
+        )
     return lines
 
 

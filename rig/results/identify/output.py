@@ -41,7 +41,9 @@ def text(outcome: Outcome, truth: Mapping[str, float] | None) -> str:
         lines += ["", title, table(cells.header, cells.rows, cells.right), *notes, ""]
     lines += reading_notes(outcome.dataset.recordings)
     lines += [f"note: {line}" for line in parameter_notes(outcome.results)]
-    lines += [f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings]
+    lines += [
+        f"warning: {result.method}: {w}" for result in outcome.results for w in result.warnings
+    ]
     return "\n".join(lines)
 
 
@@ -49,26 +51,45 @@ def _extras(outcome: Outcome) -> list[tuple[str, Table, list[str]]]:
     """Return title, table and notes of what was asked for beside the identification."""
     extras = []
     if outcome.ladder:
-        extras.append(("Ladder of friction models", ladder_table(outcome.ladder), ladder_notes(outcome.ladder)))
+        extras.append(
+            (
+                "Ladder of friction models",
+                ladder_table(outcome.ladder),
+                ladder_notes(outcome.ladder),
+            )
+        )
     if outcome.transfer is not None:
-        extras.append(("Transfer", transfer_table(outcome.transfer), transfer_notes(outcome.transfer)))
+        extras.append(
+            ("Transfer", transfer_table(outcome.transfer), transfer_notes(outcome.transfer))
+        )
     return extras
 
 
 def reading_notes(recordings: Sequence[Recording]) -> list[str]:
-    """Return what was corrected or doubted on reading; of notes that differ in their numbers only, the first."""
+    """Return what was corrected or doubted on reading; of notes that differ in their numbers only,
+    the first.
+    """
     alike: dict[str, list[str]] = {}
     for recording in recordings:
         for note in recording.notes:
-            alike.setdefault(_NUMBER.sub("#", note), []).append(f"reading: {recording.name}: {note}")
+            alike.setdefault(_NUMBER.sub("#", note), []).append(
+                f"reading: {recording.name}: {note}"
+            )
     return [
         lines[0] + (f" ({len(lines) - 1} more like this: see the report)" if len(lines) > 1 else "")
         for lines in alike.values()
     ]
 
 
-def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] | None, json_file: Path | None) -> Path:
-    """Write result file, figures and report into ``folder``, and the result once more where asked; return the page.
+def write(
+    folder: Path,
+    name: str,
+    outcome: Outcome,
+    truth: Mapping[str, float] | None,
+    json_file: Path | None,
+) -> Path:
+    """Write result file, figures and report into ``folder``, and the result once more where asked;
+    return the page.
 
     Raises:
         InputError: A place cannot be written.
@@ -97,7 +118,10 @@ def write(folder: Path, name: str, outcome: Outcome, truth: Mapping[str, float] 
             outcome.results,
             outcome.provenance,
             truth,
-            [{"title": title, "table": cells, "notes": notes} for title, cells, notes in _extras(outcome)],
+            [
+                {"title": title, "table": cells, "notes": notes}
+                for title, cells, notes in _extras(outcome)
+            ],
             outcome.comparison,
         )
     except OSError as error:
@@ -114,5 +138,8 @@ def _fit_lines(result: Identification) -> list[str]:
         f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz"
     )
     if fit.validate_rms is not None and fit.validate_relative is not None:
-        line += f"; validate {number(fit.validate_rms, 3)} {fit.unit} rms ({percent(100.0 * fit.validate_relative)})"
+        line += (
+            f"; validate {number(fit.validate_rms, 3)} {fit.unit} rms "
+            f"({percent(100.0 * fit.validate_relative)})"
+        )
     return [f"{line}; {result.evaluations} evaluations, {result.seconds:.1f} s"]

@@ -11,7 +11,9 @@ from rig.common.tables import number, percent
 
 
 def transfer_table(found: Transfer) -> Table:
-    """Return one row per parameter: on both, the difference, and whether it is more than the joint interval."""
+    """Return one row per parameter: on both, the difference, and whether it is more than the joint
+    interval.
+    """
     rows = tuple(
         (
             m.name,
@@ -24,7 +26,9 @@ def transfer_table(found: Transfer) -> Table:
         )
         for m in found.parameters
     )
-    return Table(("parameter", "here", "there", "difference", "90 %", "unit", "moved"), rows, (1, 2, 3, 4))
+    return Table(
+        ("parameter", "here", "there", "difference", "90 %", "unit", "moved"), rows, (1, 2, 3, 4)
+    )
 
 
 def transfer_notes(found: Transfer) -> list[str]:
@@ -32,17 +36,27 @@ def transfer_notes(found: Transfer) -> list[str]:
     fit, own = found.fit, found.own
     line = (
         f"carried over, the model errs by {number(fit.train_rms, 3)} {fit.unit} rms "
-        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; identified there it would by "
+        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; identified "
+        f"there it would by "
         f"{number(own.train_rms, 3)} {own.unit}"
     )
     floor = found.floor
     if floor is None:
-        return [line, "the noise floor there is unknown: nothing is done twice under the same command"]
-    ways = [f"{count} {what}" for count, what in ((floor.periods, "periodic"), (floor.repeats, "repeated")) if count]
+        return [
+            line,
+            "the noise floor there is unknown: nothing is done twice under the same command",
+        ]
+    ways = [
+        f"{count} {what}"
+        for count, what in ((floor.periods, "periodic"), (floor.repeats, "repeated"))
+        if count
+    ]
     return [
         line,
-        f"the noise floor there is {number(floor.rms, 3)} {fit.unit}, from {floor.samples} pairs of samples of "
-        f"{' and '.join(ways)} recordings: the error is {number(fit.train_rms / floor.rms, 3)} times that",
+        f"the noise floor there is {number(floor.rms, 3)} {fit.unit}, from {floor.samples} pairs "
+        f"of samples of "
+        f"{' and '.join(ways)} recordings: the error is {number(fit.train_rms / floor.rms, 3)} "
+        f"times that",
     ]
 
 

@@ -41,17 +41,23 @@ class Exhibit:
 
 
 def columns(**named: Array) -> Rows:
-    """Return arrays of one length, shape (n,), as rows; the titles are ``name`` with its unit (``time_s``)."""
+    """Return arrays of one length, shape (n,), as rows; the titles are ``name`` with its unit
+    (``time_s``).
+    """
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
 
 
 def write_exhibits(exhibits: Sequence[Exhibit], folder: Path) -> dict[str, list[str]]:
-    """Write every picture and its numbers into ``folder``; return picture name to files, relative to it.
+    """Write every picture and its numbers into ``folder``; return picture name to files, relative
+    to it.
 
     Raises:
         OSError: The folder cannot be written.
     """
-    files = {name: [file] for name, file in save([p for e in exhibits for p in e.pictures], folder).items()}
+    files = {
+        name: [file]
+        for name, file in save([p for e in exhibits for p in e.pictures], folder).items()
+    }
     target = folder / "data"
     target.mkdir(parents=True, exist_ok=True)
     for exhibit in exhibits:
@@ -66,5 +72,7 @@ def _csv(rows: Rows) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(titles)
-    writer.writerows([cell if isinstance(cell, str) else f"{cell:.9g}" for cell in line] for line in lines)
+    writer.writerows(
+        [cell if isinstance(cell, str) else f"{cell:.9g}" for cell in line] for line in lines
+    )
     return text.getvalue()

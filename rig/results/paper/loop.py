@@ -1,4 +1,6 @@
-"""Fig. 5 and 11: the closed loop, in which the load disturbs the control and the control moves the load."""
+"""Fig. 5 and 11: the closed loop, in which the load disturbs the control and the control moves the
+load.
+"""
 
 from __future__ import annotations
 
@@ -23,12 +25,16 @@ from rig.results.paper.machine import true_machine
 BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
 SETTLED = 0.02
 """A flow has settled when it stays within this share of the command."""
-_SMOOTHING_S = 0.05  # a settling is judged on means over this time, so that sensor noise does not count
+_SMOOTHING_S = (
+    0.05  # a settling is judged on means over this time, so that sensor noise does not count
+)
 _THIN = 10  # of the samples, in the data file
 
 
 def exhibit(scratch: Path, seed: int) -> Exhibit:
-    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current and load."""
+    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
+    and load.
+    """
     bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
     dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
     recording = next(r for r in dataset.recordings if r.name == STAGE)
@@ -47,22 +53,26 @@ def exhibit(scratch: Path, seed: int) -> Exhibit:
     return Exhibit(
         "fig_11",
         "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
-        "Block diagrams of the loop, in which pressure and valve angle make the load that the motor works against, and "
+        "Block diagrams of the loop, in which pressure and valve angle make the load that the "
+        "motor works against, and "
         "the angle makes the pressure. No controller and no response are given.",
         (
-            f"{SEQUENCE} on {BENCH}, stage {STAGE}: steps of the flow command through the whole simulated chain, "
+            f"{SEQUENCE} on {BENCH}, stage {STAGE}: steps of the flow command through the whole "
+            f"simulated chain, "
             "pressure measured by a transmitter.",
             _settling(flow, time, outflow, recording),
-            "The flow first goes the wrong way: a throat that opens lets more out before the pressure falls. "
-            + _hunting(flow, time, recording.channels["current"]),
-            f"Contact force {np.min(force):.0f} to {np.max(force):.0f} N, moved by pressure and angle alone; the motor "
+            "The flow first goes the wrong way: a throat that opens lets more out before the "
+            "pressure falls. " + _hunting(flow, time, recording.channels["current"]),
+            f"Contact force {np.min(force):.0f} to {np.max(force):.0f} N, moved by pressure and "
+            f"angle alone; the motor "
             f"current that holds and moves the valve against its friction reaches "
             f"{np.max(np.abs(recording.channels['current'])):.1f} A.",
         ),
         (
             Picture.of(
                 "fig_11",
-                "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured pressure and angle",
+                "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of "
+                "measured pressure and angle",
                 regulator.closed_loop(
                     time,
                     {"command": commanded, "flow": outflow},
@@ -94,7 +104,8 @@ def _hunting(flow: FlowSection, time: Array, current: Array) -> str:
     before = current[(time >= 1.0) & (time < flow.steps[1].at_s)]
     return (
         f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
-        f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of the limit cycles "
+        f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of "
+        f"the limit cycles "
         "that the paper warns of."
     )
 
@@ -102,7 +113,9 @@ def _hunting(flow: FlowSection, time: Array, current: Array) -> str:
 def _settling(flow: FlowSection, time: Array, outflow: Array, recording: Recording) -> str:
     """Say how long each step takes to stay within its band."""
     n = max(1, round(_SMOOTHING_S / recording.period))
-    smooth = np.convolve(np.pad(outflow, (n // 2, n - 1 - n // 2), mode="edge"), np.full(n, 1.0 / n), mode="valid")
+    smooth = np.convolve(
+        np.pad(outflow, (n // 2, n - 1 - n // 2), mode="edge"), np.full(n, 1.0 / n), mode="valid"
+    )
     ends = [step.at_s for step in flow.steps[1:]] + [float(time[-1])]
     words = []
     for (before, step), end in zip(pairwise(flow.steps), ends[1:], strict=True):

@@ -1,4 +1,6 @@
-"""The packaged benches as the figures need them: their true machine, and what is identified from a log of each."""
+"""The packaged benches as the figures need them: their true machine, and what is identified from a
+log of each.
+"""
 
 from __future__ import annotations
 
@@ -28,7 +30,9 @@ def true_machine(name: str) -> Machine:
     return machine
 
 
-def identified(name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]) -> Feedforward:
+def identified(
+    name: str, scratch: Path, seed: int, progress: Callable[[str, float], None]
+) -> Feedforward:
     """Run ``figure10`` on a packaged bench and identify that run.
 
     Args:

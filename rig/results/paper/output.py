@@ -20,7 +20,10 @@ PAGE_FILE = "paper.html"
 
 
 def record(
-    found: Reproduction, exhibits: Sequence[Exhibit], provenance: Provenance, figures: Mapping[str, list[str]]
+    found: Reproduction,
+    exhibits: Sequence[Exhibit],
+    provenance: Provenance,
+    figures: Mapping[str, list[str]],
 ) -> dict[str, Any]:
     """Return the record of ``rig paper --json``."""
     return {
@@ -35,9 +38,14 @@ def record(
 
 
 def write(
-    folder: Path, found: Reproduction, exhibits: Sequence[Exhibit], provenance: Provenance, json_file: Path | None
+    folder: Path,
+    found: Reproduction,
+    exhibits: Sequence[Exhibit],
+    provenance: Provenance,
+    json_file: Path | None,
 ) -> Path:
-    """Write result file, figures, data and page into ``folder``, and the result once more where asked; return the page.
+    """Write result file, figures, data and page into ``folder``, and the result once more where
+    asked; return the page.
 
     Raises:
         InputError: A place cannot be written.
@@ -45,7 +53,8 @@ def write(
     page = render(
         "paper.html.j2",
         title="The paper's figures and tables, done again",
-        subtitle="Load Characteristics and Modeling Methods for the Flow Regulator of a Solid Ducted Rocket",
+        subtitle="Load Characteristics and Modeling Methods for the Flow Regulator of a Solid "
+        "Ducted Rocket",
         exhibits=exhibits,
         chosen=chosen(),
         **provenance_tables(provenance),

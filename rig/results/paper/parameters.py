@@ -1,4 +1,6 @@
-"""The paper's verification (Sec. 4.2) done again: the literal bench, both methods, Tables 1 and 2, Fig. 12 and 13."""
+"""The paper's verification (Sec. 4.2) done again: the literal bench, both methods, Tables 1 and 2,
+Fig. 12 and 13.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ CONTACT_FORCE_N = 3000.0
 """F_P of Case 2 (Sec. 4.2.2)."""
 DURATION_S = 5.0
 RATE_HZ = 1000.0
-"""One period of the command, at a rate the paper does not give; the fitness sqrt(sum e^2) is over these samples."""
+"""One period of the command, at a rate the paper does not give; the fitness sqrt(sum e^2) is over
+these samples.
+"""
 WRONG_BASIN_PERCENT = 20.0
 """A seed whose worst parameter, J aside, is off by more than this ended in a wrong basin."""
 
@@ -73,13 +77,15 @@ class Reproduction:
     def found(self, method: str, name: str) -> dict[int, float | None]:
         """Return what one method found for one parameter, per seed.
 
-        A genetic search always ends with some J, which the result withholds where the data do not carry it; for the
-        comparison with Table 1 it is taken from the search's own history.
+        A genetic search always ends with some J, which the result withholds where the data do not
+        carry it; for the comparison with Table 1 it is taken from the search's own history.
         """
         return {seed: _value(result, name) for seed, result in self.runs[method].items()}
 
     def errors(self, method: str, name: str) -> dict[int, float]:
-        """Return the error per seed, percent of the true value; infinite where nothing was found."""
+        """Return the error per seed, percent of the true value; infinite where nothing was
+        found.
+        """
         return {
             seed: math.inf if value is None else 100.0 * abs(value / self.truth[name] - 1.0)
             for seed, value in self.found(method, name).items()
@@ -95,7 +101,10 @@ class Reproduction:
         worst = {seed: 0.0 for seed in self.runs[method]}
         for name in (*TABLE_1, *TABLE_2):
             if name != "J":
-                worst = {seed: max(worst[seed], error) for seed, error in self.errors(method, name).items()}
+                worst = {
+                    seed: max(worst[seed], error)
+                    for seed, error in self.errors(method, name).items()
+                }
         return [seed for seed, error in worst.items() if error > WRONG_BASIN_PERCENT]
 
 
@@ -119,13 +128,18 @@ def reproduce(seeds: Sequence[int], progress: Callable[[str, float], None]) -> R
 
 
 def simulate_cases() -> tuple[Dataset, dict[str, float]]:
-    """Simulate Case 1 and Case 2 on the literal bench; return the recordings and the true parameters."""
+    """Simulate Case 1 and Case 2 on the literal bench; return the recordings and the true
+    parameters.
+    """
     bench = load_bench("literal").value
     machine = bench.mock
     if machine is None:
         raise ValueError("the packaged bench 'literal' has no simulated machine")
     believed = bench_constants(bench)
-    cases = (_case(machine, believed, "Case 1", 0.0), _case(machine, believed, "Case 2", CONTACT_FORCE_N))
+    cases = (
+        _case(machine, believed, "Case 1", 0.0),
+        _case(machine, believed, "Case 2", CONTACT_FORCE_N),
+    )
     return Dataset(cases), true_parameters(machine)
 
 
@@ -139,7 +153,9 @@ def _case(machine: Machine, bench: Bench, name: str, force_N: float) -> Recordin
     out = simulate(machine, command, DURATION_S, RATE_HZ, contact_force_N=force_N)
     return Recording(
         name=name,
-        channels={channel: out[channel] for channel in ("time", "command", "angle", "velocity", "current")},
+        channels={
+            channel: out[channel] for channel in ("time", "command", "angle", "velocity", "current")
+        },
         bench=bench,
         stage="loaded" if force_N else "unloaded",
         weight_mass=force_N / (bench.lever_ratio * bench.gravity),

@@ -41,17 +41,23 @@ def run_ramps(scratch: Path, model: Feedforward, seed: int) -> RampStudy:
 
 
 def exhibits(study: RampStudy) -> list[Exhibit]:
-    """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under 3000 N)."""
+    """Return Fig. 2 (angle and steady-state error, unloaded) and Fig. 9 (speed, unloaded and under
+    3000 N).
+    """
     plain, fed = study.plain.recordings, study.fed.recordings
     ramp = f"{SEQUENCE} on {BENCH}: 8 deg at 1 deg/s and back"
     fig_2 = Exhibit(
         "fig_2",
         "Fig. 2: low-speed ramp, stick-slip and steady-state error",
-        "Angle against time while the regulator follows a low-speed ramp, gas generator not working: the valve waits, "
+        "Angle against time while the regulator follows a low-speed ramp, gas generator not "
+        "working: the valve waits, "
         "jumps and waits, and comes to rest beside the command. Neither speed nor gains are given.",
         (
             f"{ramp}, no weight. {_words('Without feed-forward', track(plain[0]))}",
-            _words("With the torque offset computed from parameters that a log of this bench gave", track(fed[0])),
+            _words(
+                "With the torque offset computed from parameters that a log of this bench gave",
+                track(fed[0]),
+            ),
         ),
         (Picture.of("fig_2", f"Fig. 2: {ramp}, no weight", _angle_figure(plain[0], fed[0])),),
         {"fig_2": _data(plain[0], fed[0])},
@@ -61,7 +67,8 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
     fig_9 = Exhibit(
         "fig_9",
         "Fig. 9: a position loop that should turn uniformly",
-        "The speed, or angle, of the regulator under a command of uniform motion: stick-slip instead. It is why the "
+        "The speed, or angle, of the regulator under a command of uniform motion: stick-slip "
+        "instead. It is why the "
         "paper holds the conventional identification (eq. 14) for impossible here.",
         tuple(
             _words(f"{name}, {how}", track(recording))
@@ -71,8 +78,11 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
         (
             Picture.of(
                 "fig_9",
-                "Fig. 9: joint speed on the same ramp, mean over 20 ms, without and with feed-forward",
-                regulator.speeds([(name, *_speeds(*pair)) for name, pair in zip(names, pairs, strict=True)]),
+                "Fig. 9: joint speed on the same ramp, mean over 20 ms, without and with "
+                "feed-forward",
+                regulator.speeds(
+                    [(name, *_speeds(*pair)) for name, pair in zip(names, pairs, strict=True)]
+                ),
             ),
         ),
         {"fig_9": _speed_data(pairs)},
@@ -82,8 +92,10 @@ def exhibits(study: RampStudy) -> list[Exhibit]:
 
 def _words(what: str, t: Tracking) -> str:
     return (
-        f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; at rest "
-        f"{100.0 * t.waiting:.0f} % of the time in which it should move; {1e3 * t.at_end:+.3g} mrad off at the end; "
+        f"{what}: tracking error {1e3 * t.rms:.3g} mrad rms, {1e3 * t.largest:.3g} mrad at most; "
+        f"at rest "
+        f"{100.0 * t.waiting:.0f} % of the time in which it should move; {1e3 * t.at_end:+.3g} "
+        f"mrad off at the end; "
         f"{t.energy:.0f} J electrical."
     )
 
@@ -128,7 +140,10 @@ def _data(plain: Recording, fed: Recording) -> Rows:
 def _speed_data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
     few = slice(None, None, _THIN)
     first = pairs[0][0]
-    named = {"time_s": _time(first)[few], "command_rad_s": np.gradient(first.channels["command"], first.period)[few]}
+    named = {
+        "time_s": _time(first)[few],
+        "command_rad_s": np.gradient(first.channels["command"], first.period)[few],
+    }
     for plain, fed in pairs:
         named[f"{plain.stage}_rad_s"] = _speed(plain)[few]
         named[f"{plain.stage}_fed_rad_s"] = _speed(fed)[few]

@@ -1,4 +1,6 @@
-"""The sine of the paper's cases on stiff gains, before and after feed-forward: tracking and energy per cycle."""
+"""The sine of the paper's cases on stiff gains, before and after feed-forward: tracking and energy
+per cycle.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,9 @@ _THIN = 10  # of the samples, in the data file
 
 
 def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Dataset]:
-    """Run the paper's two cases without and with feed-forward, with other noise than the identification saw."""
+    """Run the paper's two cases without and with feed-forward, with other noise than the
+    identification saw.
+    """
     bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
     plain = run_simulated(bench, sequence, seed + 1, scratch / "sine-plain")
     return plain, run_simulated(bench, sequence, seed + 1, scratch / "sine-fed", model)
@@ -49,24 +53,40 @@ def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
         )
         time = before.time - before.time[0]
         part = (time >= span[0]) & (time < span[1])
-        errors = {"without feed-forward": tracking_error(before)[part], "with it": tracking_error(after)[part]}
+        errors = {
+            "without feed-forward": tracking_error(before)[part],
+            "with it": tracking_error(after)[part],
+        }
         panels.append((load, time[part], errors))
         few = slice(None, None, _THIN)
         named |= {
             "time_s": time[part][few],
             f"error_{before.stage}_rad": errors["without feed-forward"][few],
             f"error_{before.stage}_fed_rad": errors["with it"][few],
-            f"power_{before.stage}_W": (before.channels["voltage"] * before.channels["current"])[part][few],
-            f"power_{before.stage}_fed_W": (after.channels["voltage"] * after.channels["current"])[part][few],
+            f"power_{before.stage}_W": (before.channels["voltage"] * before.channels["current"])[
+                part
+            ][few],
+            f"power_{before.stage}_fed_W": (after.channels["voltage"] * after.channels["current"])[
+                part
+            ][few],
         }
-    header = ("contact force", "error before (mrad rms)", "after", "ratio", "largest (mrad)", "after")
+    header = (
+        "contact force",
+        "error before (mrad rms)",
+        "after",
+        "ratio",
+        "largest (mrad)",
+        "after",
+    )
     return Exhibit(
         "compensation",
         "Compensation: the sine of Case 1 and 2 before and after feed-forward, and its energy",
-        "Friction is said to raise control error and power consumption, and the model to be a starting point for "
+        "Friction is said to raise control error and power consumption, and the model to be a "
+        "starting point for "
         "compensation; none is shown.",
         (
-            f"{SEQUENCE} on {BENCH}, stiff gains, identified from a log of its own: command less joint encoder, and "
+            f"{SEQUENCE} on {BENCH}, stiff gains, identified from a log of its own: command less "
+            f"joint encoder, and "
             f"electrical energy, over {CYCLES} cycles.",
         ),
         (

@@ -1,4 +1,6 @@
-"""The runs behind the paper's figures: low-speed ramps, uniform motion, areas, through the whole simulated chain."""
+"""The runs behind the paper's figures: low-speed ramps, uniform motion, areas, through the whole
+simulated chain.
+"""
 
 from __future__ import annotations
 

@@ -14,16 +14,25 @@ _ENDS_DEG = np.array([5.0, 29.0])
 
 
 def exhibit(seed: int) -> Exhibit:
-    """Return Fig. 4 as the paper runs it, and slowly enough for the pressure to follow the throat."""
+    """Return Fig. 4 as the paper runs it, and slowly enough for the pressure to follow the
+    throat.
+    """
     machine = true_machine("practical_hot")
     sweeps = [sweep(machine, speed, seed) for speed in (PAPER_DEG_S, SLOW_DEG_S)]
     return Exhibit(
         "fig_4",
         "Fig. 4: the motor's current falls with pressure and impacted area",
-        "The valve turns from 0 to 30 deg at 50 deg/s under a stable pressure; the curve of the current falls as the "
+        "The valve turns from 0 to 30 deg at 50 deg/s under a stable pressure; the curve of the "
+        "current falls as the "
         "pressure and the impacted area fall. The text gives no values of the curve.",
         tuple(_words(found) for found in sweeps),
-        (Picture.of("fig_4", "Fig. 4: an opening valve, as the paper runs it and slowly", _figure(sweeps)),),
+        (
+            Picture.of(
+                "fig_4",
+                "Fig. 4: an opening valve, as the paper runs it and slowly",
+                _figure(sweeps),
+            ),
+        ),
         {name: _data(found) for name, found in zip(("fig_4", "fig_4_slow"), sweeps, strict=True)},
     )
 
@@ -31,9 +40,12 @@ def exhibit(seed: int) -> Exhibit:
 def _words(found: Sweep) -> str:
     (_, current, pressure, area), (_, last_current, last_pressure, last_area) = found.at(_ENDS_DEG)
     return (
-        f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the current falls from "
-        f"{current:.2f} to {last_current:.2f} A, the pressure from {pressure:.2f} to {last_pressure:.2f} MPa, the area "
-        f"from {area:.0f} to {last_area:.0f} mm^2. Rank correlation of the current with the pressure "
+        f"At {found.speed_deg_s:g} deg/s: from {_ENDS_DEG[0]:g} to {_ENDS_DEG[1]:g} deg the "
+        f"current falls from "
+        f"{current:.2f} to {last_current:.2f} A, the pressure from {pressure:.2f} to "
+        f"{last_pressure:.2f} MPa, the area "
+        f"from {area:.0f} to {last_area:.0f} mm^2. Rank correlation of the current with the "
+        f"pressure "
         f"{found.rank_pressure:.3f}, with the area {found.rank_area:.3f}. The pressure stays up to "
         f"{100.0 * found.lag:.0f} % above the steady one."
     )

@@ -1,4 +1,6 @@
-"""Fig. 4: the valve opens at constant speed, and the motor's current falls with chamber pressure and impacted area."""
+"""Fig. 4: the valve opens at constant speed, and the motor's current falls with chamber pressure
+and impacted area.
+"""
 
 from __future__ import annotations
 
@@ -19,11 +21,15 @@ Array = NDArray[np.float64]
 PAPER_DEG_S = 50.0
 """As the paper runs it."""
 SLOW_DEG_S = 5.0
-"""Slow enough for the pressure to keep up with the throat, to 7 %, and not so slow that the joint sticks and slips."""
+"""Slow enough for the pressure to keep up with the throat, to 7 %, and not so slow that the joint
+sticks and slips.
+"""
 OPEN_DEG = 30.0
 CYCLE_S = 0.001
 UNIFORM = 0.05
-"""Share by which the speed may be off and the motion still count as uniform, as the paper supposes."""
+"""Share by which the speed may be off and the motion still count as uniform, as the paper
+supposes.
+"""
 SMOOTHING_S = 0.020
 """Over which the speed is taken, by the joint encoder."""
 REST_S = 0.2
@@ -31,7 +37,8 @@ REST_S = 0.2
 
 @dataclass(frozen=True)
 class Sweep:
-    """One opening of the valve as the bench's instruments see it; arrays of shape (n,), from the start of the motion.
+    """One opening of the valve as the bench's instruments see it; arrays of shape (n,), from the
+    start of the motion.
 
     Attributes:
         speed_deg_s: Commanded.
@@ -63,7 +70,8 @@ class Sweep:
         return float(np.max(self.pressure[self.uniform] / self.steady_pressure[self.uniform]) - 1.0)
 
     def at(self, degrees: Array) -> Array:
-        """Return angle (deg), current (A), pressure (MPa) and area (mm^2) at these angles, shape (m, 4).
+        """Return angle (deg), current (A), pressure (MPa) and area (mm^2) at these angles, shape
+        (m, 4).
 
         Means over the samples within half a degree in uniform motion; NaN where there are none.
         """
@@ -73,7 +81,9 @@ class Sweep:
             near = self.uniform & (np.abs(angle - degree) <= 0.5)
             row[0] = degree
             if near.any():
-                row[1:] = [np.mean(v[near]) for v in (self.current, self.pressure * 1e-6, self.area * 1e6)]
+                row[1:] = [
+                    np.mean(v[near]) for v in (self.current, self.pressure * 1e-6, self.area * 1e6)
+                ]
         return rows
 
 
@@ -81,7 +91,8 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
     """Open the valve of a burning gas generator from 0 to 30 deg at constant speed.
 
     Args:
-        machine: The bench; its gas generator burns steadily at the closed valve when the motion starts.
+        machine: The bench; its gas generator burns steadily at the closed valve when the motion
+        starts.
         speed_deg_s: Commanded speed.
         seed: Of the sensors' noise.
 
@@ -94,15 +105,21 @@ def sweep(machine: constants.Machine, speed_deg_s: float, seed: int = 0) -> Swee
     plant.advance(round(REST_S * 1e9))
     plant.ignite()
     plant.latch()
-    time = np.asarray(np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64)
+    time = np.asarray(
+        np.arange(math.ceil(OPEN_DEG / speed_deg_s / CYCLE_S)) * CYCLE_S, dtype=np.float64
+    )
     samples = record(plant, np.deg2rad(speed_deg_s) * time, CYCLE_S, pressure_rng=transmitter)
     area = gas_direct.impacted_area(machine, samples.angle)
     uniform = _uniform(samples.angle, math.radians(speed_deg_s))
     if not uniform.any():
         raise ValueError(
-            f"at {speed_deg_s:g} deg/s the joint never moves uniformly; sweep faster, or stiffen the drive"
+            f"at {speed_deg_s:g} deg/s the joint never moves uniformly; sweep faster, or stiffen "
+            f"the drive"
         )
-    ranks = [float(spearmanr(samples.current[uniform], v[uniform]).statistic) for v in (samples.pressure, area)]
+    ranks = [
+        float(spearmanr(samples.current[uniform], v[uniform]).statistic)
+        for v in (samples.pressure, area)
+    ]
     return Sweep(
         speed_deg_s,
         time,

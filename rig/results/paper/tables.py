@@ -28,11 +28,16 @@ from rig.results.paper.parameters import (
 )
 
 PRINTED = {**TABLE_1, **TABLE_2}
-_TITLES = {"Table 1: system load and inertia, Case 1": TABLE_1, "Table 2: working load, Case 2": TABLE_2}
+_TITLES = {
+    "Table 1: system load and inertia, Case 1": TABLE_1,
+    "Table 2: working load, Case 2": TABLE_2,
+}
 _PAPER = (
-    "Fig. 12: the parameters of Case 1 settle under the genetic algorithm; the target of 0.01 N m is met in generation "
+    "Fig. 12: the parameters of Case 1 settle under the genetic algorithm; the target of 0.01 N m "
+    "is met in generation "
     "469. Table 1: errors of 0 to 3.62 %.",
-    "Fig. 13: the same in Case 2, 3000 N; the target of 0.015 N m is met in generation 152. Table 2: errors of 0.77 to "
+    "Fig. 13: the same in Case 2, 3000 N; the target of 0.015 N m is met in generation 152. Table "
+    "2: errors of 0.77 to "
     "3.12 %.",
 )
 _THIN = 5  # of the samples, in the data files
@@ -45,7 +50,11 @@ def tables(found: Reproduction) -> dict[str, Table]:
         header += [f"{method}: worst value", "worst error", "median error"]
     right = tuple(range(1, len(header)))
     return {
-        title: Table(tuple(header), tuple(_row(found, name, printed) for name, printed in rows.items()), right)
+        title: Table(
+            tuple(header),
+            tuple(_row(found, name, printed) for name, printed in rows.items()),
+            right,
+        )
         for title, rows in _TITLES.items()
     }
 
@@ -53,14 +62,17 @@ def tables(found: Reproduction) -> dict[str, Table]:
 def remarks(found: Reproduction) -> list[str]:
     """Return what the tables need said beside them."""
     lines = [
-        f"Literal bench: gear ratio 1, J as printed, no noise; {DURATION_S:g} s at {RATE_HZ:g} Hz per case, and the "
+        f"Literal bench: gear ratio 1, J as printed, no noise; {DURATION_S:g} s at {RATE_HZ:g} Hz "
+        f"per case, and the "
         "fitness is over those samples.",
         "omega_sf is 0.0577 in Table 1 and 0.0557 in the text; 0.0557 is simulated.",
     ]
     for method, runs in found.runs.items():
         wrong = found.wrong_basins(method)
         line = f"{method} method: {len(wrong)} of {len(runs)} seeds in a wrong basin"
-        lines.append(f"{line} (a parameter other than J off by more than {WRONG_BASIN_PERCENT:g} %).")
+        lines.append(
+            f"{line} (a parameter other than J off by more than {WRONG_BASIN_PERCENT:g} %)."
+        )
         withheld = [result for result in runs.values() if not result.parameters["J"].identifiable]
         if withheld:
             lines.append(
@@ -68,7 +80,8 @@ def remarks(found: Reproduction) -> list[str]:
                 f"{withheld[0].parameters['J'].reason}."
             )
         lines += [
-            f"{method} method, {stage}: target {target:g} reached by {reached} of {len(runs)} seeds; "
+            f"{method} method, {stage}: target {target:g} reached by {reached} of {len(runs)} "
+            f"seeds; "
             f"median cost {number(cost, 3)} {unit} after {generations:.0f} generations."
             for stage, target, reached, cost, unit, generations in _searches(found, method)
         ]
@@ -84,7 +97,9 @@ def record(found: Reproduction) -> dict[str, Any]:
 
 
 def exhibits(found: Reproduction) -> list[Exhibit]:
-    """Return Table 1 with Fig. 12 and Table 2 with Fig. 13; the second with the errors over the seeds as well."""
+    """Return Table 1 with Fig. 12 and Table 2 with Fig. 13; the second with the errors over the
+    seeds as well.
+    """
     made = []
     for k, (title, table) in enumerate(tables(found).items()):
         fig = f"fig_{12 + k}"
@@ -94,7 +109,9 @@ def exhibits(found: Reproduction) -> list[Exhibit]:
         response = f"response_case_{k + 1}"
         pictures = [
             Picture.of(fig, caption, fit_plots.convergence(first.stages[k], found.truth)),
-            Picture.of(response, f"{recording.name}: response", signals.response(trace, recording, "N m")),
+            Picture.of(
+                response, f"{recording.name}: response", signals.response(trace, recording, "N m")
+            ),
         ]
         few = slice(None, None, _THIN)
         signal = columns(
@@ -117,13 +134,18 @@ def _worst(found: Reproduction, names: Sequence[str]) -> list[str]:
     for method, runs in found.runs.items():
         errors = {name: max(found.errors(method, name).values()) for name in names if name != "J"}
         worst = max(errors, key=lambda name: errors[name])
-        lines.append(f"{method} method, worst of {len(runs)} seeds: {worst} by {percent(finite(errors[worst]))}.")
+        lines.append(
+            f"{method} method, worst of {len(runs)} seeds: {worst} by "
+            f"{percent(finite(errors[worst]))}."
+        )
     return lines
 
 
 def _over_seeds(found: Reproduction) -> Exhibit:
     first = next(iter(found.runs["paper"].values()))
-    moments = {r.name: r.contact_force * (r.bench.moment_arm or 0.0) for r in found.dataset.recordings}
+    moments = {
+        r.name: r.contact_force * (r.bench.moment_arm or 0.0) for r in found.dataset.recordings
+    }
     errors = {m: {n: list(found.errors(m, n).values()) for n in PRINTED} for m in found.runs}
     printed = {name: entry.error_percent for name, entry in PRINTED.items()}
     rows = [
@@ -149,7 +171,11 @@ def _over_seeds(found: Reproduction) -> Exhibit:
                 [
                     (trace.recording, v, m)
                     for trace in first.traces
-                    for v, m in zip(trace.velocity[::_THIN].tolist(), trace.friction[::_THIN].tolist(), strict=True)
+                    for v, m in zip(
+                        trace.velocity[::_THIN].tolist(),
+                        trace.friction[::_THIN].tolist(),
+                        strict=True,
+                    )
                 ],
             ),
         },
@@ -192,13 +218,17 @@ def _entry(found: Reproduction, method: str, name: str, printed: Printed) -> dic
         "printed_true": printed.original,
         "printed_error_percent": printed.error_percent,
         "median_error_percent": finite(statistics.median(errors.values())),
-        "identifiable": all(result.parameters[name].identifiable for result in found.runs[method].values()),
+        "identifiable": all(
+            result.parameters[name].identifiable for result in found.runs[method].values()
+        ),
         "seeds": {str(seed): finite(value) for seed, value in values.items()},
     }
 
 
 def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, float, str, float]]:
-    """Return stage, target, seeds that reached it, median cost, unit and median generations of every search."""
+    """Return stage, target, seeds that reached it, median cost, unit and median generations of
+    every search.
+    """
     runs = list(found.runs[method].values())
     out = []
     for k, stage in enumerate(runs[0].stages):
@@ -207,6 +237,13 @@ def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, f
             cost = statistics.median(s.cost for s in stages)
             generations = statistics.median(s.generations for s in stages)
             out.append(
-                (stage.stage, stage.target, sum(bool(s.reached) for s in stages), cost, stage.cost_unit, generations)
+                (
+                    stage.stage,
+                    stage.target,
+                    sum(bool(s.reached) for s in stages),
+                    cost,
+                    stage.cost_unit,
+                    generations,
+                )
             )
     return out

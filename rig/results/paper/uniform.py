@@ -55,7 +55,8 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
             ramp = f"{{travel_deg: {travel:g}, speed_deg_s: {speed:g}, rest_s: 0.3}}"
             duration = 2.0 * travel / speed + 0.6
             lines.append(
-                f"  - {{name: {load}-{speed:g}, stage: {load}, weight_kg: {weight:g}, center_deg: {-0.5 * travel:g}, "
+                f"  - {{name: {load}-{speed:g}, stage: {load}, weight_kg: {weight:g}, center_deg: "
+                f"{-0.5 * travel:g}, "
                 f"ramp: {ramp}, duration_s: {duration:.9g}}}"
             )
     path = scratch / "uniform.yaml"
@@ -64,18 +65,24 @@ def sequence(scratch: Path) -> Document[SequenceFile]:
 
 
 def measure(scratch: Path, seed: int) -> UniformStudy:
-    """Run the ramps on both gain sets of the practical bench and take a point from each stretch of constant speed."""
+    """Run the ramps on both gain sets of the practical bench and take a point from each stretch of
+    constant speed.
+    """
     plan = sequence(scratch)
     points = {}
     for gains, name in GAINS.items():
         dataset = run_simulated(load_bench(name), plan, seed, scratch / name)
-        points[gains] = [point for recording in dataset.recordings for point in uniform_points(recording)]
+        points[gains] = [
+            point for recording in dataset.recordings for point in uniform_points(recording)
+        ]
     moment = max(p.moment for p in points["stiff"])
     return UniformStudy(points, true_parameters(true_machine("practical")), moment)
 
 
 def exhibit(study: UniformStudy) -> Exhibit:
-    """Return the points beside the true friction, and what a Stribeck curve through them makes of the parameters."""
+    """Return the points beside the true friction, and what a Stribeck curve through them makes of
+    the parameters.
+    """
     sets = {
         "stiff gains, no weight": [p for p in study.points["stiff"] if not p.moment],
         "stiff gains, all points": study.points["stiff"],
@@ -87,13 +94,16 @@ def exhibit(study: UniformStudy) -> Exhibit:
     return Exhibit(
         "eq_14",
         "Eq. 14: the conventional method, friction from uniform motion",
-        "J domega/dt = M_T - M_f(omega) = 0: the motor's torque at constant speed is the friction. Called almost "
+        "J domega/dt = M_T - M_f(omega) = 0: the motor's torque at constant speed is the "
+        "friction. Called almost "
         "impossible here, as stick-slip defeats uniform motion; no figures are given.",
-        tuple(_words(gains, study.points[gains]) for gains in study.points) + _verdict(fits, study.truth),
+        tuple(_words(gains, study.points[gains]) for gains in study.points)
+        + _verdict(fits, study.truth),
         (
             Picture.of(
                 "eq_14",
-                f"Eq. 14: mean torque against commanded speed; hollow: the speed spreads by more than {UNIFORM:.0%}",
+                f"Eq. 14: mean torque against commanded speed; hollow: the speed spreads by more "
+                f"than {UNIFORM:.0%}",
                 _figure(study),
             ),
         ),
@@ -108,12 +118,15 @@ def _words(gains: str, points: Sequence[UniformPoint]) -> str:
         return f"{sum(p.uniform for p in chosen)} of {len(chosen)}"
 
     return (
-        f"{gains.capitalize()} gains: the motion was uniform in {count(False)} stretches without weight, "
+        f"{gains.capitalize()} gains: the motion was uniform in {count(False)} stretches without "
+        f"weight, "
         f"in {count(True)} under 3000 N."
     )
 
 
-def _verdict(fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]) -> tuple[str, ...]:
+def _verdict(
+    fits: Mapping[str, Mapping[str, float]], truth: Mapping[str, float]
+) -> tuple[str, ...]:
     lines = []
     for name, found in fits.items():
         if not found:
@@ -145,9 +158,16 @@ def _figure(study: UniformStudy) -> regulator.Figure:
     unloaded = system_friction(speed, study.truth, 2.0)
     loaded = unloaded + study.moment * load_coefficient(speed, study.truth, 2.0)
     panels = []
-    for title, curve, is_loaded in (("no weight", unloaded, False), ("30.6 kg (3000 N)", loaded, True)):
+    for title, curve, is_loaded in (
+        ("no weight", unloaded, False),
+        ("30.6 kg (3000 N)", loaded, True),
+    ):
         chosen = {
-            f"{gains} gains": [(abs(p.speed), p.friction, p.uniform) for p in points if (p.moment > 0.0) is is_loaded]
+            f"{gains} gains": [
+                (abs(p.speed), p.friction, p.uniform)
+                for p in points
+                if (p.moment > 0.0) is is_loaded
+            ]
             for gains, points in study.points.items()
         }
         panels.append((title, curve, chosen))

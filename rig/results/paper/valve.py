@@ -35,15 +35,20 @@ def exhibit() -> Exhibit:
     return Exhibit(
         "fig_3",
         "Fig. 3: impacted and effective throat area",
-        "The platform, and the schematic of the impacted area: d = 25 mm, D = 40 mm, b = 54 mm; the greatest throat is "
-        "the sum of both areas; the valve turns from 0 to 30 deg. The curve is said to follow, and is not printed.",
+        "The platform, and the schematic of the impacted area: d = 25 mm, D = 40 mm, b = 54 mm; "
+        "the greatest throat is "
+        "the sum of both areas; the valve turns from 0 to 30 deg. The curve is said to follow, "
+        "and is not printed.",
         (
-            f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate is clear at "
+            f"A_s = {impacted[0]:.4g} m^2 and A_t = {throat[0]:.4g} m^2 at 0 deg; the plate is "
+            f"clear at "
             f"{clear:.2f} deg, where the paper says 30; A_s + A_t = {total:.5g} m^2 throughout.",
         ),
         (
             Picture.of(
-                "fig_3", "Fig. 3: areas against the valve angle", regulator.areas(angle_deg, impacted, throat, clear)
+                "fig_3",
+                "Fig. 3: areas against the valve angle",
+                regulator.areas(angle_deg, impacted, throat, clear),
             ),
         ),
         {"fig_3": columns(angle_deg=angle_deg, impacted_area_m2=impacted, throat_area_m2=throat)},

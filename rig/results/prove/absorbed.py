@@ -1,9 +1,9 @@
 """How much of what a rig hides is left once the nominal constants are fitted again, over the noise.
 
-Strength says how much an effect changes a channel; but a gear's loss where friction is all the load makes every
-constant larger by one factor, and nothing else. What no method could see is known from here: the nominal model is
-fitted to the rig's recordings and to those of its twin that hides nothing, and what the former leaves is held against
-the latter.
+Strength says how much an effect changes a channel; but a gear's loss where friction is all the load
+makes every constant larger by one factor, and nothing else. What no method could see is known from
+here: the nominal model is fitted to the rig's recordings and to those of its twin that hides
+nothing, and what the former leaves is held against the latter.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def residual_rms(joint: Joint) -> dict[str, float]:
 
 
 def floors(machine: Machine, twin: list[Recorded]) -> dict[str, float]:
-    """Return what the nominal model leaves of a twin that hides nothing; nothing where it cannot be fitted.
+    """Return what the nominal model leaves of a twin that hides nothing; nothing where it cannot be
+    fitted.
 
     Raises:
         OSError: It cannot be written.

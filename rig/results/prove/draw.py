@@ -165,5 +165,7 @@ def _nominal(rng: np.random.Generator) -> Machine:
             omega_sL_rad_s=around(joint.omega_sL_rad_s),
             mu_2_s_rad=around(joint.mu_2_s_rad),
         ),
-        sensing=replace(sensing, current_noise_A=sensing.current_noise_A * float(rng.uniform(*NOISE_SPREAD))),
+        sensing=replace(
+            sensing, current_noise_A=sensing.current_noise_A * float(rng.uniform(*NOISE_SPREAD))
+        ),
     )

@@ -1,9 +1,10 @@
-"""The experiments of a blind rig: thirteen recordings that together split the catalogue's look-alikes.
+"""The experiments of a blind rig: thirteen recordings that together split the catalogue's
+look-alikes.
 
-Wide and small, slow and fast, at four weights; ramps from creeping to quick; rests from 0.1 to 8 s; loops below
-breakaway; one experiment twice, for the noise floor; and one with a weight on the joint itself, which drives the motor
-back: where friction is all the load, the constants take up what the gear loses. Those to validate repeat none of the
-others.
+Wide and small, slow and fast, at four weights; ramps from creeping to quick; rests from 0.1 to 8 s;
+loops below breakaway; one experiment twice, for the noise floor; and one with a weight on the joint
+itself, which drives the motor back: where friction is all the load, the constants take up what the
+gear loses. Those to validate repeat none of the others.
 """
 
 from __future__ import annotations
@@ -56,7 +57,9 @@ class Experiment(NamedTuple):
 
 
 def tones(*parts: tuple[float, float, float]) -> Array:
-    """Return a sum of sines, each (amplitude in deg, frequency in Hz, phase in rad), eased in and out."""
+    """Return a sum of sines, each (amplitude in deg, frequency in Hz, phase in rad), eased in and
+    out.
+    """
     t = _time()
     swing = np.zeros_like(t)
     for amplitude_deg, frequency_Hz, phase in parts:
@@ -65,10 +68,11 @@ def tones(*parts: tuple[float, float, float]) -> Array:
 
 
 def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
-    """Return ramps to and fro between both ends of a span, one speed after another until the time is over.
+    """Return ramps to and fro between both ends of a span, one speed after another until the time
+    is over.
 
-    Slow speeds cover what they can of the span in their share of the time. Corners are rounded over 0.12 s, which keeps
-    the torque of the fastest within what the drive has.
+    Slow speeds cover what they can of the span in their share of the time. Corners are rounded over
+    0.12 s, which keeps the torque of the fastest within what the drive has.
     """
     span = np.deg2rad(span_deg)
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(speeds_rad_s)
@@ -84,7 +88,9 @@ def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
     return _filled([np.convolve(np.concatenate(pieces), window / window.sum(), mode="same")])
 
 
-def dwells(rests_s: Sequence[float], step_deg: float, speed_rad_s: float, center_deg: float = 0.0) -> Array:
+def dwells(
+    rests_s: Sequence[float], step_deg: float, speed_rad_s: float, center_deg: float = 0.0
+) -> Array:
     """Return moves to and fro with a rest before each, as long as ``rests_s`` says."""
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     at = 0.0
@@ -98,8 +104,12 @@ def dwells(rests_s: Sequence[float], step_deg: float, speed_rad_s: float, center
     return _filled(pieces)
 
 
-def small_loops(amplitudes_rad: Sequence[float], frequency_Hz: float, centers_deg: Sequence[float]) -> Array:
-    """Return loops of rising size around several angles: below breakaway first, beyond it at the end."""
+def small_loops(
+    amplitudes_rad: Sequence[float], frequency_Hz: float, centers_deg: Sequence[float]
+) -> Array:
+    """Return loops of rising size around several angles: below breakaway first, beyond it at the
+    end.
+    """
     pieces = [np.zeros(round(_RAMP_S / CYCLE_S))]
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(centers_deg)
     at = 0.0
@@ -110,7 +120,9 @@ def small_loops(amplitudes_rad: Sequence[float], frequency_Hz: float, centers_de
         at = to
         each_s = np.floor((share_s - 1.5) / len(amplitudes_rad) * frequency_Hz) / frequency_Hz
         t = np.arange(round(each_s / CYCLE_S)) * CYCLE_S
-        pieces.extend(at + amplitude * np.sin(2.0 * np.pi * frequency_Hz * t) for amplitude in amplitudes_rad)
+        pieces.extend(
+            at + amplitude * np.sin(2.0 * np.pi * frequency_Hz * t) for amplitude in amplitudes_rad
+        )
         pieces.append(np.full(round(0.3 / CYCLE_S), at))
     return _filled(pieces)
 
@@ -146,9 +158,19 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
     ("d", "fit", 10.0, _lively),
     ("e", "fit", 30.6, lambda: tones((26.0, 0.11, 0.0), (1.0, 1.3, 0.5), (0.3, 4.7, 0.0))),
     ("f", "validate", 30.6, lambda: ramps(22.0, (0.8, 0.45, 0.2, 0.07))),
-    ("g", "fit", 0.0, lambda: dwells((0.1, 0.1, 8.0, 0.2, 0.5, 4.0, 1.0, 0.1, 2.0, 0.2, 0.5), 5.0, 0.35)),
+    (
+        "g",
+        "fit",
+        0.0,
+        lambda: dwells((0.1, 0.1, 8.0, 0.2, 0.5, 4.0, 1.0, 0.1, 2.0, 0.2, 0.5), 5.0, 0.35),
+    ),
     ("h", "fit", 0.0, lambda: small_loops((1e-4, 2e-4, 4e-4, 1e-3, 3e-3), 2.0, (0.0, 9.0, -14.0))),
-    ("i", "validate", 10.0, lambda: dwells((0.1, 3.0, 0.3, 0.3, 6.0, 0.1, 1.0, 1.0), 12.0, 0.5, -3.0)),
+    (
+        "i",
+        "validate",
+        10.0,
+        lambda: dwells((0.1, 3.0, 0.3, 0.3, 6.0, 0.1, 1.0, 1.0), 12.0, 0.5, -3.0),
+    ),
     ("j", "fit", 20.0, lambda: ramps(26.0, (1.0, 0.5, 0.25, 0.12, 0.05))),
     ("k", "validate", 20.0, lambda: tones((17.0, 0.17, 1.2), (6.0, 0.53, 0.2), (0.5, 3.7, 2.0))),
     ("l", "fit", 0.0, _mixed),
@@ -156,8 +178,9 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
 _DRIVEN_BACK = Experiment(
     "m", "fit", 0.0, tones((10.0, 0.25, 0.0), (3.0, 0.6, 0.5)), FixedWeight(15.0, 0.1, -np.pi / 2.0)
 )
-"""Heavier than most friction, and standing out level: it pulls one way and by the same throughout, whatever an encoder
-that is off says of its angle."""
+"""Heavier than most friction, and standing out level: it pulls one way and by the same throughout,
+whatever an encoder that is off says of its angle.
+"""
 
 
 _FIXED = {

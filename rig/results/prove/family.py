@@ -1,4 +1,6 @@
-"""The two proofs: rigs that hide something in their motion, and rigs that hide something in their gas generator."""
+"""The two proofs: rigs that hide something in their motion, and rigs that hide something in their
+gas generator.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,8 @@ class Family(NamedTuple):
     Attributes:
         assignment: (rigs, seed) to what each hides.
         seal: (folder, number, what it hides, seed) to the sealed rig.
-        simulate: (sealed rig, what it hides, seed) to how strong that shows by channel, its campaign written.
+        simulate: (sealed rig, what it hides, seed) to how strong that shows by channel, its
+            campaign written.
     """
 
     assignment: Callable[[int, int], list[Assigned]]

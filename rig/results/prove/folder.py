@@ -1,4 +1,6 @@
-"""A blind rig on disk: a campaign file and its recordings, with nothing in them that tells what is hidden."""
+"""A blind rig on disk: a campaign file and its recordings, with nothing in them that tells what is
+hidden.
+"""
 
 from __future__ import annotations
 
@@ -18,16 +20,20 @@ CAMPAIGN_FILE = "campaign.yaml"
 AVERAGED = ("current", "voltage")
 
 
-def write(folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: bool = True) -> Path:
+def write(
+    folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: bool = True
+) -> Path:
     """Write a campaign for the contract's reader; return the campaign file.
 
-    Time runs through the whole campaign, so that each recording's first time stamp is its start in it.
+    Time runs through the whole campaign, so that each recording's first time stamp is its start in
+    it.
 
     Args:
         folder: Where.
         machine: Whose constants an engineer knows.
         recorded: Its recordings.
-        packed: Compress them, for those that are to be kept; it takes as long as half of their simulation.
+        packed: Compress them, for those that are to be kept; it takes as long as half of their
+            simulation.
 
     Raises:
         OSError: It cannot be written.
@@ -37,7 +43,10 @@ def write(folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: 
         samples = entry.samples
         columns = {"time": entry.start_s + samples.time, "command": samples.command}
         columns |= {name: getattr(samples, name) for name in CHANNELS}
-        with replacing(folder / f"{entry.experiment.name}.npz") as draft, draft.open("wb") as stream:
+        with (
+            replacing(folder / f"{entry.experiment.name}.npz") as draft,
+            draft.open("wb") as stream,
+        ):
             (np.savez_compressed if packed else np.savez)(stream, allow_pickle=False, **columns)
     path = folder / CAMPAIGN_FILE
     write_text(path, yaml.safe_dump(description(machine, recorded), sort_keys=False))
@@ -45,7 +54,9 @@ def write(folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: 
 
 
 def description(machine: Machine, recorded: Sequence[Recorded]) -> dict[str, Any]:
-    """Return the campaign file's content: constants that an engineer knows, recordings and channels."""
+    """Return the campaign file's content: constants that an engineer knows, recordings and
+    channels.
+    """
     motor, joint = machine.motor, machine.joint
     channels: dict[str, Any] = {name: name for name in ("time", "command", *CHANNELS)}
     channels |= {name: {"column": name, "average": True} for name in AVERAGED}

@@ -15,7 +15,9 @@ from rig.results.prove.sizes import Draw, either, log
 
 GAS_SHARES: Mapping[Kind, float] = {"one": 50.0, "nothing": 40.0, "outside": 10.0}
 RATE_SPREAD, EXPONENT_SPREAD, VELOCITY_SPREAD, VOLUME_SPREAD = 0.15, 0.03, 0.05, 0.2
-"""Constants lie within this share of what the campaign says of them; the exponent within this difference."""
+"""Constants lie within this share of what the campaign says of them; the exponent within this
+difference.
+"""
 GRAIN_SPREAD = 0.03
 """Free volumes of one rig's burns differ by this share: grains are not of one length."""
 NOISE_SHARES = (0.001, 0.0025)
@@ -23,7 +25,9 @@ NOISE_SHARES = (0.001, 0.0025)
 ZERO_SHARE = 0.0003
 """Of the transmitter's range, by which its zero is off at most after taring."""
 SIZE_SPREAD_M, ANGLE_SPREAD_RAD, MOST_LATE_CYCLES = 3e-5, float(np.deg2rad(0.05)), 2
-"""By which the valve's dimensions and the encoder's zero are off at most, and how late the pressure is sampled."""
+"""By which the valve's dimensions and the encoder's zero are off at most, and how late the pressure
+is sampled.
+"""
 
 GAS_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "throat_deposition": {"rate_m_s": log(5e-7, 2e-5)},
@@ -38,7 +42,11 @@ GAS_OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_propellant_bands": {"share": log(0.003, 0.05), "length_m": log(0.01, 0.1)},
     "x_burning_wave": {"share": log(0.003, 0.05), "frequency_Hz": log(0.1, 5.0)},
     "x_throat_wear": {"rate_m_s": log(5e-7, 2e-5)},
-    "x_slag_puffs": {"share": log(0.01, 0.1), "period_s": log(0.5, 4.0), "length_s": log(0.05, 0.4)},
+    "x_slag_puffs": {
+        "share": log(0.01, 0.1),
+        "period_s": log(0.5, 4.0),
+        "length_s": log(0.05, 0.4),
+    },
 }
 """The same for effects that are in no catalogue."""
 
@@ -71,7 +79,9 @@ def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
     counts = apportion(rigs, GAS_SHARES)
     drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]
     drawn += [("one", (name,)) for name in in_turn(list(GAS_SIZES), counts["one"], rng)]
-    drawn += [("outside", (name,)) for name in in_turn(list(GAS_OUTSIDE_SIZES), counts["outside"], rng)]
+    drawn += [
+        ("outside", (name,)) for name in in_turn(list(GAS_OUTSIDE_SIZES), counts["outside"], rng)
+    ]
     return [drawn[k] for k in rng.permutation(len(drawn))]
 
 
@@ -111,7 +121,9 @@ def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
         energy_J_kg=g.energy_J_kg * (velocity / g.characteristic_velocity_m_s) ** 2,
         free_volume_m3=volume,
     )
-    sensor = replace(g.transmitter, noise_Pa=g.transmitter.range_Pa * float(rng.uniform(*NOISE_SHARES)))
+    sensor = replace(
+        g.transmitter, noise_Pa=g.transmitter.range_Pa * float(rng.uniform(*NOISE_SHARES))
+    )
     sizes = {**GAS_SIZES, **GAS_OUTSIDE_SIZES}
     effects = {name: {key: size(rng) for key, size in sizes[name].items()} for name in names}
     machine = replace(base, gas=replace(gas, transmitter=sensor), effects=effects)

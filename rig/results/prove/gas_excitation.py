@@ -1,7 +1,8 @@
-"""The burns of a blind gas rig: six to fit and two set aside, that between them split the catalogue's look-alikes.
+"""The burns of a blind gas rig: six to fit and two set aside, that between them split the
+catalogue's look-alikes.
 
-Pauses at many throats, early and late in a burn; steps between the least and the greatest; sines and sweeps through the
-chamber's own time. The burns to validate repeat none of the others.
+Pauses at many throats, early and late in a burn; steps between the least and the greatest; sines
+and sweeps through the chamber's own time. The burns to validate repeat none of the others.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ MOVE_S = 0.25
 
 
 class GasExperiment(NamedTuple):
-    """One burn to make: name of its file, role as in the campaign file, valve angle sent in each cycle, rad, (n,)."""
+    """One burn to make: name of its file, role as in the campaign file, valve angle sent in each
+    cycle, rad, (n,).
+    """
 
     name: str
     role: Literal["fit", "validate"]

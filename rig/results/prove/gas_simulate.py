@@ -1,4 +1,6 @@
-"""A blind gas rig: its truth sealed, its burns simulated and written, and how strong what it hides is."""
+"""A blind gas rig: its truth sealed, its burns simulated and written, and how strong what it hides
+is.
+"""
 
 from __future__ import annotations
 
@@ -21,7 +23,9 @@ from rig.results.prove.gas_excitation import gas_experiments
 from rig.results.prove.generate import Sealed, seal_truth
 
 CHANNELS = ("time", "command", "angle", "pressure")
-"""What an engineer of such a bench has; the drive's current would tell the same of the gas, through friction."""
+"""What an engineer of such a bench has; the drive's current would tell the same of the gas, through
+friction.
+"""
 
 
 def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) -> Sealed:
@@ -40,7 +44,13 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
             "n": gas.pressure_exponent,
             "C_r": gas.characteristic_velocity_m_s,
             "V_0": float(
-                np.mean([v for v, e in zip(rig.volumes_m3, gas_experiments(), strict=True) if e.role == "fit"])
+                np.mean(
+                    [
+                        v
+                        for v, e in zip(rig.volumes_m3, gas_experiments(), strict=True)
+                        if e.role == "fit"
+                    ]
+                )
             ),
             "d": gas.valve.hole_diameter_m,
             "D": gas.valve.opening_diameter_m,
@@ -53,7 +63,8 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
 
 
 def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:
-    """Simulate a rig, write its campaign, and return how strong what it hides shows in the pressure.
+    """Simulate a rig, write its campaign, and return how strong what it hides shows in the
+    pressure.
 
     Raises:
         OSError: It cannot be written.
@@ -69,12 +80,16 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
 
 
 def campaign(rig: GasRig) -> list[Samples]:
-    """Simulate all burns over motor, drive loops and sensors, each from its ignition with a fresh grain.
+    """Simulate all burns over motor, drive loops and sensors, each from its ignition with a fresh
+    grain.
 
-    Zeros and lateness are added to what the sensors gave; of a late pressure the first sample stands for those before.
+    Zeros and lateness are added to what the sensors gave; of a late pressure the first sample
+    stands for those before.
     """
     done = []
-    for number, (experiment, volume) in enumerate(zip(gas_experiments(), rig.volumes_m3, strict=True)):
+    for number, (experiment, volume) in enumerate(
+        zip(gas_experiments(), rig.volumes_m3, strict=True)
+    ):
         machine: Machine = replace(rig.machine, gas=replace(rig.machine.gas, free_volume_m3=volume))
         motion, pressure = (np.random.default_rng([rig.seed, number, k]) for k in range(2))
         plant = SimulatedMachine(machine, motion)
@@ -107,5 +122,7 @@ def description() -> dict[str, Any]:
         "campaign": 1,
         "bench": {"moment_arm": Machine().joint.moment_arm_m, "gas_generator": {}},
         "defaults": {"channels": {name: name for name in CHANNELS}},
-        "recordings": [{"file": f"{e.name}.npz", "stage": "loaded", "role": e.role} for e in gas_experiments()],
+        "recordings": [
+            {"file": f"{e.name}.npz", "stage": "loaded", "role": e.role} for e in gas_experiments()
+        ],
     }

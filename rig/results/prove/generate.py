@@ -2,7 +2,8 @@
 
     python -m rig.results.prove.generate OUT --rigs 12 --seed 1
 
-leaves ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json`` with how strong its effects show.
+leaves ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json`` with how strong
+its effects show.
 """
 
 from __future__ import annotations
@@ -44,7 +45,12 @@ class Sealed(NamedTuple):
 
 def place(out: Path, number: int, digest: str = "") -> Sealed:
     """Return where a rig of this number is, or will be."""
-    return Sealed(number, out / f"rig-{number:04d}" / CAMPAIGN_FILE, out / "sealed" / f"{number:04d}.json", digest)
+    return Sealed(
+        number,
+        out / f"rig-{number:04d}" / CAMPAIGN_FILE,
+        out / "sealed" / f"{number:04d}.json",
+        digest,
+    )
 
 
 def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
@@ -68,7 +74,8 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
 def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
     """Write down and seal the truth of one rig.
 
-    The salt of the seal is no part of what a seed repeats: the truth must not be guessed from the digest.
+    The salt of the seal is no part of what a seed repeats: the truth must not be guessed from the
+    digest.
 
     Raises:
         OSError: It cannot be written.
@@ -79,7 +86,8 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
 
 
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
-    """Simulate a rig, write its campaign, and return how strong what it hides shows in each channel.
+    """Simulate a rig, write its campaign, and return how strong what it hides shows in each
+    channel.
 
     Beside the truth go the noise floors of its twin that hides nothing.
 
@@ -97,7 +105,8 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return what is hidden as a recording shows it, whose time begins after the machine has settled under power.
+    """Return what is hidden as a recording shows it, whose time begins after the machine has
+    settled under power.
 
     The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
     """
@@ -112,8 +121,12 @@ def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[st
 @click.command()
 @click.argument("out", type=click.Path(path_type=Path, file_okay=False))
 @click.option("--rigs", type=click.IntRange(min=1), default=12, show_default=True, help="How many.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws.")
-@click.option("--only", multiple=True, help="Hide these effects in every rig, instead of drawing them.")
+@click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws."
+)
+@click.option(
+    "--only", multiple=True, help="Hide these effects in every rig, instead of drawing them."
+)
 def main(out: Path, rigs: int, seed: int, only: Sequence[str]) -> None:
     """Generate blind rigs into OUT, without diagnosing them."""
     drawn: list[tuple[Kind, tuple[str, ...]]] = assignment(rigs, seed)

@@ -1,4 +1,6 @@
-"""One blind rig judged: by the diagnosis, by the baselines it must beat, and, once its truth is open, by the oracle."""
+"""One blind rig judged: by the diagnosis, by the baselines it must beat, and, once its truth is
+open, by the oracle.
+"""
 
 from __future__ import annotations
 
@@ -25,7 +27,8 @@ class Judgement(NamedTuple):
     Attributes:
         diagnosis: The record of ``rig diagnose --json``.
         baselines: Method to the effects it names, the most important first.
-        oracle: From the true names to the record of :class:`identification.diagnosis.oracle.HeldOut`, or None.
+        oracle: From the true names to the record of
+        :class:`identification.diagnosis.oracle.HeldOut`, or None.
         seconds: Spent on the diagnosis.
         baseline_seconds: Spent on the baselines.
         left: What the nominal model's fit leaves in each equation, in its unit.
@@ -66,6 +69,8 @@ def judge(source: Path, seed: int) -> Judgement:
     return Judgement(as_json(outcome), named, asked, diagnosed - began, later, residual_rms(first))
 
 
-def _oracle(dataset: Dataset, first: Joint, bandwidth_Hz: float, names: Sequence[str]) -> Mapping[str, Any] | None:
+def _oracle(
+    dataset: Dataset, first: Joint, bandwidth_Hz: float, names: Sequence[str]
+) -> Mapping[str, Any] | None:
     found = oracle(dataset, first, names, bandwidth_Hz)
     return None if found is None else asdict(found)

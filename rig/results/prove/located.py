@@ -1,4 +1,6 @@
-"""Whether the diagnosis found the mismatch where the catalogue says that the hidden effect shows."""
+"""Whether the diagnosis found the mismatch where the catalogue says that the hidden effect
+shows.
+"""
 
 from __future__ import annotations
 
@@ -17,10 +19,14 @@ LIKE: Mapping[str, frozenset[str]] = {
     "travel since reversal": frozenset({"time since reversal"}),
     "frequency": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
 }
-"""Coordinate of the catalogue to those that fix it as well on these rigs: speed and torque carry the direction in their
-sign, torque rises with the load, the machine warms with time, what changes with frequency shows where torque turns."""
+"""Coordinate of the catalogue to those that fix it as well on these rigs: speed and torque carry
+the direction in their sign, torque rises with the load, the machine warms with time, what changes
+with frequency shows where torque turns.
+"""
 OWN_RECORDING = ("wrong_weight", "encoder_slip")
-"""Effects that show in one recording; that recording, rather than any coordinate, is their place."""
+"""Effects that show in one recording; that recording, rather than any coordinate, is their
+place.
+"""
 
 
 def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
@@ -32,9 +38,10 @@ def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) 
         diagnosis: As ``rig diagnose --json`` says; of several effects the first one's place counts.
 
     Returns:
-        ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is the catalogue's;
-        ``place``: whether it is that or one like it, or for effects of one recording, whether no more than one other
-        is named beside it. All null where the diagnosis found nothing, which the power curve tells.
+        ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is
+        the catalogue's; ``place``: whether it is that or one like it, or for effects of one
+        recording, whether no more than one other is named beside it. All null where the diagnosis
+        found nothing, which the power curve tells.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
     if diagnosis["verdict"] == "nothing_missing" or where is None:

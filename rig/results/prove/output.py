@@ -22,13 +22,16 @@ _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",
     "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
     "top1_torque": f"one effect, {STRONG:g} or more of the torque's noise: named first",
-    "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias group",
+    "alias_group_torque": f"one effect, {STRONG:g} or more of the torque's noise: in the alias "
+    f"group",
     "top1_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: named first",
-    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in the alias group",
+    "alias_group_left": f"one effect, {STRONG:g} or more left by a new fit of the constants: in "
+    f"the alias group",
     "top1_all": "one effect, any strength: named first",
     "alias_group_all": "one effect, any strength: in the alias group",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
-    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both named",
+    "both_named_left": f"two effects, {STRONG:g} or more left by a new fit of the constants: both "
+    f"named",
     "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
     "both_named_all": "two effects, any strength: both named",
     "false_alarms": "nothing hidden: alarms",
@@ -65,7 +68,9 @@ def rates(result: Mapping[str, Any]) -> Table:
         found = result[key]
         if found["of"]:
             band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
-            rows.append((words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band))
+            rows.append(
+                (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
+            )
     return Table(("what", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
@@ -76,9 +81,14 @@ def methods(result: Mapping[str, Any]) -> Table:
     for key, words in _METHODS.items():
         cells = [result["methods"][m][key] for m in names]
         if cells[0]["of"]:
-            shares = [f"{100 * c['share']:.1f} % ({100 * c['low']:.0f} to {100 * c['high']:.0f})" for c in cells]
+            shares = [
+                f"{100 * c['share']:.1f} % ({100 * c['low']:.0f} to {100 * c['high']:.0f})"
+                for c in cells
+            ]
             rows.append((words, str(cells[0]["of"]), *shares))
-    return Table(("what", "rigs", *(_TITLES[m] for m in names)), tuple(rows), tuple(range(1, 2 + len(names))))
+    return Table(
+        ("what", "rigs", *(_TITLES[m] for m in names)), tuple(rows), tuple(range(1, 2 + len(names)))
+    )
 
 
 def places(result: Mapping[str, Any]) -> Table:
@@ -88,43 +98,60 @@ def places(result: Mapping[str, Any]) -> Table:
         found = result["location"][key]
         if found["of"]:
             band = f"{100 * found['low']:.1f} to {100 * found['high']:.1f} %"
-            rows.append((words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band))
+            rows.append(
+                (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
+            )
     return Table(("mismatch located", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
 def remarks(result: Mapping[str, Any]) -> list[str]:
     """Return what the rates need said beside them."""
     lines = [
-        f"{result['outside']['named_confidently']} effects outside the catalogue were given a name with confidence."
+        f"{result['outside']['named_confidently']} effects outside the catalogue were given a "
+        f"name with confidence."
     ]
-    for key, words in (("oracle_fraction", "what the true structure gains"), ("floor_fraction", "the noise floor")):
+    for key, words in (
+        ("oracle_fraction", "what the true structure gains"),
+        ("floor_fraction", "the noise floor"),
+    ):
         gain = result[key]
         if gain["median"] is not None:
             lines.append(
-                f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to {words} was gained "
+                f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to "
+                f"{words} was gained "
                 f"(median of {gain['of']} rigs)."
             )
     if result["absorbed"]:
         lines.append(
-            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave less than that over "
-            f"the noise once the nominal constants are fitted again: rigs {', '.join(map(str, result['absorbed']))}."
+            f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave "
+            f"less than that over "
+            f"the noise once the nominal constants are fitted again: rigs "
+            f"{', '.join(map(str, result['absorbed']))}."
         )
     if result["most_frequent_class"] is not None:
         lines.append(
-            f"Always naming the most frequent effect would be right on {100 * result['most_frequent_class']:.1f} %."
+            f"Always naming the most frequent effect would be right on "
+            f"{100 * result['most_frequent_class']:.1f} %."
         )
     return lines
 
 
-def write(folder: Path, result: Mapping[str, Any], provenance: Provenance, json_file: Path | None) -> Path:
-    """Write result file, figures and page into ``folder``, and the result once more where asked; return the page.
+def write(
+    folder: Path, result: Mapping[str, Any], provenance: Provenance, json_file: Path | None
+) -> Path:
+    """Write result file, figures and page into ``folder``, and the result once more where asked;
+    return the page.
 
     Raises:
         InputError: A place cannot be written.
     """
     pictures = _pictures(result)
     sections = [
-        {"title": "Rates", "table": rates(result), "pictures": [p for p in pictures if p.name == "power"]},
+        {
+            "title": "Rates",
+            "table": rates(result),
+            "pictures": [p for p in pictures if p.name == "power"],
+        },
         {"title": "Against the baselines", "table": methods(result), "pictures": []},
         {"title": "Where it was found", "table": places(result), "pictures": []},
         {
@@ -159,14 +186,23 @@ def _pictures(result: Mapping[str, Any]) -> list[Picture]:
     bands = result["power"]
     if not bands:
         return []
-    labels = [f"{b['from']:g} and more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}" for b in bands]
+    labels = [
+        f"{b['from']:g} and more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}"
+        for b in bands
+    ]
     curves = {
         words: [(b[key]["share"], b[key]["low"], b[key]["high"]) for b in bands]
-        for key, words in {"detected": "something missing", "alias_group": "alias group", "top1": "named"}.items()
+        for key, words in {
+            "detected": "something missing",
+            "alias_group": "alias group",
+            "top1": "named",
+        }.items()
     }
     return [
         Picture.of("power", "Found and named against strength", power_curve(labels, curves)),
-        Picture.of("confusion", "What each effect was called", confusion_matrix(result["confusion"])),
+        Picture.of(
+            "confusion", "What each effect was called", confusion_matrix(result["confusion"])
+        ),
     ]
 
 
@@ -191,4 +227,6 @@ def _rigs(result: Mapping[str, Any]) -> Table:
         )
         for row in result["rigs"]
     )
-    return Table(("rig", "hidden", "strength", "left", "verdict", "named", "SHA-256"), rows, (0, 2, 3))
+    return Table(
+        ("rig", "hidden", "strength", "left", "verdict", "named", "SHA-256"), rows, (0, 2, 3)
+    )

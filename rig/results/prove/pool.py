@@ -29,7 +29,9 @@ def each(one: Callable[[Task], Result], todo: Sequence[Task], jobs: int) -> Iter
     if jobs == 1:
         yield from map(one, todo)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=begin_worker) as pool:
+    with ProcessPoolExecutor(
+        jobs, mp_context=get_context("spawn"), initializer=begin_worker
+    ) as pool:
         try:
             for future in as_completed([pool.submit(one, task) for task in todo]):
                 yield future.result()
@@ -46,7 +48,8 @@ def begin_worker() -> None:
 def follow_parent() -> None:
     """End this worker when its parent ends, by whatever signal.
 
-    A worker that waits for work holds both ends of its queue, so that no end of file would ever tell it.
+    A worker that waits for work holds both ends of its queue, so that no end of file would ever
+    tell it.
     """
     Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
 

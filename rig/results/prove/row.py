@@ -11,9 +11,13 @@ from rig.results.prove.judge import Judgement
 from rig.results.prove.located import located
 
 CONFIDENT = 0.9
-"""A name given with more confidence than this to an effect outside the catalogue counts as a gross error."""
+"""A name given with more confidence than this to an effect outside the catalogue counts as a gross
+error.
+"""
 MOST_NAMED = 3
-"""Names of a baseline that count where two effects are hidden: as many as the diagnosis gives at most."""
+"""Names of a baseline that count where two effects are hidden: as many as the diagnosis gives at
+most.
+"""
 WORTH = 0.05
 """Held-out gain of the oracle over the noise, below which there is nothing to gain."""
 FAINT = 1e-12
@@ -37,10 +41,12 @@ def row_of(
         judgement: What was said of it.
         oracle: Held-out errors with the true structure; None where there is none.
         digest: Of the seal.
-        floor: Equation to what the nominal model leaves of a twin that hides nothing; empty where that is not known.
+        floor: Equation to what the nominal model leaves of a twin that hides nothing; empty where
+            that is not known.
 
     Returns:
-        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where the kind of rig gives them no meaning.
+        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where the kind of rig gives
+        them no meaning.
     """
     diagnosis = judgement.diagnosis
     names, kind = list(truth["effects"]), truth["kind"]
@@ -59,7 +65,12 @@ def row_of(
         "left_by_equation": left,
         "verdict": verdict,
         "named": [
-            {"name": e["name"], "alias_group": list(e["alias_group"]), "confidence": e["confidence"]} for e in found
+            {
+                "name": e["name"],
+                "alias_group": list(e["alias_group"]),
+                "confidence": e["confidence"],
+            }
+            for e in found
         ],
         "p_value": diagnosis["p_value"],
         **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
@@ -94,7 +105,9 @@ def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dic
     }
 
 
-def _parameters(true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def _parameters(
+    true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping[str, Any]]
+) -> dict[str, Any]:
     """Return true and estimated parameters of the effects that were named rightly."""
     rows: dict[str, Any] = {}
     for effect in found:
@@ -114,7 +127,9 @@ def _parameters(true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping
 
 
 def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the nominal parameters' errors, as shares of their values, before and after the correction."""
+    """Return the nominal parameters' errors, as shares of their values, before and after the
+    correction.
+    """
     rows = {}
     for name, shift in diagnosis["parameter_shift"].items():
         if name in true and shift["before"] is not None and shift["after"] is not None:
@@ -130,7 +145,11 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
     No model fitted to the same data gets below the floor but by chance.
     """
-    before, after, floor = fit["validate_baseline_rms"], fit["validate_final_rms"], fit["noise_floor_rms"]
+    before, after, floor = (
+        fit["validate_baseline_rms"],
+        fit["validate_final_rms"],
+        fit["noise_floor_rms"],
+    )
     share = None
     if None not in (before, after, floor) and before - floor > FAINT:
         share = (before - after) / (before - floor)
@@ -143,11 +162,17 @@ def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
 
 
 def _oracle_fraction(oracle: Mapping[str, Any], fits: Sequence[Mapping[str, Any]]) -> float | None:
-    """Return the diagnosis's held-out gain over the oracle's, in the equation where the oracle gains most.
+    """Return the diagnosis's held-out gain over the oracle's, in the equation where the oracle
+    gains most.
 
-    Null where the true structure itself gains nothing there, or where the diagnosis has no such equation.
+    Null where the true structure itself gains nothing there, or where the diagnosis has no such
+    equation.
     """
-    mine = [f for f in fits if f["equation"] == oracle["equation"] and f["validate_baseline_rms"] is not None]
+    mine = [
+        f
+        for f in fits
+        if f["equation"] == oracle["equation"] and f["validate_baseline_rms"] is not None
+    ]
     possible = oracle["baseline_rms"] - oracle["oracle_rms"]
     if not mine or possible <= WORTH * oracle["noise_rms"]:
         return None

@@ -1,4 +1,6 @@
-"""The proof, run: seal every rig, show the digests, then diagnose, unseal and score one after another."""
+"""The proof, run: seal every rig, show the digests, then diagnose, unseal and score one after
+another.
+"""
 
 from __future__ import annotations
 
@@ -69,7 +71,10 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
     else:
         seals = tuple(_given(source))[:rigs]
         if not seals:
-            raise InputError(f"{source}: no rig-NNNN/campaign.yaml with a sealed/NNNN.json; give --from such a folder")
+            raise InputError(
+                f"{source}: no rig-NNNN/campaign.yaml with a sealed/NNNN.json; give --from such a "
+                f"folder"
+            )
     write_json(file, {"settings": settings, "seals": {str(s.number): s.digest for s in seals}})
     return Proof(out, source, seed, seals, family)
 
@@ -83,11 +88,15 @@ def _begun(file: Path, settings: Mapping[str, Any], home: Path) -> tuple[Sealed,
     begun = read_json(file)
     try:
         found = begun["settings"]
-        seals = tuple(place(home, int(number), str(digest)) for number, digest in begun["seals"].items())
+        seals = tuple(
+            place(home, int(number), str(digest)) for number, digest in begun["seals"].items()
+        )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"{file}: damaged: {error}; give --out another folder") from error
     if found != settings:
-        raise InputError(f"{file.parent}: holds a proof with other settings, {found}; give --out another folder")
+        raise InputError(
+            f"{file.parent}: holds a proof with other settings, {found}; give --out another folder"
+        )
     return seals
 
 
@@ -129,7 +138,10 @@ def work(
 
 
 def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
-    """Take one rig from its seal to its row; return its number. The truth is opened after the judgement."""
+    """Take one rig from its seal to its row; return its number.
+
+    The truth is opened after the judgement.
+    """
     strengths: dict[str, float] = {}
     if proof.source is None:
         family = FAMILIES[proof.family]
@@ -147,12 +159,17 @@ def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
     if missing := sorted({"rig", "kind", "effects"} - truth.keys()):
         raise InputError(f"{sealed.truth}: {', '.join(missing)}: missing in the sealed truth")
     oracle = judgement.oracle(list(truth["effects"])) if truth["kind"] in ("one", "two") else None
-    write_json(proof.row_file(sealed.number), row_of(truth, strengths, judgement, oracle, sealed.digest, floor))
+    write_json(
+        proof.row_file(sealed.number),
+        row_of(truth, strengths, judgement, oracle, sealed.digest, floor),
+    )
     if proof.source is None and not keep:
         shutil.rmtree(sealed.campaign.parent)
     return sealed.number
 
 
 def _diagnosis_seed(seed: int, number: int) -> int:
-    """Return a seed for the diagnosis that the draws, which repeat with theirs, cannot be repeated from."""
+    """Return a seed for the diagnosis that the draws, which repeat with theirs, cannot be repeated
+    from.
+    """
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])

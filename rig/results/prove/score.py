@@ -13,7 +13,9 @@ from scipy.stats import beta
 Row = Mapping[str, Any]
 LEVEL = 0.95
 STRONG = 3.0
-"""From this strength on (rms change over noise in the channel that shows it best) an effect has to be named."""
+"""From this strength on (rms change over noise in the channel that shows it best) an effect has to
+be named.
+"""
 TORQUE = "current"
 """Channel that shows an effect's share of the torque: the motor's, in motion."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
@@ -41,7 +43,9 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
     strong = [row for row in one if row["strength"] >= STRONG]
     torque = [row for row in one if row["strength_by_channel"].get(TORQUE, 0.0) >= STRONG]
     shown = [row for row in one if (row["left"] or 0.0) >= STRONG]
-    inside = [p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None]
+    inside = [
+        p["inside"] for row in rows for p in row["parameters"].values() if p["inside"] is not None
+    ]
     placed = [{"right": row["verdict"] == "outside_catalogue"} for row in outside]
     return {
         "counts": {kind: len(by_kind[kind]) for kind in ("one", "two", "nothing", "outside")},
@@ -51,7 +55,9 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "alias_group_torque": count(torque, "alias"),
         "top1_left": count(shown, "top1"),
         "alias_group_left": count(shown, "alias"),
-        "absorbed": [row["rig"] for row in strong if row["left"] is not None and row["left"] < STRONG],
+        "absorbed": [
+            row["rig"] for row in strong if row["left"] is not None and row["left"] < STRONG
+        ],
         "top1_all": count(one, "top1"),
         "alias_group_all": count(one, "alias"),
         "both_named": count([row for row in two if row["strength"] >= STRONG], "top1"),
@@ -59,7 +65,10 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "both_named_beside": count([row for row in two if _beside(row) >= STRONG], "top1"),
         "both_named_all": count(two, "top1"),
         "false_alarms": count(nothing, "alarm"),
-        "outside": {**count(placed, "right"), "named_confidently": sum(bool(row["confident"]) for row in outside)},
+        "outside": {
+            **count(placed, "right"),
+            "named_confidently": sum(bool(row["confident"]) for row in outside),
+        },
         "methods": methods(rows),
         "location": location(strong),
         "confusion": confusion(one),
@@ -70,20 +79,25 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
         "intervals": rate(sum(inside), len(inside)),
         "most_frequent_class": most_frequent(one),
         "seconds_each": statistics.median(row["seconds"] for row in rows) if rows else None,
-        "baseline_seconds_each": statistics.median(row["baseline_seconds"] for row in rows) if rows else None,
+        "baseline_seconds_each": statistics.median(row["baseline_seconds"] for row in rows)
+        if rows
+        else None,
     }
 
 
 def _beside(row: Row) -> float:
-    """Return what the fainter of two effects leaves beside the other, told by name, over the noise."""
+    """Return what the fainter of two effects leaves beside the other, told by name, over the
+    noise.
+    """
     return 0.0 if row["oracle"] is None else float(min(row["oracle"]["beside"].values()))
 
 
 def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
     """Return the diagnosis and each baseline, scored by the same rules on the same rigs.
 
-    A baseline's alias group is its name alone. ``outside_named`` counts rigs that hide what is in no catalogue and were
-    given a name all the same; ``exact`` those of the catalogue where no name was wrong and none missing.
+    A baseline's alias group is its name alone. ``outside_named`` counts rigs that hide what is in
+    no catalogue and were given a name all the same; ``exact`` those of the catalogue where no name
+    was wrong and none missing.
     """
     said = {"diagnosis": [{**row, "named_any": bool(row["named"])} for row in rows]}
     for method in sorted({m for row in rows for m in row["baselines"]}):
@@ -115,8 +129,14 @@ def _method(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return how often the mismatch was found where the effect shows, over rigs on which any was found."""
-    found = [row["location"] for row in rows if row["location"] is not None and row["location"]["found"] is not None]
+    """Return how often the mismatch was found where the effect shows, over rigs on which any was
+    found.
+    """
+    found = [
+        row["location"]
+        for row in rows
+        if row["location"] is not None and row["location"]["found"] is not None
+    ]
     return {key: count(found, key) for key in ("equation", "coordinate", "place")}
 
 
@@ -127,7 +147,9 @@ def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return true effect -> what it was called first, or the verdict where nothing was -> how often."""
+    """Return true effect -> what it was called first, or the verdict where nothing was -> how
+    often.
+    """
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
         called = row["named"][0]["name"] if row["named"] else row["verdict"]
@@ -149,9 +171,16 @@ def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
     """Return on how many rigs the held-out error rose by more than the noise floor."""
-    known = [row for row in rows if row["validate_final_rms"] is not None and row["validate_baseline_rms"] is not None]
+    known = [
+        row
+        for row in rows
+        if row["validate_final_rms"] is not None and row["validate_baseline_rms"] is not None
+    ]
     margins = [(row, row["noise_floor_rms"] or 0.0) for row in known]
-    return rate(sum(r["validate_final_rms"] > r["validate_baseline_rms"] + m for r, m in margins), len(known))
+    return rate(
+        sum(r["validate_final_rms"] > r["validate_baseline_rms"] + m for r, m in margins),
+        len(known),
+    )
 
 
 def most_frequent(rows: Sequence[Row]) -> float | None:

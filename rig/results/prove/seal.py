@@ -14,7 +14,9 @@ from rig.common.provenance import sha256
 
 
 def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
-    """Write the truth with a salt, which keeps it from being guessed from the digest; return the SHA-256."""
+    """Write the truth with a salt, which keeps it from being guessed from the digest; return the
+    SHA-256.
+    """
     text = json.dumps({"salt": salt, **truth}, indent=1) + "\n"
     write_text(path, text)
     return sha256(text.encode())
@@ -35,9 +37,12 @@ def unseal(path: Path, digest: str) -> dict[str, Any]:
     found = sha256(content)
     if found != digest:
         raise InputError(
-            f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: discard this rig"
+            f"{path}: SHA-256 is {found}, was {digest} when sealed; the truth was changed: "
+            f"discard this rig"
         )
     truth = parse_json(path, content.decode("utf-8", "replace"))
     if not isinstance(truth, dict):
-        raise InputError(f"{path}: no sealed truth: a mapping is needed (got {type(truth).__name__})")
+        raise InputError(
+            f"{path}: no sealed truth: a mapping is needed (got {type(truth).__name__})"
+        )
     return truth

@@ -29,7 +29,9 @@ class Recorded(NamedTuple):
 
 
 def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Simulate all experiments, one after another on one machine that warms, wears and remembers."""
+    """Simulate all experiments, one after another on one machine that warms, wears and
+    remembers.
+    """
     machine = SimulatedMachine(rig.machine, np.random.default_rng(rig.seed))
     done = []
     clock_s, turning = 0.0, None
@@ -57,12 +59,13 @@ def twin_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
 def strength(hiding: Sequence[Recorded], twin: Sequence[Recorded]) -> dict[str, float]:
     """Compare a campaign with its twin that hides nothing.
 
-    Current and voltage are compared only where both move: what a joint at rest is held with depends on how it came to
-    rest, down to a single encoder count.
+    Current and voltage are compared only where both move: what a joint at rest is held with depends
+    on how it came to rest, down to a single encoder count.
 
     Returns:
-        For each channel the rms difference over the channel's noise. The noise is what two recordings of one experiment
-        on the twin differ by, over sqrt(2); no less than that of its quantum.
+        For each channel the rms difference over the channel's noise. The noise is what two
+        recordings of one experiment on the twin differ by, over sqrt(2); no less than that of its
+        quantum.
     """
     first, last = twin[0].samples, twin[-1].samples
     assert np.array_equal(first.command, last.command)
@@ -76,7 +79,9 @@ def strength(hiding: Sequence[Recorded], twin: Sequence[Recorded]) -> dict[str, 
 
 
 def _gap(name: str, a: Samples, b: Samples) -> Array:
-    """Return how two recordings of one experiment differ in a channel, where that says something."""
+    """Return how two recordings of one experiment differ in a channel, where that says
+    something.
+    """
     difference = np.asarray(getattr(a, name) - getattr(b, name), dtype=np.float64)
     if name not in ("current", "voltage"):
         return difference

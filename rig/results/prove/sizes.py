@@ -17,7 +17,9 @@ def log(low: float, high: float) -> Draw:
 
 def either(low: float, high: float) -> Draw:
     """Draw log-uniformly, of either sign."""
-    return lambda rng: float(math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0)))
+    return lambda rng: float(
+        math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
+    )
 
 
 def even(low: float, high: float) -> Draw:
@@ -32,7 +34,9 @@ def one_of(*values: float) -> Draw:
 
 def away_from(center: float, low: float, high: float) -> Draw:
     """Draw ``center`` plus or minus something log-uniform."""
-    return lambda rng: float(center + math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0)))
+    return lambda rng: float(
+        center + math.exp(rng.uniform(math.log(low), math.log(high))) * rng.choice((-1.0, 1.0))
+    )
 
 
 _PHASE = even(-math.pi, math.pi)
@@ -59,7 +63,9 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "asymmetric_coulomb": {"torque_Nm": either(0.05, 2.5)},
     "asymmetric_viscous": {"coefficient_Nms_rad": either(0.1, 2.5)},
     "quadratic_drag": {"coefficient_Nms2_rad2": log(0.1, 6.0)},
-    "stribeck_shape": {"alpha": lambda rng: float(2.0 * math.exp(rng.choice((-1, 1)) * rng.uniform(0.1, 0.9)))},
+    "stribeck_shape": {
+        "alpha": lambda rng: float(2.0 * math.exp(rng.choice((-1, 1)) * rng.uniform(0.1, 0.9)))
+    },
     "friction_memory": {"time_s": log(1e-3, 5e-2)},
     "dwell_static_friction": {"growth_Nm": log(0.3, 8.0), "time_s": log(0.3, 5.0)},
     "presliding": {"stiffness_Nm_rad": log(2e3, 1e5)},
@@ -79,7 +85,11 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
     "load_exponent": {"exponent": away_from(1.0, 0.04, 0.4)},
     "load_position_dependence": {"slope_per_rad": either(0.03, 0.8)},
     "wrong_weight": {"mass_kg": log(0.02, 0.4), "recording": one_of(4.0, 5.0, 10.0)},
-    "load_swing": {"fraction": log(0.03, 0.5), "frequency_Hz": log(0.4, 2.0), "decay_s": log(4.0, 25.0)},
+    "load_swing": {
+        "fraction": log(0.03, 0.5),
+        "frequency_Hz": log(0.4, 2.0),
+        "decay_s": log(4.0, 25.0),
+    },
     "load_inertia": {"inertia_kgm2": log(0.02, 0.6)},
     "lever_pivot_friction": {"torque_Nm": log(0.1, 4.0)},
     "load_dependent_friction": {"coefficient": log(0.01, 0.2)},
@@ -94,18 +104,37 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
         "recording": one_of(1.0, 2.0, 4.0, 5.0, 7.0, 10.0),
     },
 }
-"""Effect of the catalogue -> parameter -> its draw. ``wrong_weight.mass_kg`` is the share that the label is off by."""
+"""Effect of the catalogue -> parameter -> its draw.
+
+``wrong_weight.mass_kg`` is the share that the label is off by.
+"""
 
 OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
-    "x_timed_torque": {"torque_Nm": log(0.2, 3.0), "frequency_Hz": log(0.2, 15.0), "phase_rad": _PHASE},
+    "x_timed_torque": {
+        "torque_Nm": log(0.2, 3.0),
+        "frequency_Hz": log(0.2, 15.0),
+        "phase_rad": _PHASE,
+    },
     "x_acceleration_drag": {"coefficient_Nms2_rad": log(0.015, 0.1)},
     "x_quadrant_friction": {"torque_Nm": either(0.2, 3.0)},
-    "x_two_wells": {"torque_Nm": log(0.3, 4.0), "center_rad": even(0.1, 0.3), "width_rad": log(0.02, 0.1)},
+    "x_two_wells": {
+        "torque_Nm": log(0.3, 4.0),
+        "center_rad": even(0.1, 0.3),
+        "width_rad": log(0.02, 0.1),
+    },
     "x_travel_memory": {"torque_Nm": log(0.3, 3.0), "travel_rad": log(0.1, 1.0)},
     "x_root_drag": {"coefficient_Nms05_rad05": log(0.3, 5.0)},
     "x_bursts": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 4.0), "length_s": log(0.05, 0.4)},
-    "x_speed_resonance": {"torque_Nm": log(0.3, 4.0), "speed_rad_s": log(0.08, 0.6), "width_rad_s": log(0.02, 0.06)},
-    "x_one_way_patch": {"torque_Nm": log(0.3, 4.0), "center_rad": even(-0.25, 0.25), "width_rad": log(0.03, 0.12)},
+    "x_speed_resonance": {
+        "torque_Nm": log(0.3, 4.0),
+        "speed_rad_s": log(0.08, 0.6),
+        "width_rad_s": log(0.02, 0.06),
+    },
+    "x_one_way_patch": {
+        "torque_Nm": log(0.3, 4.0),
+        "center_rad": even(-0.25, 0.25),
+        "width_rad": log(0.03, 0.12),
+    },
     "x_switching_torque": {"torque_Nm": log(0.2, 3.0), "period_s": log(0.7, 6.0)},
     "x_wandering_torque": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 6.0)},
     "x_loaded_drag": {"coefficient_s2_rad2": log(0.01, 0.2)},

@@ -14,7 +14,12 @@ from rig.config.configuration import Document
 from rig.planning.friction_model import FrictionModel
 from rig.planning.plan import Plan
 from rig.planning.plan_text import describe
-from rig.planning.predicted_load import WARNING_SHARE, PredictedPeak, moves_to_start, predicted_peaks
+from rig.planning.predicted_load import (
+    WARNING_SHARE,
+    PredictedPeak,
+    moves_to_start,
+    predicted_peaks,
+)
 from rig.wiring.bench_text import Watcher, watcher_of
 
 SCHEMA = "loadrig.dry_run/1"
@@ -48,8 +53,15 @@ class Duration:
     @property
     def words(self) -> str:
         """In words."""
-        asked = f"{self.prompts} prompts, {PROMPT_S:g} s assumed for each" if self.prompts else "no prompt"
-        parts = f"{self.under_power_s:.1f} s in motion and at rest, {self.moves_s:.1f} s of moves to the start, {asked}"
+        asked = (
+            f"{self.prompts} prompts, {PROMPT_S:g} s assumed for each"
+            if self.prompts
+            else "no prompt"
+        )
+        parts = (
+            f"{self.under_power_s:.1f} s in motion and at rest, {self.moves_s:.1f} s of moves "
+            f"to the start, {asked}"
+        )
         minutes, seconds = divmod(round(self.total_s), 60)
         return f"about {minutes} min {seconds} s: {parts}"
 
@@ -88,7 +100,11 @@ class DryRun:
 
     @property
     def _doubt(self) -> str:
-        return "" if self.model.measured else "; it is of the paper's values, and this bench may have others"
+        return (
+            ""
+            if self.model.measured
+            else "; it is of the paper's values, and this bench may have others"
+        )
 
 
 def dry_run(bench: Document[Bench], plan: Plan, model: FrictionModel, asks: bool) -> DryRun:
@@ -115,7 +131,8 @@ def _above(peak: PredictedPeak, share: float, words: str) -> Iterator[str]:
     ):
         if value > share * limit:
             yield (
-                f"{where}: predicted peak {name} {value:.4g} {unit} is {words} its limit {limit:.4g} {unit}; use less "
+                f"{where}: predicted peak {name} {value:.4g} {unit} is {words} its limit "
+                f"{limit:.4g} {unit}; use less "
                 "weight, or a slower or smaller motion"
             )
 

@@ -1,4 +1,6 @@
-"""What comes after a run that did not end as planned: what is put right first, and the command that goes on."""
+"""What comes after a run that did not end as planned: what is put right first, and the command that
+goes on.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +12,17 @@ from rig.control.safety import Check, remedy
 from rig.runs.run_record import Ending, RunRecord
 from rig.wiring.preflight import RESET_HINT
 
-NOT_READ_BACK = "switch the main supply off, or make sure that the drive is off: that was not read back"
+NOT_READ_BACK = (
+    "switch the main supply off, or make sure that the drive is off: that was not read back"
+)
 NEW_RUN = (
-    "where the bench or sequence file is changed for that, start a new run: a run goes on with unchanged files only"
+    "where the bench or sequence file is changed for that, start a new run: a run goes on "
+    "with unchanged files only"
 )
 _FAULTS = frozenset({ServoState.FAULT.value, ServoState.FAULT_REACTION.value})
-_BY_FILE = frozenset({Check.ANGLE, Check.SPEED, Check.DISAGREEMENT, Check.LATENESS, Check.STAGE_TIME})
+_BY_FILE = frozenset(
+    {Check.ANGLE, Check.SPEED, Check.DISAGREEMENT, Check.LATENESS, Check.STAGE_TIME}
+)
 """Trips whose remedy may be a change of the bench or sequence file."""
 
 
@@ -36,7 +43,9 @@ def go_on_notes(record: RunRecord) -> list[str]:
 
 
 def go_on_command(record: RunRecord, folder: Path) -> str | None:
-    """Return the command that goes on with a run, quoted for the shell; None where every stage is done."""
+    """Return the command that goes on with a run, quoted for the shell; None where every stage is
+    done.
+    """
     if all(stage.state == "done" for stage in record.stages):
         return None
     place = f"./{folder}" if str(folder).startswith("-") else str(folder)
@@ -55,7 +64,11 @@ def go_on_words(record: RunRecord, folder: Path) -> str:
     lines = [f"first: {words}" for words in first_words(record)]
     command = go_on_command(record, folder)
     lines += [f"note: {words}" for words in go_on_notes(record)]
-    lines.append(f"go on with: {command}" if command else "every stage is done; nothing is left to go on with")
+    lines.append(
+        f"go on with: {command}"
+        if command
+        else "every stage is done; nothing is left to go on with"
+    )
     return "\n".join(lines)
 
 

@@ -1,4 +1,6 @@
-"""The page of a run: on what and by whom it was made, how it ended and how it goes on, and what it recorded."""
+"""The page of a run: on what and by whom it was made, how it ended and how it goes on, and what it
+recorded.
+"""
 
 from __future__ import annotations
 
@@ -17,23 +19,30 @@ from rig.runs.run_record import BENCH_ATTACHMENT, Ending, RunRecord
 
 REPORT_FILE = "run.html"
 _STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:75rem;margin:1.5rem auto;padding:0 1rem}"
-    "h1{font-size:1.5rem;margin:0 0 .5rem}h2{font-size:1.2rem;margin-top:2rem;border-bottom:1px solid #ddd;"
+    "body{font:15px/1.5 system-ui,sans-serif;color:#222;max-width:75rem;margin:1.5rem "
+    "auto;padding:0 1rem}"
+    "h1{font-size:1.5rem;margin:0 0 .5rem}h2{font-size:1.2rem;margin-top:2rem;border-bottom:1px "
+    "solid #ddd;"
     "break-after:avoid}"
-    "table{border-collapse:collapse;font-size:.92rem}th,td{padding:.2rem .6rem;border-bottom:1px solid #e4e4e4;"
+    "table{border-collapse:collapse;font-size:.92rem}th,td{padding:.2rem .6rem;border-bottom:1px "
+    "solid #e4e4e4;"
     "text-align:left;vertical-align:top}th{border-bottom:2px solid #888}"
     "tr{break-inside:avoid}tr:first-child{break-after:avoid}td.n{text-align:right;font-variant-numeric:tabular-nums}.scroll{overflow-x:auto}"
     ".bar{background:#0072B2;height:.7em;display:inline-block}.note{color:#555;margin:.5rem 0}"
     ".warning{border-left:4px solid #D55E00;padding:.2rem .8rem;background:#fdf3ec}"
     ".ending{border-left:6px solid #b00020;background:#fdf0f0;padding:.5rem .9rem;margin:.7rem 0}"
     ".ending.done{border-color:#00713d;background:#eef8f1}.ending p{margin:.3rem 0}"
-    ".badge{display:inline-block;border:2px solid #222;border-radius:.3rem;padding:0 .5rem;font-weight:700}"
-    ".badge.real{background:#222;color:#fff}code{background:#eee;padding:.1rem .35rem;overflow-wrap:anywhere}"
-    "dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem .9rem;margin:.6rem 0}dt{color:#555}"
+    ".badge{display:inline-block;border:2px solid #222;border-radius:.3rem;padding:0 "
+    ".5rem;font-weight:700}"
+    ".badge.real{background:#222;color:#fff}code{background:#eee;padding:.1rem "
+    ".35rem;overflow-wrap:anywhere}"
+    "dl{display:grid;grid-template-columns:max-content 1fr;gap:.1rem .9rem;margin:.6rem "
+    "0}dt{color:#555}"
     "dd{margin:0;overflow-wrap:anywhere}"
     "@media(min-width:56rem){.pair{display:grid;grid-template-columns:1fr 1fr;column-gap:1.5rem}"
     ".top{display:grid;grid-template-columns:1fr auto;column-gap:2rem;align-items:start}}"
-    "@media print{@page{margin:12mm}body{font-size:10pt;max-width:none;margin:0;padding:0}.scroll{overflow:visible}"
+    "@media "
+    "print{@page{margin:12mm}body{font-size:10pt;max-width:none;margin:0;padding:0}.scroll{overflow:visible}"
     ".pair{display:grid;grid-template-columns:1fr 1fr;column-gap:5mm}"
     ".badge,.ending,.warning,.bar{-webkit-print-color-adjust:exact;print-color-adjust:exact}}"
 )
@@ -42,8 +51,8 @@ _STYLE = (
 def write_run_report(folder: Path, record: RunRecord) -> Path:
     """Write ``run.html`` into a run folder. A part of it that cannot be made says so in its place.
 
-    Written by hand rather than from a template and figures: loading the template engine and the plotting library would
-    take longer than the rest of the ending of a run.
+    Written by hand rather than from a template and figures: loading the template engine and the
+    plotting library would take longer than the rest of the ending of a run.
 
     Raises:
         OSError: It cannot be written.
@@ -74,7 +83,10 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
     yield from _part("the weight checks", lambda: _weights(record))
     for number, (part, recorded) in enumerate(zip(record.parts, recordings, strict=True), start=1):
         yield f"<h2>Recording {number}: {escape(part.file)}</h2>"
-        yield f"<p>{escape(part.state)}, {part.cycles} cycles, begun {escape(_date(part.created))}</p>"
+        yield (
+            f"<p>{escape(part.state)}, {part.cycles} cycles, begun "
+            f"{escape(_date(part.created))}</p>"
+        )
         yield from _part("the traces", partial(_drawn, recorded, whole))
         if part.timing:
             yield from _part("the timing", partial(_timing, part.timing))
@@ -86,13 +98,16 @@ def _page(folder: Path, record: RunRecord) -> Iterator[str]:
 def _part(what: str, made: Callable[[], Iterable[str]]) -> list[str]:
     """Return one part of the page, or words in its place where it cannot be made.
 
-    The page is read where something went wrong, and made of files that may be damaged or edited: whatever one part
-    meets, the others must be there.
+    The page is read where something went wrong, and made of files that may be damaged or edited:
+    whatever one part meets, the others must be there.
     """
     try:
         return list(made())
     except Exception as error:  # noqa: BLE001 - see above; nothing but the page depends on it
-        return [f'<p class="warning">Here {what} should be, but: {escape(f"{type(error).__name__}: {error}")}</p>']
+        return [
+            f'<p class="warning">Here {what} should be, but: '
+            f"{escape(f'{type(error).__name__}: {error}')}</p>"
+        ]
 
 
 def _recorded(folder: Path, record: RunRecord, number: int) -> Recorded | str:
@@ -105,7 +120,9 @@ def _recorded(folder: Path, record: RunRecord, number: int) -> Recorded | str:
         return f"the recording cannot be drawn: {type(error).__name__}: {error}"
 
 
-def _drawn(recorded: Recorded | str | None, section: Callable[[Recorded], Iterable[str]]) -> Iterable[str]:
+def _drawn(
+    recorded: Recorded | str | None, section: Callable[[Recorded], Iterable[str]]
+) -> Iterable[str]:
     if isinstance(recorded, Recorded):
         return section(recorded)
     return [f'<p class="warning">{escape(recorded or "There is no recording.")}</p>']
@@ -113,7 +130,9 @@ def _drawn(recorded: Recorded | str | None, section: Callable[[Recorded], Iterab
 
 def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
     done = record.state == Ending.DONE.value
-    yield f'<div class="ending{" done" if done else ""}"><p><b>{escape(record.state.upper())}</b></p>'
+    yield (
+        f'<div class="ending{" done" if done else ""}"><p><b>{escape(record.state.upper())}</b></p>'
+    )
     yield f"<p>{escape(record.message) or 'No ending was recorded.'}</p>"
     if not done:
         for words in first_words(record):
@@ -127,11 +146,19 @@ def _ending(folder: Path, record: RunRecord) -> Iterator[str]:
 
 
 def _facts(folder: Path, record: RunRecord, last: Recorded | str | None) -> Iterator[str]:
-    """Yield on which bench, when and by whom; the bench's name is in the file attached to the recording."""
+    """Yield on which bench, when and by whom; the bench's name is in the file attached to the
+    recording.
+    """
     bench = last.attached.bench if isinstance(last, Recorded) else None
     file = str(record.inputs.get(BENCH_ATTACHMENT, {}).get("file", "unknown"))
-    kind = '<span class="badge">SIMULATED</span>' if record.simulated else '<span class="badge real">REAL BENCH</span>'
-    names = [part.operator for part in record.parts if part.operator] or [record.operator or "not given"]
+    kind = (
+        '<span class="badge">SIMULATED</span>'
+        if record.simulated
+        else '<span class="badge real">REAL BENCH</span>'
+    )
+    names = [part.operator for part in record.parts if part.operator] or [
+        record.operator or "not given"
+    ]
     facts = (
         ("bench", f"{escape(bench.name if bench else file)} {kind}"),
         ("begun", escape(_date(record.created))),
@@ -158,16 +185,29 @@ def _weights(record: RunRecord) -> Iterator[str]:
         yield "<h2>Weight checks</h2>"
         yield from _table(
             ("stage", "confirmed kg", "by friction kg", "verdict", "in words"),
-            [(w["stage"], w["confirmed_kg"], w["measured_kg"], w["verdict"], w["message"]) for w in record.weights],
+            [
+                (w["stage"], w["confirmed_kg"], w["measured_kg"], w["verdict"], w["message"])
+                for w in record.weights
+            ],
         )
 
 
 def _timing(timing: Mapping[str, Any]) -> Iterator[str]:
     yield from _table(
         ("missed SYNCs", "drive samples lost", "encoder samples lost", "oldest sample s"),
-        [(timing["missed_syncs"], timing["lost_servo"], timing["lost_encoder"], timing["oldest_sample_s"])],
+        [
+            (
+                timing["missed_syncs"],
+                timing["lost_servo"],
+                timing["lost_encoder"],
+                timing["oldest_sample_s"],
+            )
+        ],
     )
-    for name, words in (("lateness", "How late cycles started"), ("answer", "Age of a sample when it is judged")):
+    for name, words in (
+        ("lateness", "How late cycles started"),
+        ("answer", "Age of a sample when it is judged"),
+    ):
         histogram = timing[name]
         counts, edges = histogram["counts"], [f"up to {edge}" for edge in histogram["edges_us"]]
         most = max([*counts, 1])
@@ -185,20 +225,30 @@ def _provenance(record: RunRecord) -> Iterator[tuple[str, str]]:
     for part in record.parts:
         yield f"{part.file}: operator", part.operator or "not given"
         yield f"{part.file}: seed", str(part.seed)
-        yield f"{part.file}: versions", ", ".join(f"{name} {value}" for name, value in part.versions.items())
+        yield (
+            f"{part.file}: versions",
+            ", ".join(f"{name} {value}" for name, value in part.versions.items()),
+        )
         for role in ("servo", "encoder", "pressure"):
             who = part.devices.get(role)
             if who is None:
                 continue
             words = f"{who['name']}, serial {who['serial_number']}, revision {who['revision']:08X}h"
-            yield f"{part.file}: {role}", f"{words}, software {who['software_version'] or 'not given'}"
+            yield (
+                f"{part.file}: {role}",
+                f"{words}, software {who['software_version'] or 'not given'}",
+            )
     for item in record.calibrations:
         late = " (OVERDUE)" if item["overdue"] else ""
         yield f"calibration of {item['device']}", f"{item['id']}, due {item['due']}{late}"
 
 
 def _table(header: tuple[str, ...], rows: list[tuple[Any, ...]]) -> Iterator[str]:
-    yield '<div class="scroll"><table><tr>' + "".join(f"<th>{escape(cell)}</th>" for cell in header) + "</tr>"
+    yield (
+        '<div class="scroll"><table><tr>'
+        + "".join(f"<th>{escape(cell)}</th>" for cell in header)
+        + "</tr>"
+    )
     for row in rows:
         yield "<tr>" + "".join(_cell(value) for value in row) + "</tr>"
     yield "</table></div>"
@@ -208,5 +258,9 @@ def _cell(value: Any) -> str:
     if value is None:
         return "<td>-</td>"
     if isinstance(value, int | float):
-        return f'<td class="n">{value:.4g}</td>' if isinstance(value, float) else f'<td class="n">{value}</td>'
+        return (
+            f'<td class="n">{value:.4g}</td>'
+            if isinstance(value, float)
+            else f'<td class="n">{value}</td>'
+        )
     return f"<td>{escape(str(value))}</td>"

@@ -40,21 +40,35 @@ def text(found: Simulation) -> str:
 def _left_out(found: Simulation) -> list[str]:
     """Return what the closed loop does not show."""
     if not found.cases:
-        return ["no closed loop: the controller of these recordings is not declared (`controller:` in a campaign)"]
+        return [
+            "no closed loop: the controller of these recordings is not declared (`controller:` in "
+            "a campaign)"
+        ]
     if any(case.model.corrected.effects for case in found.cases):
-        return ["the closed loop is simulated without the effects; a simulated bench made of the result has them"]
+        return [
+            "the closed loop is simulated without the effects; a simulated bench made of the "
+            "result has them"
+        ]
     return []
 
 
 def pooled_table(found: Simulation) -> Table:
     """Return one row per model, share of friction and role."""
     rows = [
-        (case.model.file.stem, _FRICTION[case.share], role, str(len(names)), *_cells(found, case.over(names)))
+        (
+            case.model.file.stem,
+            _FRICTION[case.share],
+            role,
+            str(len(names)),
+            *_cells(found, case.over(names)),
+        )
         for case in found.cases
         for role in ("fit", "validate")
         if (names := found.names(role))
     ]
-    return Table(("model", "friction", "role", "recordings", *_errors(found)), tuple(rows), (3, 4, 5, 6))
+    return Table(
+        ("model", "friction", "role", "recordings", *_errors(found)), tuple(rows), (3, 4, 5, 6)
+    )
 
 
 def record(found: Simulation) -> dict[str, Any]:
@@ -79,8 +93,13 @@ def write(folder: Path, source: Path, found: Simulation, json_file: Path | None)
     """
     predicted = prediction_pictures(found.predictions, found.unit)
     errors = error_table(found.predictions, found.unit)
-    sections: list[dict[str, Any]] = [{"title": "Equation errors", "table": errors, "pictures": predicted}]
-    notes = [f"Equation errors are over samples in motion, at {number(found.bandwidth_Hz, 4)} Hz.", *_left_out(found)]
+    sections: list[dict[str, Any]] = [
+        {"title": "Equation errors", "table": errors, "pictures": predicted}
+    ]
+    notes = [
+        f"Equation errors are over samples in motion, at {number(found.bandwidth_Hz, 4)} Hz.",
+        *_left_out(found),
+    ]
     pictures = list(predicted)
     if found.cases:
         simulated_ones = _pictures(found)
@@ -90,8 +109,10 @@ def write(folder: Path, source: Path, found: Simulation, json_file: Path | None)
             {"title": "Recordings", "table": _recording_table(found), "pictures": simulated_ones},
         ]
         notes += [
-            "The loop is simulated from the first sample on: only the command, the supply and declared loads enter.",
-            f"Errors of angle are over all samples; those of torque at {number(found.bandwidth_Hz, 4)} Hz.",
+            "The loop is simulated from the first sample on: only the command, the supply and "
+            "declared loads enter.",
+            f"Errors of angle are over all samples; those of torque at "
+            f"{number(found.bandwidth_Hz, 4)} Hz.",
         ]
     bench, said = _bench(source, found)
     notes += said
@@ -148,7 +169,11 @@ def _errors(found: Simulation) -> tuple[str, str, str]:
 
 def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
     scale = 1e3 if _rotary(found) else 1e6
-    return number(sums.torque_rms, 4), percent(100.0 * sums.torque_relative), number(scale * sums.angle_rms, 4)
+    return (
+        number(sums.torque_rms, 4),
+        percent(100.0 * sums.torque_relative),
+        number(scale * sums.angle_rms, 4),
+    )
 
 
 def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
@@ -162,12 +187,18 @@ def _case_record(found: Simulation, case: Case) -> dict[str, Any]:
 
 
 def _sums_record(sums: Sums) -> dict[str, float]:
-    return {"torque_rms": sums.torque_rms, "torque_relative": sums.torque_relative, "angle_rms": sums.angle_rms}
+    return {
+        "torque_rms": sums.torque_rms,
+        "torque_relative": sums.torque_relative,
+        "angle_rms": sums.angle_rms,
+    }
 
 
 def _recording_table(found: Simulation) -> Table:
     first = found.cases[0]
-    rows = tuple((r.name, r.role, *_cells(found, first.sums[r.name])) for r in found.dataset.recordings)
+    rows = tuple(
+        (r.name, r.role, *_cells(found, first.sums[r.name])) for r in found.dataset.recordings
+    )
     return Table(("recording", "role", *_errors(found)), rows, (2, 3, 4))
 
 
@@ -180,7 +211,9 @@ def _pictures(found: Simulation) -> list[Picture]:
     ]
     return [
         Picture.of(
-            f"simulated_{p.recording.name}", f"{p.recording.name}: measured and simulated", simulated(p, response)
+            f"simulated_{p.recording.name}",
+            f"{p.recording.name}: measured and simulated",
+            simulated(p, response),
         )
         for p, response in shown
     ]

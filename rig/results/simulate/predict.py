@@ -1,4 +1,6 @@
-"""Equation errors of result files on a source: what each model predicts, with its effects and without."""
+"""Equation errors of result files on a source: what each model predicts, with its effects and
+without.
+"""
 
 from __future__ import annotations
 
@@ -35,11 +37,15 @@ class Prediction:
     parts: tuple[Predicted, ...]
 
     def error(self, equation: str, role: str) -> float | None:
-        """Return the rms error of one equation over the recordings of one role; None where it does not apply."""
+        """Return the rms error of one equation over the recordings of one role; None where it does
+        not apply.
+        """
         return rms(p for p in self.parts if p.equation == equation and p.role == role)
 
 
-def predict(dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float) -> list[Prediction]:
+def predict(
+    dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], bandwidth_Hz: float
+) -> list[Prediction]:
     """Predict every recording with every model; one with effects also without them.
 
     Raises:
@@ -53,7 +59,9 @@ def predict(dataset: Dataset, models: Sequence[tuple[Path, CorrectedModel]], ban
             forms.append(dataclasses.replace(model, effects={}, curve=None))
         for form in forms:
             names = (*form.effects, *(["curve"] if form.curve is not None else []))
-            found.append(Prediction(file, names, tuple(p for view in seen for p in predictions(view, form))))
+            found.append(
+                Prediction(file, names, tuple(p for view in seen for p in predictions(view, form)))
+            )
     return found
 
 
@@ -67,7 +75,9 @@ def error_table(found: Sequence[Prediction], unit: str) -> Table:
             cells = (number(None if e is None else scale * e, 4) for e in errors)
             effects = ", ".join(one.effects) or "none"
             rows.append((one.file.stem, effects, equation, *cells, _UNITS.get(equation, unit)))
-    return Table(("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4))
+    return Table(
+        ("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4)
+    )
 
 
 def error_record(found: Sequence[Prediction], unit: str) -> list[dict[str, object]]:
@@ -89,10 +99,16 @@ def error_record(found: Sequence[Prediction], unit: str) -> list[dict[str, objec
 def pictures(found: Sequence[Prediction], unit: str) -> list[Picture]:
     """Return figures of the first model's torque equation, a few recordings of each role."""
     parts = [p for p in found[0].parts if p.equation == "torque"]
-    shown = [p for role in ("fit", "validate") for p in [p for p in parts if p.role == role][:_SHOWN_PER_ROLE]]
+    shown = [
+        p
+        for role in ("fit", "validate")
+        for p in [p for p in parts if p.role == role][:_SHOWN_PER_ROLE]
+    ]
     return [
         Picture.of(
-            f"predicted_{p.recording}", f"{p.recording} ({p.role}): torque measured and predicted", drawn(p, unit)
+            f"predicted_{p.recording}",
+            f"{p.recording} ({p.role}): torque measured and predicted",
+            drawn(p, unit),
         )
         for p in shown
     ]

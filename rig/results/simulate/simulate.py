@@ -22,7 +22,9 @@ from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
 SHARES = (1.0, 0.5, 0.0)
-"""Friction simulated, over that of the result: its error means something beside those of half of it and of none."""
+"""Friction simulated, over that of the result: its error means something beside those of half of it
+and of none.
+"""
 
 
 @dataclass(frozen=True)
@@ -60,8 +62,8 @@ class Simulation:
         models: In the order asked for.
         predictions: Equation errors of every model, with its effects and without.
         prepared: Their measured side at the bandwidth, in the same order.
-        cases: Every model with every share of friction, in closed loop; empty where a recording's controller is not
-            known. Effects are not simulated there.
+        cases: Every model with every share of friction, in closed loop; empty where a recording's
+            controller is not known. Effects are not simulated there.
         responses: Of the first model with all its friction, in the order of the recordings.
         bandwidth_Hz: Of the torque errors.
         provenance: Inputs, time.
@@ -87,14 +89,19 @@ class Simulation:
 
 
 def simulate_source(
-    source: Path, results: Sequence[Path], bandwidth_Hz: float | None, progress: Callable[[str, float], None]
+    source: Path,
+    results: Sequence[Path],
+    bandwidth_Hz: float | None,
+    progress: Callable[[str, float], None],
 ) -> Simulation:
-    """Predict every recording of a source with the model of each result file, in closed loop where that is known.
+    """Predict every recording of a source with the model of each result file, in closed loop where
+    that is known.
 
     Args:
         source: Campaign file or run folder.
         results: Result files of ``rig identify`` or ``rig diagnose``.
-        bandwidth_Hz: Of the errors; None takes that of the first result, or chooses it as the identification does.
+        bandwidth_Hz: Of the errors; None takes that of the first result, or chooses it as the
+        identification does.
         progress: Called with what is being done and the share that is done.
 
     Raises:
@@ -107,13 +114,18 @@ def simulate_source(
     records = [read_result(path) for path in results]
     for path, record in zip(results, records, strict=True):
         require_motion(record, dataset.recordings[0].bench.motion, str(path))
-    models = [FittedModel(p, model_of(record, names, str(p))) for p, record in zip(results, records, strict=True)]
+    models = [
+        FittedModel(p, model_of(record, names, str(p)))
+        for p, record in zip(results, records, strict=True)
+    ]
     bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
     cases: list[Case] = []
     shown: list[Response] = []
     try:
         if bandwidth_Hz is None:
-            bandwidth_Hz = min(default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings)
+            bandwidth_Hz = min(
+                default_bandwidth(r) for r in dataset.part("fit") or dataset.recordings
+            )
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
         predictions = predict(dataset, [(m.file, m.corrected) for m in models], bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
@@ -122,7 +134,10 @@ def simulate_source(
             for share in SHARES:
                 sums: dict[str, Sums] = {}
                 for p in prepared:
-                    progress(f"simulating {p.recording.name}", (len(cases) * len(prepared) + len(sums)) / total)
+                    progress(
+                        f"simulating {p.recording.name}",
+                        (len(cases) * len(prepared) + len(sums)) / total,
+                    )
                     values = with_friction(model.corrected.parameters, share)
                     response = replay(p.recording, values, model.corrected.alpha)
                     sums[p.recording.name] = compare(p, response)
@@ -136,5 +151,12 @@ def simulate_source(
     inputs = {**provenance.inputs, **{str(path): sha256_file(path) for path in results}}
     provenance = Provenance(0, inputs, provenance.seconds, provenance.created, provenance.versions)
     return Simulation(
-        dataset, tuple(models), tuple(predictions), prepared, tuple(cases), tuple(shown), bandwidth_Hz, provenance
+        dataset,
+        tuple(models),
+        tuple(predictions),
+        prepared,
+        tuple(cases),
+        tuple(shown),
+        bandwidth_Hz,
+        provenance,
     )

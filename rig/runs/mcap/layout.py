@@ -1,8 +1,9 @@
-"""Layout of the messages in a recording: one protobuf message a sample, one packed message for a cycle's raw frames.
+"""Layout of the messages in a recording: one protobuf message a sample, one packed message for a
+cycle's raw frames.
 
-The sample schema is a FileDescriptorSet written out here, so that PlotJuggler and Foxglove can open a recording while
-neither side needs a protobuf library: every field is a double at a fixed place, zeros included, so that a run of
-messages is an array.
+The sample schema is a FileDescriptorSet written out here, so that PlotJuggler and Foxglove can open
+a recording while neither side needs a protobuf library: every field is a double at a fixed place,
+zeros included, so that a run of messages is an array.
 """
 
 from __future__ import annotations
@@ -20,11 +21,14 @@ SAMPLE_TOPIC = "/sample"
 EVENT_TOPIC = "/event"
 FRAMES_TOPIC = "/frames"
 TOPICS = (SAMPLE_TOPIC, EVENT_TOPIC, FRAMES_TOPIC)
-"""Of the channels 1 to 3 of every recording: one whose channel records are damaged can still be read."""
+"""Of the channels 1 to 3 of every recording: one whose channel records are damaged can still be
+read.
+"""
 SAMPLE_SCHEMA = "loadrig.Sample"
 FRAME_ENCODING = "loadrig-frames"
 EVENT_JSON_SCHEMA = (
-    b'{"type":"object","properties":{"time":{"type":"number"},"event":{"type":"string"}},"required":["time","event"]}'
+    b'{"type":"object","properties":{"time":{"type":"number"},"event":{"type":"string"}},'
+    b'"required":["time","event"]}'
 )
 
 _DOUBLE_WIRE_TYPE = 1
@@ -78,10 +82,15 @@ _FIRST_FIELDS = 16
 def _sample_dtype(count: int) -> np.dtype[np.void]:
     """Return the layout of a sample of the first ``count`` fields."""
     named = zip(_TAGS[:count], Sample._fields[:count], strict=True)
-    return np.dtype([item for tag, name in named for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))])
+    return np.dtype(
+        [item for tag, name in named for item in ((f"tag_{name}", f"V{len(tag)}"), (name, "<f8"))]
+    )
 
 
-_DTYPES = {dtype.itemsize: dtype for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))}
+_DTYPES = {
+    dtype.itemsize: dtype
+    for dtype in map(_sample_dtype, range(_FIRST_FIELDS, len(Sample._fields) + 1))
+}
 SAMPLE_SIZES = frozenset(_DTYPES)
 """Bytes of a sample as this program or an older one wrote it."""
 
@@ -94,7 +103,8 @@ def encode_sample(sample: Sample) -> bytes:
 
 
 def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArray[np.float64]]:
-    """Unpack concatenated samples into one array a field, shape (n,); NaN for fields that they do not have.
+    """Unpack concatenated samples into one array a field, shape (n,); NaN for fields that they do
+    not have.
 
     Args:
         messages: The samples.
@@ -106,7 +116,9 @@ def decode_samples(messages: bytes, size: int = SAMPLE_BYTES) -> dict[str, NDArr
     rows = np.frombuffer(messages, _DTYPES[size])
     held = _DTYPES[size].names or ()
     return {
-        name: np.ascontiguousarray(rows[name], dtype=np.float64) if name in held else np.full(len(rows), np.nan)
+        name: np.ascontiguousarray(rows[name], dtype=np.float64)
+        if name in held
+        else np.full(len(rows), np.nan)
         for name in Sample._fields
     }
 

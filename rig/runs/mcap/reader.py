@@ -13,7 +13,14 @@ from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
 from rig.common.input_files import read_bytes
-from rig.runs.mcap.layout import EVENT_TOPIC, SAMPLE_BYTES, SAMPLE_SIZES, SAMPLE_TOPIC, TOPICS, decode_samples
+from rig.runs.mcap.layout import (
+    EVENT_TOPIC,
+    SAMPLE_BYTES,
+    SAMPLE_SIZES,
+    SAMPLE_TOPIC,
+    TOPICS,
+    decode_samples,
+)
 from rig.runs.mcap.records import (
     HEADER,
     DamageError,
@@ -67,7 +74,9 @@ class Log:
 
 
 def read_run(path: Path) -> Log:
-    """Read a recording. Behind a damaged place reading goes on at the next record whose checksum is right.
+    """Read a recording.
+
+    Behind a damaged place reading goes on at the next record whose checksum is right.
 
     Raises:
         NotARecordingError: It is not one of this program's recordings at all.
@@ -75,7 +84,9 @@ def read_run(path: Path) -> Log:
     """
     data = read_bytes(path)
     if not data.startswith(MAGIC):
-        raise NotARecordingError(f"{path}: not an MCAP recording; its first bytes are {data[:8].hex(' ') or 'missing'}")
+        raise NotARecordingError(
+            f"{path}: not an MCAP recording; its first bytes are {data[:8].hex(' ') or 'missing'}"
+        )
     reading = _Reading(data)
     reading.read()
     messages = reading.messages
@@ -122,7 +133,10 @@ class _Reading:
 
     def samples(self) -> dict[str, NDArray[np.float64]]:
         """Return the samples, one array a field."""
-        return decode_samples(b"".join(m.data for m in self.messages[SAMPLE_TOPIC]), self._sample_bytes or SAMPLE_BYTES)
+        return decode_samples(
+            b"".join(m.data for m in self.messages[SAMPLE_TOPIC]),
+            self._sample_bytes or SAMPLE_BYTES,
+        )
 
     def damage(self) -> str | None:
         """Return what is damaged in words, with the number of samples that are left."""
@@ -136,7 +150,11 @@ class _Reading:
 
     def _note(self, offset: int, sound: int | None, why: str) -> None:
         size = len(self._data)
-        where = f"whole up to byte {offset} of {size}" if not self._damage else f"damaged again at byte {offset}"
+        where = (
+            f"whole up to byte {offset} of {size}"
+            if not self._damage
+            else f"damaged again at byte {offset}"
+        )
         rest = "" if sound is None else f", sound again from byte {sound}"
         self._damage.append((f"{where}: {why}{rest}", len(self.messages[SAMPLE_TOPIC])))
 
@@ -151,8 +169,13 @@ class _Reading:
                 self._take_messages(chunk(found.content))
             case Opcode.CHANNEL:
                 described = channel(found.content)
-                if not 1 <= described.id <= len(TOPICS) or TOPICS[described.id - 1] != described.topic:
-                    raise DamageError(f"channel {described.id} is {described.topic!r}, which is none of a run's")
+                if (
+                    not 1 <= described.id <= len(TOPICS)
+                    or TOPICS[described.id - 1] != described.topic
+                ):
+                    raise DamageError(
+                        f"channel {described.id} is {described.topic!r}, which is none of a run's"
+                    )
             case Opcode.ATTACHMENT:
                 file = attachment(found.content)
                 self.attachments[file.name] = file.data
@@ -182,7 +205,10 @@ class _Reading:
                     expected = {sample_bytes} if sample_bytes else SAMPLE_SIZES
                     if len(content) not in expected:
                         sizes = " or ".join(map(str, sorted(expected)))
-                        text = f"a sample of {len(content)} bytes, expected {sizes}: another program's recording"
+                        text = (
+                            f"a sample of {len(content)} bytes, expected {sizes}: another "
+                            f"program's recording"
+                        )
                         raise DamageError(text)
                     sample_bytes = len(content)
                 if time_ns < latest_ns:
@@ -204,9 +230,15 @@ class _Reading:
         missing = counts.message_count - sum(map(len, self.messages.values()))
         if missing and not self._damage:
             samples = len(self.messages[SAMPLE_TOPIC])
-            self._damage.append((f"{missing} of {counts.message_count} messages are missing", samples))
+            self._damage.append(
+                (f"{missing} of {counts.message_count} messages are missing", samples)
+            )
 
 
 def _lost(times: NDArray[np.float64], before: int) -> str:
     """Return between which samples something is missing, where there is one on both sides."""
-    return f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)" if 0 < before < len(times) else ""
+    return (
+        f" (lost between {times[before - 1]:.3f} and {times[before]:.3f} s)"
+        if 0 < before < len(times)
+        else ""
+    )

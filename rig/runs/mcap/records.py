@@ -24,7 +24,9 @@ _CHUNK = struct.Struct("<QQQI")
 MAX_CHUNK = 1 << 28
 _OPCODES = frozenset(map(int, Opcode))
 _CHECKED = re.compile(rb"[\x06\x09](?=[\s\S]{4}\x00\x00\x00\x00)")
-"""Where a chunk or an attachment of less than 4 GiB may begin: the records that carry a checksum."""
+"""Where a chunk or an attachment of less than 4 GiB may begin: the records that carry a
+checksum.
+"""
 _FOOTER = struct.Struct("<BQQQI")
 
 
@@ -60,7 +62,9 @@ def record_at(data: bytes, offset: int) -> Found:
 
 
 def next_sound(data: bytes, offset: int) -> int | None:
-    """Return where the first chunk or attachment from ``offset`` on begins whose checksum is right, or None."""
+    """Return where the first chunk or attachment from ``offset`` on begins whose checksum is right,
+    or None.
+    """
     for match in _CHECKED.finditer(data, offset):
         try:
             found = record_at(data, match.start())
@@ -114,7 +118,8 @@ def channel(content: bytes) -> Channel:
 
 
 def statistics(data: bytes, offset: int, before: int = 0) -> Statistics:
-    """Return the counts at the end of a whole recording, whose summary begins at ``offset``, checked against its CRC.
+    """Return the counts at the end of a whole recording, whose summary begins at ``offset``,
+    checked against its CRC.
 
     ``before`` is how many bytes of the recording ``data`` leaves out.
 

@@ -1,7 +1,8 @@
 """Reads a whole recording piece by piece, in memory that does not grow with its length.
 
-For recordings that were closed in order. A damaged one is read by :func:`rig.runs.mcap.reader.read_run`,
-which holds all of it and finds what is sound behind the damaged place.
+For recordings that were closed in order. A damaged one is read by
+:func:`rig.runs.mcap.reader.read_run`, which holds all of it and finds what is sound behind the
+damaged place.
 """
 
 from __future__ import annotations
@@ -66,7 +67,9 @@ def sample_blocks(path: Path, fields: Sequence[str]) -> Iterator[dict[str, NDArr
 
 
 def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening | Attached]:
-    """Yield what a recording holds but its frames. Events come before the block that the samples around them are in.
+    """Yield what a recording holds but its frames.
+
+    Events come before the block that the samples around them are in.
 
     Args:
         path: The recording.
@@ -79,7 +82,9 @@ def run_items(path: Path, fields: Sequence[str]) -> Iterator[Block | Happening |
     return _items(path, fields, frozenset({_SAMPLES, _EVENTS, _ATTACHMENTS}))
 
 
-def _items(path: Path, fields: Sequence[str], wanted: frozenset[int]) -> Iterator[Block | Happening | Attached]:
+def _items(
+    path: Path, fields: Sequence[str], wanted: frozenset[int]
+) -> Iterator[Block | Happening | Attached]:
     pending: list[bytes] = []
     size = waiting = 0
     require_plain(path)
@@ -93,7 +98,9 @@ def _items(path: Path, fields: Sequence[str], wanted: frozenset[int]) -> Iterato
                 size = size or len(contents[0])
                 wrong = next((len(content) for content in contents if len(content) != size), None)
                 if wrong is not None or size not in SAMPLE_SIZES:
-                    raise DamageError(f"a sample of {wrong or size} bytes: another program's recording")
+                    raise DamageError(
+                        f"a sample of {wrong or size} bytes: another program's recording"
+                    )
                 pending += contents
                 waiting += size * len(contents)
                 if waiting >= BLOCK_BYTES:
@@ -132,7 +139,9 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
         if opcode == Opcode.CHUNK:
             sorted_out, among = _messages(chunk(content), wanted)
             count += among
-            yield from ((kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out)
+            yield from (
+                (kind, sorted_out[kind]) for kind in (_EVENTS, _SAMPLES) if kind in sorted_out
+            )
         elif opcode == Opcode.ATTACHMENT and _ATTACHMENTS in wanted:
             yield _ATTACHMENTS, [content]
     end = stream.tell()
@@ -141,7 +150,9 @@ def _contents(stream: BinaryIO, wanted: frozenset[int]) -> Iterator[tuple[int, l
 
 
 def _messages(records: bytes, wanted: frozenset[int]) -> tuple[dict[int, list[bytes]], int]:
-    """Return the contents of a chunk's messages by channel, those that are wanted, and how many messages there are."""
+    """Return the contents of a chunk's messages by channel, those that are wanted, and how many
+    messages there are.
+    """
     found: dict[int, list[bytes]] = {}
     offset, size, count = 0, len(records), 0
     unpack, head, body = HEADER.unpack_from, HEADER.size, MESSAGE.size

@@ -28,7 +28,15 @@ BENCH = Bench(
     moment_arm=0.095,
     lever_ratio=10.0,
 )
-CHANNELS = ("command", "motor_angle", "angle", "current", "voltage", "supply_voltage", "temperature")
+CHANNELS = (
+    "command",
+    "motor_angle",
+    "angle",
+    "current",
+    "voltage",
+    "supply_voltage",
+    "temperature",
+)
 PLAN = (
     (0.0, ((22.0, 0.2),), "fit"),
     (0.0, ((9.0, 0.7), (3.0, 2.3)), "fit"),
@@ -47,9 +55,13 @@ def sines(tones: Sequence[tuple[float, float]], seconds: float) -> Array:
     return np.asarray(ramp**2 * (3.0 - 2.0 * ramp) * total)
 
 
-def campaign(effects: Mapping[str, Mapping[str, float]], seed: int, seconds: float = 12.0) -> tuple[Recording, ...]:
+def campaign(
+    effects: Mapping[str, Mapping[str, float]], seed: int, seconds: float = 12.0
+) -> tuple[Recording, ...]:
     """Record the plan on a machine that hides ``effects``."""
-    machine = SimulatedMachine(Machine(effects=effects, warming_K=10.0), np.random.default_rng(seed))
+    machine = SimulatedMachine(
+        Machine(effects=effects, warming_K=10.0), np.random.default_rng(seed)
+    )
     recordings, began = [], 0.0
     for number, (mass, tones, role) in enumerate(PLAN, 1):
         machine.hang(mass)

@@ -57,6 +57,12 @@ def recordings(
     for k, angle in enumerate((*moving, *unseen)):
         true = burn(replace(machine, gas=gas), angle, PERIOD, steps=20)
         seen = true.pressure_Pa + NOISE_PA * rng.standard_normal(len(angle))
-        channels = {"time": TIME, "angle": angle, "pressure": QUANTUM_PA * np.round(seen / QUANTUM_PA)}
-        out.append(Recording(f"burn_{k}", channels, BENCH, role="fit" if k < len(moving) else "validate"))
+        channels = {
+            "time": TIME,
+            "angle": angle,
+            "pressure": QUANTUM_PA * np.round(seen / QUANTUM_PA),
+        }
+        out.append(
+            Recording(f"burn_{k}", channels, BENCH, role="fit" if k < len(moving) else "validate")
+        )
     return Dataset(tuple(out))

@@ -37,7 +37,9 @@ def made(coefficients: dict[str, float], seed: int = 4, positive: tuple[int, ...
     columns = rng.standard_normal((ROWS, len(names))) / np.sqrt(ROWS)
     residual = rng.standard_normal(ROWS) + columns @ [coefficients.get(n, 0.0) for n in names]
     groups = tuple(Group(n, (), slice(k, k + 1), positive) for k, n in enumerate(names))
-    parts: list[tuple[Array, Array]] = list(zip(np.split(columns, FOLDS), np.split(residual, FOLDS), strict=True))
+    parts: list[tuple[Array, Array]] = list(
+        zip(np.split(columns, FOLDS), np.split(residual, FOLDS), strict=True)
+    )
     return Library(
         groups,
         np.stack([x.T @ x for x, _ in parts]),
@@ -74,11 +76,17 @@ def test_the_oracle_gains_what_is_there(lopsided: tuple[Recording, ...], first: 
     both = oracle(Dataset(lopsided), first, ["asymmetric_viscous", "torque_ripple"], 25.0)
     assert both is not None
     assert both.beside["torque_ripple"] < 0.3  # which is not there
-    assert both.beside["asymmetric_viscous"] == pytest.approx(found.beside["asymmetric_viscous"], rel=0.05)
+    assert both.beside["asymmetric_viscous"] == pytest.approx(
+        found.beside["asymmetric_viscous"], rel=0.05
+    )
     wrong = oracle(Dataset(lopsided), first, ["cogging"], 25.0)
-    assert wrong is None or wrong.baseline_rms - wrong.oracle_rms < 0.1 * (found.baseline_rms - found.oracle_rms)
+    assert wrong is None or wrong.baseline_rms - wrong.oracle_rms < 0.1 * (
+        found.baseline_rms - found.oracle_rms
+    )
 
 
-def test_without_recordings_set_aside_there_is_no_oracle(lopsided: tuple[Recording, ...], first: Joint) -> None:
+def test_without_recordings_set_aside_there_is_no_oracle(
+    lopsided: tuple[Recording, ...], first: Joint
+) -> None:
     fitted = tuple(r for r in lopsided if r.role == "fit")
     assert oracle(Dataset(fitted), first, ["asymmetric_viscous"], 25.0) is None

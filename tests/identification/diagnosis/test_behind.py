@@ -27,14 +27,20 @@ def with_skew(joint: Joint, ripple: Term, fraction: tuple[float, float]) -> floa
     return float(np.mean(found.residual[found.stack.part("torque")] ** 2))
 
 
-@pytest.mark.parametrize("name", ["cogging", "torque_ripple", "gear_mesh_ripple", "position_dependent_friction"])
+@pytest.mark.parametrize(
+    "name", ["cogging", "torque_ripple", "gear_mesh_ripple", "position_dependent_friction"]
+)
 def test_a_regressor_at_an_angle_is_late_where_the_torque_is(name: str) -> None:
     joint = nominal_fit(honest())
     view, term = joint.equations[0].views[1], TERM[name]
-    shape = {"gear_mesh_ripple": (20.0,), "position_dependent_friction": (0.1, 0.05)}.get(name, COGGING)
+    shape = {"gear_mesh_ripple": (20.0,), "position_dependent_friction": (0.1, 0.05)}.get(
+        name, COGGING
+    )
     prompt = bound(term, "torque", joint.nominal, shape)(view)
     late = bound(term, "torque", replace(joint.nominal, late_s=LATE_S), shape)(view)
-    steady = np.abs(view.velocity) > 0.1  # friction jumps at a reversal, which no interpolation follows
+    steady = (
+        np.abs(view.velocity) > 0.1
+    )  # friction jumps at a reversal, which no interpolation follows
     expected = np.stack([delayed(row, view.step, LATE_S) for row in prompt])
     assert np.max(np.abs(late - expected)[:, steady]) < 5e-3 * np.max(np.abs(expected))
     assert np.max(np.abs(prompt - expected)[:, steady]) > 0.02 * np.max(np.abs(expected))

@@ -1,4 +1,6 @@
-"""What hides a second effect: noise taken too large, a delay to first order, a sign told by an offset current."""
+"""What hides a second effect: noise taken too large, a delay to first order, a sign told by an
+offset current.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,9 @@ def test_what_swings_as_noise_does_is_no_noise_once_it_is_named() -> None:
     joint = nominal_fit(campaign({"cogging": cogs}, 31, 8.0))
     named = after(joint, "cogging")
     assert named.equations[0].sigma < 0.5 * joint.equations[0].sigma
-    assert named.equations[0].sigma == pytest.approx(nominal_fit(honest()).equations[0].sigma, rel=0.2)
+    assert named.equations[0].sigma == pytest.approx(
+        nominal_fit(honest()).equations[0].sigma, rel=0.2
+    )
     assert power(named, "torque") < 1.2
 
 
@@ -50,13 +54,18 @@ def test_a_long_delay_leaves_nothing_that_another_effect_could_take_up() -> None
     late = after(joint, "transport_delay")
     assert late.effects[0].shape[0] == pytest.approx(0.012, rel=0.005)
     assert power(late, "transmission") < 1.2
-    assert "torque" in next(t for t in on_the_joint(TERM.values()) if t.name == "transport_delay").columns
+    assert (
+        "torque"
+        in next(t for t in on_the_joint(TERM.values()) if t.name == "transport_delay").columns
+    )
 
 
 def test_a_dead_time_steps_where_the_current_is_none_and_not_where_it_reads_none() -> None:
     hidden = {"inverter_dead_time": {"voltage_V": 1.0}, "current_offset": {"current_A": 0.3}}
     joint = nominal_fit(campaign(hidden, 33, 8.0))
-    sharp, rounded = (after(joint, name, "current_offset") for name in ("inverter_dead_time", "brush_drop"))
+    sharp, rounded = (
+        after(joint, name, "current_offset") for name in ("inverter_dead_time", "brush_drop")
+    )
     assert sharp.nominal.zero_A == pytest.approx(0.3, rel=0.02)
     assert sharp.effects[0].shape[1] == pytest.approx(0.3, rel=0.02)
     noise = [j.stack.equations[-1].sigma * math.sqrt(power(j, "voltage")) for j in (sharp, rounded)]
@@ -69,7 +78,11 @@ def test_beside_what_is_the_physics_itself_less_makes_a_name() -> None:
     for error in (EXACT, CLOSE):
         assert math.isfinite(needed_share(little, error))
         assert math.isinf(needed_share(0.5 * error, error))
-        assert FURTHER_SHARE == needed_share(2.0 * UNCERTAIN * error, error) < needed_share(2.0 * error, error)
+        assert (
+            FURTHER_SHARE
+            == needed_share(2.0 * UNCERTAIN * error, error)
+            < needed_share(2.0 * error, error)
+        )
 
 
 def test_a_strong_ripple_leaves_nothing_of_its_own() -> None:

@@ -1,4 +1,6 @@
-"""Every effect is one entry in words and one term to compute, and both speak of the same parameters."""
+"""Every effect is one entry in words and one term to compute, and both speak of the same
+parameters.
+"""
 
 from __future__ import annotations
 

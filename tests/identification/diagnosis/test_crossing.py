@@ -49,7 +49,12 @@ def test_a_gap_is_crossed_without_torque() -> None:
 
 
 def test_a_loop_closes_with_its_torque() -> None:
-    seen = crossed(valve_side("coupling_hysteresis"), nominal("coupling_hysteresis"), 2.0 * HALF_RAD, ROTOR_KG_M2)
+    seen = crossed(
+        valve_side("coupling_hysteresis"),
+        nominal("coupling_hysteresis"),
+        2.0 * HALF_RAD,
+        ROTOR_KG_M2,
+    )
     assert seen is not None
     assert seen.torque == pytest.approx(CLOSES_N_M, rel=0.03)
 
@@ -59,11 +64,17 @@ def test_each_is_named_and_the_other_rejected(name: str) -> None:
     found = diagnose(Dataset(recordings(name), Model()))
     assert found.verdict is Verdict.NAMED
     assert [e.name for e in found.effects] == [name]
-    assert [r.why_not != "" for r in found.effects[0].rivals if r.name in ("backlash", "coupling_hysteresis")] == [True]
+    assert [
+        r.why_not != ""
+        for r in found.effects[0].rivals
+        if r.name in ("backlash", "coupling_hysteresis")
+    ] == [True]
 
 
 @pytest.mark.parametrize(("name", "told"), [("backlash", True), ("coupling_hysteresis", False)])
-def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(name: str, told: bool) -> None:
+def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_torque(
+    name: str, told: bool
+) -> None:
     """A loop that the angles give some torque stays open to both."""
     gap = 1e-4
     here = valve_side(name)
@@ -82,7 +93,9 @@ def test_what_is_crossed_too_fast_to_see_is_a_gap_where_its_loop_closes_without_
 def test_a_narrow_loop_closes_with_its_torque_as_well() -> None:
     """Crossed within ten samples, of which a filter shows half the rotor's acceleration."""
     half = 5e-4
-    narrow = campaign({"coupling_hysteresis": {"deflection_rad": half, "torque_Nm": CLOSES_N_M}}, 11, 8.0)
+    narrow = campaign(
+        {"coupling_hysteresis": {"deflection_rad": half, "torque_Nm": CLOSES_N_M}}, 11, 8.0
+    )
     here = views([r for r in narrow if r.role == "fit"], 25.0, True)
     seen = crossed(here, nominal_fit(narrow).nominal, 2.0 * half, ROTOR_KG_M2)
     assert seen is not None

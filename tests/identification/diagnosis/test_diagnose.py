@@ -22,14 +22,19 @@ def of(recordings: tuple[Recording, ...], seed: int = 1) -> Diagnosis:
 
 def test_confidence_falls_with_close_rivals_with_what_is_left_and_where_more_is_missing() -> None:
     joint = nominal_fit(honest())
-    alone, rivalled = Round("a", ()), Round("a", (Contender("b", joint, 0.0, ""), Contender("c", joint, 9.0, "")))
+    alone, rivalled = (
+        Round("a", ()),
+        Round("a", (Contender("b", joint, 0.0, ""), Contender("c", joint, 9.0, ""))),
+    )
     assert confidence_of(alone, 1.0, 0.5, 100.0) == 0.99
     assert confidence_of(rivalled, 1.0, 0.5, 100.0) == pytest.approx(0.5)
     assert confidence_of(alone, 0.0, 0.5, 100.0) == pytest.approx(0.495)
     assert confidence_of(alone, 1.0, 1e-4, 100.0) == 0.8
     assert confidence_of(rivalled, 1.0, 1e-4, 100.0) == pytest.approx(0.5)
     assert confidence_of(alone, 1.0, 0.5, 2.0) == 0.9
-    assert confidence_of(alone, 1.0, 0.5, 5.9) == 0.9, "a tenth of it may be something else and pass for noise"
+    assert confidence_of(alone, 1.0, 0.5, 5.9) == 0.9, (
+        "a tenth of it may be something else and pass for noise"
+    )
     assert confidence_of(alone, 1.0, 0.5, 6.1) == 0.99
 
 
@@ -50,7 +55,9 @@ def test_nothing_is_found_where_nothing_is_hidden() -> None:
         ("inverter_dead_time", {"voltage_V": 0.5}, "voltage"),
     ],
 )
-def test_what_is_hidden_is_named_and_sized(name: str, parameters: dict[str, float], equation: str) -> None:
+def test_what_is_hidden_is_named_and_sized(
+    name: str, parameters: dict[str, float], equation: str
+) -> None:
     found = of(campaign({name: parameters}, 2))
     assert name in found.effects[0].alias_group
     assert found.fit.equation == equation
@@ -69,7 +76,9 @@ def test_what_is_declared_is_not_found() -> None:
 
 
 def test_what_is_in_no_catalogue_gets_no_name() -> None:
-    found = of(campaign({"x_timed_torque": {"torque_Nm": 1.0, "frequency_Hz": 3.7, "phase_rad": 0.0}}, 3))
+    found = of(
+        campaign({"x_timed_torque": {"torque_Nm": 1.0, "frequency_Hz": 3.7, "phase_rad": 0.0}}, 3)
+    )
     assert found.verdict is Verdict.OUTSIDE_CATALOGUE
     assert found.effects == ()
     assert found.curve is not None

@@ -1,4 +1,6 @@
-"""What a joint fit makes of starts far off, of falling friction, and of rows that are no equations."""
+"""What a joint fit makes of starts far off, of falling friction, and of rows that are no
+equations.
+"""
 
 from __future__ import annotations
 
@@ -58,7 +60,9 @@ def test_a_fit_finds_its_way_from_a_speed_that_is_far_off(factor: float) -> None
     joint = nominal_fit(honest())
     values = {n: v * (factor if n == "omega_sf" else 1.0) for n, v in joint.nominal.values.items()}
     again = fit(joint.equations[0].views, "N m", replace(joint.nominal, values=values), (), joint)
-    assert again.nominal.values["omega_sf"] == pytest.approx(joint.nominal.values["omega_sf"], rel=0.02)
+    assert again.nominal.values["omega_sf"] == pytest.approx(
+        joint.nominal.values["omega_sf"], rel=0.02
+    )
     assert again.nominal.values["Ms"] == pytest.approx(joint.nominal.values["Ms"], rel=0.02)
 
 
@@ -79,7 +83,9 @@ def test_a_dead_time_is_sharper_than_a_brush_drop() -> None:
     }
     for name, other in (("inverter_dead_time", "brush_drop"), ("brush_drop", "inverter_dead_time")):
         joint = nominal_fit(campaign({name: hidden[name]}, 22, 8.0))
-        assert power(begun_with(joint, name), "voltage") < power(begun_with(joint, other), "voltage")
+        assert power(begun_with(joint, name), "voltage") < power(
+            begun_with(joint, other), "voltage"
+        )
 
 
 def test_much_in_one_recording_is_noticed_and_a_little_in_all_is_not() -> None:
@@ -94,7 +100,9 @@ def test_much_in_one_recording_is_noticed_and_a_little_in_all_is_not() -> None:
 
 
 def test_large_errors_of_a_few_rows_are_noticed_where_they_recur() -> None:
-    """After every reversal a joint that springs leaves a row or two of 20 times the noise, and none anywhere else."""
+    """After every reversal a joint that springs leaves a row or two of 20 times the noise, and none
+    anywhere else.
+    """
     joint = nominal_fit(honest())
     rows = joint.stack.part("torque")
     block = joint.stack.block[rows]
@@ -107,7 +115,9 @@ def test_large_errors_of_a_few_rows_are_noticed_where_they_recur() -> None:
 
 
 def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
-    """Friction that rises with the speed, from a bench whose static friction may not be below its Coulomb friction."""
+    """Friction that rises with the speed, from a bench whose static friction may not be below its
+    Coulomb friction.
+    """
     joint = nominal_fit(honest())
     assert not broken(joint)
     promised, kept = promise(joint.stack, (), joint.residual)
@@ -118,7 +128,9 @@ def test_constants_that_a_fit_cannot_keep_make_it_no_model() -> None:
     unkept = replace(joint, nominal=flat, equations=rows, stack=stacked(rows, flat, joint.stack))
     assert broken(unkept)
     assert broken(replace(unkept, effects=(Added(TERM["asymmetric_coulomb"], (), (0.0,)),)))
-    assert not broken(replace(unkept, effects=(Added(TERM["compliance"], (), (0.0,)),))), "encoders alone see it"
+    assert not broken(replace(unkept, effects=(Added(TERM["compliance"], (), (0.0,)),))), (
+        "encoders alone see it"
+    )
 
 
 def test_a_fall_that_ran_off_is_supposed_anew() -> None:
@@ -136,7 +148,9 @@ def test_a_fall_that_ran_off_is_supposed_anew() -> None:
 
 
 def test_a_tone_is_no_noise() -> None:
-    """14 Hz passes for noise in differences from row to row; at 50 times the noise it was not noticed at all."""
+    """14 Hz passes for noise in differences from row to row; at 50 times the noise it was not
+    noticed at all.
+    """
     low_pass = nominal_fit(honest()).equations[0].views[0].low_pass
     rng = np.random.default_rng(2)
     step = 0.001 * low_pass.factor
@@ -150,8 +164,12 @@ def test_a_tone_is_no_noise() -> None:
     loud = quiet + 50.0 * quiet.std() * np.sin(2.0 * np.pi * 14.03 * time + 1.0)
     floor = noise(quiet[kept], owner, low_pass)
     assert noise(loud[kept], owner, low_pass) > 10.0 * floor
-    assert noise(without_tones(loud[kept], owner, time[kept]), owner, low_pass) == pytest.approx(floor, rel=0.1)
-    assert noise(without_tones(quiet[kept], owner, time[kept]), owner, low_pass) == pytest.approx(floor, rel=0.03)
+    assert noise(without_tones(loud[kept], owner, time[kept]), owner, low_pass) == pytest.approx(
+        floor, rel=0.1
+    )
+    assert noise(without_tones(quiet[kept], owner, time[kept]), owner, low_pass) == pytest.approx(
+        floor, rel=0.03
+    )
 
 
 def _ramp(hunting_rad_s: float) -> View:
@@ -173,20 +191,34 @@ def test_rows_in_which_the_drive_hunts_unseen_by_the_filter_are_left_out() -> No
 
 
 def test_a_weights_inertia_loads_no_gear() -> None:
-    """Nor does it in the ladder's terms: a tenth of the load's torque as friction left 20 times the noise otherwise."""
+    """Nor does it in the ladder's terms: a tenth of the load's torque as friction left 20 times the
+    noise otherwise.
+    """
     time = np.arange(4000) * CYCLE_S
-    channels = {"time": time, "motor_angle": 100.0 * 0.3 * np.sin(9.0 * time), "current": np.ones(len(time))}
+    channels = {
+        "time": time,
+        "motor_angle": 100.0 * 0.3 * np.sin(9.0 * time),
+        "current": np.ones(len(time)),
+    }
     weight = Pendulum(2.0, 0.25, 0.4)
-    view = views([replace(Recording("swing", channels, BENCH, "unloaded", 0.0), pendulum=weight)], 25.0)[0]
+    view = views(
+        [replace(Recording("swing", channels, BENCH, "unloaded", 0.0), pendulum=weight)], 25.0
+    )[0]
     nominal = Nominal({"Mc": 5.0}, ("Mc",), 2.0)
     assert nominal.borne(view) == pytest.approx(np.abs(weight.torque(view.angle, BENCH.gravity)))
-    assert nominal.helping(view) == pytest.approx(weight.torque(view.angle, BENCH.gravity) - 0.125 * view.acceleration)
+    assert nominal.helping(view) == pytest.approx(
+        weight.torque(view.angle, BENCH.gravity) - 0.125 * view.acceleration
+    )
     beside = replace(nominal, hidden=(0.0, 0.0, 0.0, 1.0))
-    assert beside.borne(view) == pytest.approx(np.abs(weight.torque(view.angle, BENCH.gravity) - 1.0))
+    assert beside.borne(view) == pytest.approx(
+        np.abs(weight.torque(view.angle, BENCH.gravity) - 1.0)
+    )
 
 
 def test_a_joint_that_moves_against_its_torque_has_not_broken_away() -> None:
-    """A shaft that springs back under a torque the other way was taken for a breakaway of minus that torque."""
+    """A shaft that springs back under a torque the other way was taken for a breakaway of minus
+    that torque.
+    """
     time = np.arange(4000) * CYCLE_S
     back = np.clip((time - 1.0) / 0.02, 0.0, 1.0) * 40.0 * COUNT_RAD
     angle = np.maximum(0.1 * (time - 2.0), 0.0) - back
@@ -199,7 +231,9 @@ def test_a_joint_that_moves_against_its_torque_has_not_broken_away() -> None:
 
 
 def test_static_friction_stays_below_the_torque_that_overcame_it() -> None:
-    nominal = Nominal({"Mc": 5.0, "Ms": 8.0, "omega_sf": 0.05}, ("Mc", "Ms", "omega_sf"), 2.0, most={"Ms": 8.0})
+    nominal = Nominal(
+        {"Mc": 5.0, "Ms": 8.0, "omega_sf": 0.05}, ("Mc", "Ms", "omega_sf"), 2.0, most={"Ms": 8.0}
+    )
     up, down, still = np.array([0.0, 3.0, 0.0]), np.array([0.0, -3.0, 0.0]), np.zeros(3)
     assert nominal.at_most(up) == {"Ms"}
     assert nominal.at_most(down) == set()
@@ -208,19 +242,25 @@ def test_static_friction_stays_below_the_torque_that_overcame_it() -> None:
     assert replace(nominal, most={}).moved(up, still).values["Ms"] == 11.0
 
 
-@pytest.mark.parametrize(("bearable", "shares"), [(1.0, [1.0]), (0.5, [1.0, 0.5]), (0.0, [1.0, 0.5, 0.0])])
+@pytest.mark.parametrize(
+    ("bearable", "shares"), [(1.0, [1.0]), (0.5, [1.0, 0.5]), (0.0, [1.0, 0.5, 0.0])]
+)
 def test_of_the_last_step_as_much_is_taken_as_breakaways_bear(
     bearable: float, shares: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else the other constants' alone: a rise that no row pinned put unseen recordings 19 times the noise off.
+    """Else the other constants' alone: a rise that no row pinned put unseen recordings 19 times the
+    noise off.
 
-    A saturating motor was refused where the whole step of mu_s, from 0.05 to 0.15, cost breakaways more than it mended.
+    A saturating motor was refused where the whole step of mu_s, from 0.05 to 0.15, cost breakaways
+    more than it mended.
     """
     best, after = (SimpleNamespace(stack=stack, effects=(), residual=None) for stack in (None, 1))
     promises = {None: (1.0, 400.0), 1: (1.0, 1.0)}
     tried: list[float] = []
 
-    def stepped(_views: object, _unit: str, _best: object, step: np.ndarray, enough: float) -> object:
+    def stepped(
+        _views: object, _unit: str, _best: object, step: np.ndarray, enough: float
+    ) -> object:
         assert 1.0 < enough < 400.0, "a step that mends next to nothing is not taken"
         tried.append(float(step[0]))
         return (after, "done") if step[0] <= bearable else None

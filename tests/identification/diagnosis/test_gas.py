@@ -47,10 +47,14 @@ def test_what_is_hidden_is_named_and_sized(name: str) -> None:
     assert effect.alias_group == (name,)
     for key, true in HIDDEN[name].items():
         assert effect.parameters[key].value == pytest.approx(true, rel=0.15)
-        assert effect.parameters[key].low < effect.parameters[key].value < effect.parameters[key].high
+        assert (
+            effect.parameters[key].low < effect.parameters[key].value < effect.parameters[key].high
+        )
     assert found.fit.validate_baseline_rms is not None
     # The walls of plant and model warm by different laws: a twelfth of the noise is left of 80 kW.
-    assert found.fit.validate_final_rms == pytest.approx(NOISE_PA, rel=0.1 if name == "heat_loss" else 0.05)
+    assert found.fit.validate_final_rms == pytest.approx(
+        NOISE_PA, rel=0.1 if name == "heat_loss" else 0.05
+    )
     assert found.fit.validate_baseline_rms > found.fit.validate_final_rms
     assert {t.role for t in found.traces} == {"fit", "validate"}
 
@@ -98,7 +102,11 @@ def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
 
     def off(r: Recording) -> Recording:
         late = np.interp(r.time - 1e-3, r.time, r.channels["pressure"] + 2.5e3)
-        return replace(r, bench=bench, channels={**r.channels, "angle": r.channels["angle"] + 7e-4, "pressure": late})
+        return replace(
+            r,
+            bench=bench,
+            channels={**r.channels, "angle": r.channels["angle"] + 7e-4, "pressure": late},
+        )
 
     found = diagnose_gas(Dataset(tuple(off(r) for r in true.recordings)))
     assert found.verdict is Verdict.NOTHING_MISSING
@@ -109,7 +117,8 @@ def test_a_valve_and_sensors_that_are_a_little_off_are_no_physics() -> None:
 
 def test_a_belief_that_is_far_off_is_told() -> None:
     raised = tuple(
-        replace(r, channels={**r.channels, "pressure": r.channels["pressure"] + 5e4}) for r in recordings({}).recordings
+        replace(r, channels={**r.channels, "pressure": r.channels["pressure"] + 5e4})
+        for r in recordings({}).recordings
     )
     found = diagnose_gas(Dataset(raised))
     assert found.verdict is not Verdict.NOTHING_MISSING
@@ -130,7 +139,9 @@ def test_a_fit_stands_where_its_tangent_says() -> None:
     here = burns(recordings({}).part("fit")[:2])
     sigma = noise(here)
     fitted = fit(here, sigma, believed(here))
-    moved = replace(fitted.model, constants={**fitted.model.constants, "n": fitted.model.constants["n"] + 3e-4})
+    moved = replace(
+        fitted.model, constants={**fitted.model.constants, "n": fitted.model.constants["n"] + 3e-4}
+    )
     change = (simulate(here, moved) - fitted.simulated) / sigma
     # The exponent is the second number of a fit, in units of 0.03.
     assert change == pytest.approx(0.01 * fitted.tangent[:, 1], abs=0.02 * np.max(np.abs(change)))

@@ -20,7 +20,9 @@ from .benches import campaign, nominal_fit
 
 NAME = "asymmetric_coulomb"
 FAINT_N_M, UNSEEN = 0.002, 1.4
-"""Size of an effect that explains hardly anything, and mean square in all that may still be noise."""
+"""Size of an effect that explains hardly anything, and mean square in all that may still be
+noise.
+"""
 
 
 @lru_cache
@@ -48,34 +50,51 @@ def noise(search: Search, power: float) -> Array:
     return np.random.default_rng(1).normal(0.0, np.sqrt(power), rows.stop - rows.start)
 
 
-@pytest.mark.parametrize(("power", "expected"), [(0.0, Verdict.NAMED), (20.0, Verdict.OUTSIDE_CATALOGUE)])
-def test_a_fit_whose_constants_do_not_keep_what_it_promises_names_nothing(power: float, expected: Verdict) -> None:
+@pytest.mark.parametrize(
+    ("power", "expected"), [(0.0, Verdict.NAMED), (20.0, Verdict.OUTSIDE_CATALOGUE)]
+)
+def test_a_fit_whose_constants_do_not_keep_what_it_promises_names_nothing(
+    power: float, expected: Verdict
+) -> None:
     search = found(1.0)
     rows = search.final.equations[0].sigma * noise(search, power)
-    torque = replace(search.final.stack.equations[0], residual=search.final.stack.equations[0].residual + rows)
+    torque = replace(
+        search.final.stack.equations[0], residual=search.final.stack.equations[0].residual + rows
+    )
     stack = replace(search.final.stack, equations=(torque, *search.final.stack.equations[1:]))
     assert verdict(replace(search, final=replace(search.final, stack=stack))) is expected
 
 
-@pytest.mark.parametrize(("one", "expected"), [(False, Verdict.NAMED), (True, Verdict.OUTSIDE_CATALOGUE)])
-def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(one: bool, expected: Verdict) -> None:
+@pytest.mark.parametrize(
+    ("one", "expected"), [(False, Verdict.NAMED), (True, Verdict.OUTSIDE_CATALOGUE)]
+)
+def test_a_name_that_explains_little_may_not_leave_much_of_one_recording(
+    one: bool, expected: Verdict
+) -> None:
     """As much in all as may be noise, in every recording or in one."""
     search = found(FAINT_N_M)
     owner = search.final.equations[0].owner
     left = UNSEEN - float(np.mean(search.final.residual[search.final.stack.part("torque")] ** 2))
     where = owner == owner[0] if one else np.ones(len(owner), bool)
     more = noise(search, left) * where * np.sqrt(len(owner) / np.sum(where))
-    both = {name: with_left(joint, more) for name, joint in (("baseline", search.baseline), ("final", search.final))}
+    both = {
+        name: with_left(joint, more)
+        for name, joint in (("baseline", search.baseline), ("final", search.final))
+    }
     assert verdict(replace(search, **both)) is expected
 
 
 def test_effects_are_listed_as_the_search_came_upon_them() -> None:
-    """What takes another's place later, as a loop a gap's, stands last in the fit and is no less important for that."""
+    """What takes another's place later, as a loop a gap's, stands last in the fit and is no less
+    important for that.
+    """
     search = found(1.0)
     second = next(t for t in TERMS if t.name == "asymmetric_viscous")
     first = search.final.effects[0]
     views = search.final.equations[0].views
-    both = fit(views, "N m", search.final.nominal, (Added(second, (), (0.0,)), first), search.baseline)
+    both = fit(
+        views, "N m", search.final.nominal, (Added(second, (), (0.0,)), first), search.baseline
+    )
     listed = replace(search, final=both, rounds=(Round(NAME, ()), Round(second.name, ())))
     assert [e.term.name for e in both.effects] == [second.name, NAME]
     effects = effects_of(listed, Verdict.NAMED)

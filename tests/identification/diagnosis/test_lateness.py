@@ -28,7 +28,9 @@ def _recording() -> Recording:
         "voltage": _law(TIME, seen),
         "supply_voltage": np.full(len(TIME), SUPPLY_V),
     }
-    return Recording("r", {"time": TIME, **channels}, BENCH, "unloaded", 0.0, controller=Controller("duty", GAIN))
+    return Recording(
+        "r", {"time": TIME, **channels}, BENCH, "unloaded", 0.0, controller=Controller("duty", GAIN)
+    )
 
 
 def test_only_the_command_in_a_computed_voltage_is_early() -> None:
@@ -44,7 +46,9 @@ def test_a_voltage_is_computed_only_if_the_declared_law_makes_it() -> None:
     assert computed(recording)
     assert not computed(replace(recording, controller=None))
     assert not computed(replace(recording, controller=Controller("duty", 1.01 * GAIN)))
-    assert not computed(replace(recording, channels={**recording.channels, "current": np.zeros(len(TIME))}))
+    assert not computed(
+        replace(recording, channels={**recording.channels, "current": np.zeros(len(TIME))})
+    )
     noisy = recording.channels["voltage"] + np.random.default_rng(0).normal(0.0, 0.05, len(TIME))
     assert not computed(replace(recording, channels={**recording.channels, "voltage": noisy}))
 

@@ -1,4 +1,6 @@
-"""Where the mismatch is said to be: over the coordinate that fixes it, for friction with its sign."""
+"""Where the mismatch is said to be: over the coordinate that fixes it, for friction with its
+sign.
+"""
 
 from __future__ import annotations
 
@@ -36,7 +38,8 @@ def test_its_own_coordinate_is_given_where_it_explains_as_much() -> None:
     rest = torque.sigma * joint.residual[joint.stack.part("torque")]
     made = maps(joint.stack, torque, rest, rest, np.random.default_rng(0))[0]
     best, own, poor = (
-        replace(made, coordinate=name, share=share) for name, share in (("torque", 0.9), ("angle", 0.8), ("time", 0.3))
+        replace(made, coordinate=name, share=share)
+        for name, share in (("torque", 0.9), ("angle", 0.8), ("time", 0.3))
     )
     assert placed([best, own, poor], "angle") is own
     assert placed([best, own, poor], "time") is best

@@ -5,7 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from identification.diagnosis.terms.memory import dahl, delayed, falling_play, first_swing, lagged, play, warmed
+from identification.diagnosis.terms.memory import (
+    dahl,
+    delayed,
+    falling_play,
+    first_swing,
+    lagged,
+    play,
+    warmed,
+)
 
 TIME = np.arange(2000) * 1e-3
 
@@ -33,7 +41,9 @@ def test_a_driven_side_that_its_friction_holds_stands_in_the_gap_under_a_weight_
     angle = 0.5 * np.sin(2.0 * np.pi * TIME)
     pull, hold = np.full(2000, 5.0), np.full(2000, 60.0)
     lead = falling_play(angle, np.gradient(angle, 1e-3), 1e-3, 0.1, pull, hold, 0.0)
-    assert lead == pytest.approx(play(angle, 0.1), abs=0.01), "it coasts on for less than a tenth of the gap"
+    assert lead == pytest.approx(play(angle, 0.1), abs=0.01), (
+        "it coasts on for less than a tenth of the gap"
+    )
 
 
 def test_a_driven_side_falls_through_the_gap_as_its_weight_says() -> None:
@@ -47,8 +57,12 @@ def test_a_driven_side_falls_through_the_gap_as_its_weight_says() -> None:
 def test_a_play_that_has_been_crossed_no_longer_knows_where_it_began() -> None:
     angle = 0.5 * np.sin(2.0 * np.pi * TIME)
     crossed = first_swing(angle, 0.3)
-    assert play(angle, 0.3, 0.15)[crossed:] == pytest.approx(play(angle, 0.3, -0.15)[crossed:], abs=1e-12)
-    assert play(angle, 0.3, 0.15)[crossed - 1] != pytest.approx(play(angle, 0.3, -0.15)[crossed - 1], abs=1e-6)
+    assert play(angle, 0.3, 0.15)[crossed:] == pytest.approx(
+        play(angle, 0.3, -0.15)[crossed:], abs=1e-12
+    )
+    assert play(angle, 0.3, 0.15)[crossed - 1] != pytest.approx(
+        play(angle, 0.3, -0.15)[crossed - 1], abs=1e-6
+    )
     assert first_swing(angle, 1.1) == len(angle)
 
 
@@ -87,7 +101,9 @@ def test_a_warming_body_ends_at_its_loss() -> None:
     run[3000:] += 40.0
     rise, left = warmed(np.full(6001, 3.0), run, 60.0)
     assert rise == pytest.approx(3.0 * (1.0 - np.exp(-run / 60.0)), abs=1e-9)
-    assert left == pytest.approx(np.exp(-run / 60.0), abs=1e-9), "a hole between samples counts as time"
+    assert left == pytest.approx(np.exp(-run / 60.0), abs=1e-9), (
+        "a hole between samples counts as time"
+    )
 
 
 def test_a_play_forgets_where_it_began_once_it_was_crossed() -> None:

@@ -1,4 +1,6 @@
-"""A patch of friction that is met one way only is no effect of the catalogue, however well one of both ways fits."""
+"""A patch of friction that is met one way only is no effect of the catalogue, however well one of
+both ways fits.
+"""
 
 from __future__ import annotations
 
@@ -20,7 +22,9 @@ def patched(hidden: str, width: float) -> Joint:
     """Fit a patch of both ways, of a width that is not sought, to a bench that hides an effect."""
     joint = nominal_fit(campaign({hidden: PATCH}, 31, 6.0))
     term = replace(next(t for t in TERMS if t.name == "position_dependent_friction"), refine={})
-    return fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.1, width), (1.0,)),), joint)
+    return fit(
+        joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.1, width), (1.0,)),), joint
+    )
 
 
 def power(joint: Joint) -> float:

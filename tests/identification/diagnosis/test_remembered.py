@@ -1,4 +1,6 @@
-"""A torque that remembers its travel is mostly a weight's or a spring's, and what it leaves says that it is neither."""
+"""A torque that remembers its travel is mostly a weight's or a spring's, and what it leaves says
+that it is neither.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +17,9 @@ TERM = {t.name: t for t in TERMS}
 
 def fitted(hidden: dict[str, dict[str, float]], name: str) -> Joint:
     joint = nominal_fit(campaign(hidden, 31, 6.0))
-    return fit(joint.equations[0].views, "N m", joint.nominal, (Added(TERM[name], (), (1.0, 0.0)),), joint)
+    return fit(
+        joint.equations[0].views, "N m", joint.nominal, (Added(TERM[name], (), (1.0, 0.0)),), joint
+    )
 
 
 @pytest.mark.parametrize("name", ["gravity_imbalance", "return_spring"])

@@ -1,4 +1,6 @@
-"""The test by sign flips holds its level on noise that is correlated within blocks; how effects are added and kept."""
+"""The test by sign flips holds its level on noise that is correlated within blocks; how effects are
+added and kept.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +37,9 @@ def scored(regressor: np.ndarray, residual: np.ndarray) -> Candidate:
     score = sums.sum(axis=0)
     weights = (unit**2).reshape(BLOCKS, ROWS).sum(axis=1)[:, None, None]
     gain = float(score @ score)
-    return Candidate("any", (), score, gain, 1.0, wald(score, sums - weights @ score), sums, weights, gain)
+    return Candidate(
+        "any", (), score, gain, 1.0, wald(score, sums - weights @ score), sums, weights, gain
+    )
 
 
 def study(rng: np.random.Generator, hidden: float) -> float:
@@ -65,11 +69,16 @@ def test_the_flips_of_all_candidates_count_however_many_numbers_they_have() -> N
     rng = np.random.default_rng(11)
     candidates = []
     for degrees, size in ((1, 0.3), (2, 0.4), (1, 0.2), (2, 0.1)):
-        columns, residual = rng.standard_normal((BLOCKS, ROWS, degrees)), rng.standard_normal((BLOCKS, ROWS))
+        columns, residual = (
+            rng.standard_normal((BLOCKS, ROWS, degrees)),
+            rng.standard_normal((BLOCKS, ROWS)),
+        )
         sums = np.einsum("bij,bi->bj", columns, residual + size * columns[:, :, 0])
         weights = np.einsum("bij,bik->bjk", columns, columns) / (BLOCKS * ROWS)
         found = wald(sums.sum(axis=0), sums - weights @ sums.sum(axis=0))
-        candidates.append(Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 0.02 * found, sums, weights, 1.0))
+        candidates.append(
+            Candidate("any", (), np.zeros(degrees), 1.0, 1.0, 0.02 * found, sums, weights, 1.0)
+        )
     flips = np.random.default_rng(12).choice((-1.0, 1.0), size=(DRAWS, BLOCKS))
     drawn = np.max([surprise(flipped(c, flips), c.blocks.shape[1]) for c in candidates], axis=0)
     beyond = int(np.sum(drawn >= max(c.surprise for c in candidates)))
@@ -89,13 +98,21 @@ def test_an_effect_is_seen() -> None:
 
 
 def test_a_gap_is_followed_from_wherever_a_recording_begins_in_it() -> None:
-    """A recording that begins on a flank, and takes seconds to leave it, is explained as well as any other."""
+    """A recording that begins on a flank, and takes seconds to leave it, is explained as well as
+    any other.
+    """
     gap = 0.004
     recordings = campaign({"backlash": {"gap_rad": gap}}, 8, 6.0)
     joint = nominal_fit(recordings[:3])
     rows = joint.stack.part("transmission")
     term = next(t for t in TERMS if t.name == "backlash")
-    after = fit(joint.equations[0].views, "N m", joint.nominal, (Added(term, (0.003, 0.0, 0.0, 0.1), (1.0,)),), joint)
+    after = fit(
+        joint.equations[0].views,
+        "N m",
+        joint.nominal,
+        (Added(term, (0.003, 0.0, 0.0, 0.1), (1.0,)),),
+        joint,
+    )
     assert after.effects[0].shape[0] == pytest.approx(gap, rel=0.03)
     assert np.mean(joint.residual[rows] ** 2) > 1e4
     assert np.mean(after.residual[rows] ** 2) < 10.0
@@ -104,7 +121,11 @@ def test_a_gap_is_followed_from_wherever_a_recording_begins_in_it() -> None:
 def test_friction_that_falls_is_found_from_an_estimate_without_a_fall() -> None:
     recordings = campaign({"presliding": {"stiffness_Nm_rad": 2e4}}, 9, 8.0)
     flat = nominal_fit(recordings)
-    values = {**flat.nominal.values, "Ms": flat.nominal.values["Mc"], "mu_s": flat.nominal.values["mu_c"]}
+    values = {
+        **flat.nominal.values,
+        "Ms": flat.nominal.values["Mc"],
+        "mu_s": flat.nominal.values["mu_c"],
+    }
     absent = {"Ms", "mu_s", "omega_sf", "omega_sL"}
     stuck = replace(flat.nominal, values=values, free=tuple(n for n in values if n not in absent))
     here = flat.equations[0].views
@@ -132,11 +153,15 @@ def test_what_one_more_name_must_explain(others: float, needed: float) -> None:
     assert needed_share(others) == needed
 
 
-@pytest.mark.parametrize(("motion", "rest", "said"), [("linear", 3.1, "rest_rad 3.1"), ("rotary", 3.1, "")])
+@pytest.mark.parametrize(
+    ("motion", "rest", "said"), [("linear", 3.1, "rest_rad 3.1"), ("rotary", 3.1, "")]
+)
 def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
     motion: Literal["linear", "rotary"], rest: float, said: str
 ) -> None:
-    """One that rests further away is a constant force; of an angle the range is a turn, whatever the travel."""
+    """One that rests further away is a constant force; of an angle the range is a turn, whatever
+    the travel.
+    """
     recording = campaign({}, 3, 6.0)[0]
     recording = replace(recording, bench=replace(recording.bench, motion=motion))
     joint = nominal_fit([recording])
@@ -151,7 +176,9 @@ def test_a_spring_of_a_slide_rests_within_a_few_travels_of_it(
 def test_friction_under_a_load_may_be_declared_before_any_load_is_known() -> None:
     """It begins at nothing, and is fitted as soon as an effect gives the gear something to bear."""
     recordings = tuple(r for r in campaign({}, 3, 6.0) if r.stage == "unloaded")
-    dataset = Dataset(recordings, Model(terms=("load_dependent_friction",), friction="stribeck_load_dependent"))
+    dataset = Dataset(
+        recordings, Model(terms=("load_dependent_friction",), friction="stribeck_load_dependent")
+    )
     _, first = begun(dataset, 25.0)
     assert {"mu_gc", "mu_gs"} <= set(first.nominal.free)
     assert first.nominal.values["mu_gc"] == first.nominal.values["mu_gs"] == 0.0
@@ -173,7 +200,9 @@ def test_once_a_turn_of_the_joint_is_a_weight_and_no_cogging() -> None:
 
 def test_nothing_is_said_of_recordings_set_aside_that_hardly_move() -> None:
     recordings = campaign({}, 3, 6.0)
-    still = {n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()}
+    still = {
+        n: np.full_like(c, c[0]) if "angle" in n else c for n, c in recordings[0].channels.items()
+    }
     aside = views([replace(recordings[0], channels=still)], 25.0)
     assert "torque" not in held_out(nominal_fit(recordings[:2]), aside, "N m")
 

@@ -1,4 +1,6 @@
-"""What is wrong in a stretch of one recording is said with the recording, the time and the place."""
+"""What is wrong in a stretch of one recording is said with the recording, the time and the
+place.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +39,9 @@ def seen(recordings: tuple[Recording, ...]) -> tuple[View, ...]:
     return views(recordings, 25.0)
 
 
-def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(recordings: tuple[Recording, ...]) -> None:
+def test_a_joint_that_stands_under_a_torque_that_never_reached_it_is_told(
+    recordings: tuple[Recording, ...],
+) -> None:
     assert standing(seen(recordings), "N m") == ()
     (line,) = standing(seen((held(recordings[0], 150.0), *recordings[1:])), "N m")
     assert line.startswith(f"{recordings[0].name}: from 7.0")
@@ -62,7 +66,9 @@ def test_most_of_what_is_left_lies_in_one_recording_and_a_second_of_it() -> None
     rng = np.random.default_rng(2)
     plain = [trace(f"r{k}", rng.standard_normal(100)) for k in range(5)]
     assert crowded(plain) == ()
-    loud = rng.standard_normal(100) + np.where((np.arange(100) >= 40) & (np.arange(100) < 50), 10.0, 0.0)
+    loud = rng.standard_normal(100) + np.where(
+        (np.arange(100) >= 40) & (np.arange(100) < 50), 10.0, 0.0
+    )
     (line,) = crowded([*plain, trace("loud", loud)])
     assert line.startswith("loud: ")
     assert "of the torque mismatch" in line

@@ -1,7 +1,9 @@
-"""Traps of signals and models: what is done here holds, and the way that looks as good leads astray.
+"""Traps of signals and models: what is done here holds, and the way that looks as good leads
+astray.
 
-Each test builds the situation small, shows that the rule of this project gives the right answer, and that the trapped
-variant gives a wrong one on the same data. Those of statistics are in ``test_traps_of_statistics``.
+Each test builds the situation small, shows that the rule of this project gives the right answer,
+and that the trapped variant gives a wrong one on the same data. Those of statistics are in
+``test_traps_of_statistics``.
 """
 
 from __future__ import annotations
@@ -47,7 +49,9 @@ def plain() -> Joint:
 @lru_cache
 def timed() -> Joint:
     """The nominal model where a torque in no catalogue is hidden."""
-    return nominal_fit(campaign({"x_timed_torque": {"torque_Nm": 1.0, "frequency_Hz": 3.7, "phase_rad": 0.0}}, 3))
+    return nominal_fit(
+        campaign({"x_timed_torque": {"torque_Nm": 1.0, "frequency_Hz": 3.7, "phase_rad": 0.0}}, 3)
+    )
 
 
 def best(stack: Stack, name: str, seen: tuple[View, ...]) -> Candidate | None:
@@ -126,7 +130,9 @@ def test_torque_and_regressors_pass_one_filter() -> None:
     recording = recorded(Machine(), swing)
     joint = nominal_fit([recording], bandwidth_Hz)
     held = joint.nominal.get("omega_sf")
-    planted = tuple(replace(v, torque=joint.nominal.torque(v) + v.velocity**2) for v in joint.equations[0].views)
+    planted = tuple(
+        replace(v, torque=joint.nominal.torque(v) + v.velocity**2) for v in joint.equations[0].views
+    )
     equation = equations(planted, joint.nominal, "N m")[0]
     rows = equation.rows(lambda v: v.velocity**2)[:, 0]
     np.testing.assert_allclose(equation.residual, rows, atol=1e-9)
@@ -137,7 +143,9 @@ def test_torque_and_regressors_pass_one_filter() -> None:
         fall = np.exp(-((velocity / omega_s) ** 2))
         return np.stack([np.sign(velocity), np.sign(velocity) * fall, velocity, acceleration])
 
-    smooth_velocity, smooth_acceleration = filtered(view, np.stack([view.velocity, view.acceleration]))
+    smooth_velocity, smooth_acceleration = filtered(
+        view, np.stack([view.velocity, view.acceleration])
+    )
 
     def of_filtered(omega_s: float) -> Array:
         return friction(smooth_velocity, smooth_acceleration, omega_s)[:, crawling]
@@ -176,18 +184,24 @@ def test_a_current_averaged_over_the_cycle_is_no_skew() -> None:
 
 def test_samples_at_rest_are_no_equations() -> None:
     machine = Machine()
-    soft = replace(machine, loops=replace(machine.loops, velocity_gain_N_m_s_rad=None, position_gain=400.0))
+    soft = replace(
+        machine, loops=replace(machine.loops, velocity_gain_N_m_s_rad=None, position_gain=400.0)
+    )
     time = clock(16.0)
     phase = time % 4.0
 
     def rise(since: Array) -> Array:
         return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.clip(since / 0.5, 0.0, 1.0)))
 
-    view = views([recorded(soft, 0.2 * np.clip(time, 0.0, 1.0) * (rise(phase) - rise(phase - 2.0)))], 25.0)[0]
+    view = views(
+        [recorded(soft, 0.2 * np.clip(time, 0.0, 1.0) * (rise(phase) - rise(phase - 2.0)))], 25.0
+    )[0]
     assert float(np.mean(view.still)) > 0.5
 
     def fitted(keep: Array) -> Array:
-        columns = filtered(view, np.stack([view.sense, view.velocity, view.acceleration]))[:, keep].T
+        columns = filtered(view, np.stack([view.sense, view.velocity, view.acceleration]))[
+            :, keep
+        ].T
         return np.linalg.lstsq(columns, filtered(view, view.torque)[0, keep], rcond=None)[0]
 
     truth = [TRUE["Mc"], TRUE["sigma_2"], TRUE["J"]]
@@ -223,8 +237,17 @@ def test_no_row_of_the_transmission_is_trimmed() -> None:
     time = clock(12.0)
     rate = np.where(time % 2.0 < 1.9, 0.05, -0.05) * np.clip(time, 0.0, 1.0)
     gap = 0.002
-    seen = views([recorded(Machine(effects={"backlash": {"gap_rad": gap}}), np.cumsum(rate) * CYCLE_S - 0.25)], 25.0)
-    nominal = Nominal({"Mc": 6.8, "Ms": 12.0, "omega_sf": 0.0557, "sigma_2": 5.3, "J": 0.2}, ("Mc",), 2.0)
+    seen = views(
+        [
+            recorded(
+                Machine(effects={"backlash": {"gap_rad": gap}}), np.cumsum(rate) * CYCLE_S - 0.25
+            )
+        ],
+        25.0,
+    )
+    nominal = Nominal(
+        {"Mc": 6.8, "Ms": 12.0, "omega_sf": 0.0557, "sigma_2": 5.3, "J": 0.2}, ("Mc",), 2.0
+    )
     equation = next(e for e in equations(seen, nominal, "N m") if e.name == "transmission")
     assert len(equation.residual) == len(seen[0].kept_times)
     held = widest_gap(equation, nominal)
@@ -261,9 +284,13 @@ def test_the_error_is_held_against_the_noise_and_not_against_the_torque() -> Non
 # Phases differ between recordings where the encoder's origin does.
 
 
-@pytest.mark.parametrize("lost", [False, True], ids=["one origin", "origin lost between recordings"])
+@pytest.mark.parametrize(
+    "lost", [False, True], ids=["one origin", "origin lost between recordings"]
+)
 def test_cogging_is_seen_whatever_the_encoders_origin(lost: bool) -> None:
-    recordings = campaign({"cogging": {"torque_Nm": 0.5, "per_motor_turn": 2.0, "phase_rad": 0.4}}, 5, 8.0)
+    recordings = campaign(
+        {"cogging": {"torque_Nm": 0.5, "per_motor_turn": 2.0, "phase_rad": 0.4}}, 5, 8.0
+    )
     if lost:
         turned = np.random.default_rng(1).uniform(0.0, 2.0 * np.pi, len(recordings))
         recordings = tuple(

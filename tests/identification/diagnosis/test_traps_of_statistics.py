@@ -1,6 +1,8 @@
-"""Traps of statistics: tests that count samples alarm on noise that is correlated in time; blocks do not.
+"""Traps of statistics: tests that count samples alarm on noise that is correlated in time; blocks
+do not.
 
-Each trapped rule gets the same studies as the rule of this project: noise alone, 20 candidates, wanted 5 %.
+Each trapped rule gets the same studies as the rule of this project: noise alone, 20 candidates,
+wanted 5 %.
 """
 
 from __future__ import annotations
@@ -29,18 +31,25 @@ LAGS = 8
 
 @lru_cache
 def studies() -> tuple[tuple[Array, Array], ...]:
-    """Return residuals, shape (n,), that share their level within blocks, and regressors of unit norm, shape (c, n)."""
+    """Return residuals, shape (n,), that share their level within blocks, and regressors of unit
+    norm, shape (c, n).
+    """
     rng = np.random.default_rng(11)
     made = []
     for _ in range(STUDIES):
-        residual = rng.standard_normal(BLOCKS * ROWS) + 0.7 * np.repeat(rng.standard_normal(BLOCKS), ROWS)
+        residual = rng.standard_normal(BLOCKS * ROWS) + 0.7 * np.repeat(
+            rng.standard_normal(BLOCKS), ROWS
+        )
         regressors = np.repeat(rng.standard_normal((CANDIDATES, BLOCKS)), ROWS, axis=1)
         made.append((residual, regressors / np.linalg.norm(regressors, axis=1, keepdims=True)))
     return tuple(made)
 
 
 def by_blocks(residual: Array, regressors: Array) -> bool:
-    return chance([scored(r, residual) for r in regressors], BLOCKS, np.random.default_rng(1)) <= WANTED
+    return (
+        chance([scored(r, residual) for r in regressors], BLOCKS, np.random.default_rng(1))
+        <= WANTED
+    )
 
 
 def by_f_test(residual: Array, regressors: Array) -> bool:
@@ -62,7 +71,9 @@ def by_hac_errors(residual: Array, regressors: Array) -> bool:
     variance = np.sum(terms**2, axis=1)
     for lag in range(1, LAGS):
         variance += 2.0 * (1.0 - lag / LAGS) * np.sum(terms[:, lag:] * terms[:, :-lag], axis=1)
-    return bool(np.min(2.0 * stats.norm.sf(np.abs(score) / np.sqrt(variance))) * CANDIDATES <= WANTED)
+    return bool(
+        np.min(2.0 * stats.norm.sf(np.abs(score) / np.sqrt(variance))) * CANDIDATES <= WANTED
+    )
 
 
 @pytest.mark.parametrize(
@@ -74,13 +85,17 @@ def by_hac_errors(residual: Array, regressors: Array) -> bool:
         (by_hac_errors, 0.5, 1.0),
     ],
 )
-def test_false_alarms_on_correlated_noise(rule: Callable[[Array, Array], bool], least: float, most: float) -> None:
+def test_false_alarms_on_correlated_noise(
+    rule: Callable[[Array, Array], bool], least: float, most: float
+) -> None:
     alarms = [rule(*study) for study in studies()]
     assert least <= np.mean(alarms) <= most
 
 
 def test_few_blocks_prove_nothing_however_large_the_effect() -> None:
-    """A sign-flip p-value of one effect cannot go below 2^(1 - k) with k blocks; a t test knows no such limit."""
+    """A sign-flip p-value of one effect cannot go below 2^(1 - k) with k blocks; a t test knows no
+    such limit.
+    """
     rng = np.random.default_rng(2)
     active = 4
     regressor = np.repeat(np.where(np.arange(BLOCKS) < active, 1.0, 0.0), ROWS)
@@ -94,5 +109,8 @@ def test_an_honest_bench_alarms_by_bic_and_not_by_blocks() -> None:
     terms = friction.TERMS
     assert greedy_bic(library(joint, terms)) != ()
     trials = list(screened(joint.stack, Context(joint.equations[0].views, joint.nominal), terms))
-    assert chance([*trials, *generic(joint.stack)], joint.stack.blocks, np.random.default_rng(1)) > 0.05
+    assert (
+        chance([*trials, *generic(joint.stack)], joint.stack.blocks, np.random.default_rng(1))
+        > 0.05
+    )
     assert excess(joint) > 0.05

@@ -28,7 +28,11 @@ def test_a_wave_at_its_zeros_and_turning_points() -> None:
 @pytest.mark.parametrize("width", [1, 2, 5])
 def test_sums_over_blocks_are_those_of_each_block_by_itself(width: int) -> None:
     rng = np.random.default_rng(width)
-    columns, residual, block = rng.standard_normal((200, width)), rng.standard_normal(200), rng.integers(0, 7, 200)
+    columns, residual, block = (
+        rng.standard_normal((200, width)),
+        rng.standard_normal(200),
+        rng.integers(0, 7, 200),
+    )
     sums, weights = in_blocks(columns, residual, block, 8)
     for k in range(8):
         own = columns[block == k]

@@ -40,11 +40,15 @@ def test_guesses(name: str, channel: str | None, scale: float) -> None:
 
 def test_a_column_is_taken_once_and_the_first_that_fits() -> None:
     guesses = guess_channels(["t", "time", "angle", "", "phi"])
-    assert [(name, guess.column) for name, guess in guesses.items()] == [("time", "t"), ("angle", "angle")]
+    assert [(name, guess.column) for name, guess in guesses.items()] == [
+        ("time", "t"),
+        ("angle", "angle"),
+    ]
 
 
 @pytest.mark.parametrize(
-    ("stem", "mass"), [("log_5kg", 5.0), ("run-2.5 kg", 2.5), ("a0p5kg", 0.5), ("empty", 0.0), ("kg5", 0.0)]
+    ("stem", "mass"),
+    [("log_5kg", 5.0), ("run-2.5 kg", 2.5), ("a0p5kg", 0.5), ("empty", 0.0), ("kg5", 0.0)],
 )
 def test_a_mass_in_the_name_of_a_file(stem: str, mass: float) -> None:
     assert guess_mass(stem) == mass

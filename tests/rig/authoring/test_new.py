@@ -1,4 +1,6 @@
-"""``rig new``: what it writes is valid, explained, run and identified at once; nothing is overwritten."""
+"""``rig new``: what it writes is valid, explained, run and identified at once; nothing is
+overwritten.
+"""
 
 from __future__ import annotations
 
@@ -62,7 +64,11 @@ def test_the_small_bench_runs_at_once(drive: str) -> None:
     bench = load_bench(Path("bench.yaml")).value
     assert bench.simulated
     assert bench.mock is not None
-    assert (bench.machine.gear_ratio, bench.mock.motor.gear_ratio, bench.mock.supply_V) == (51, 51, 24)
+    assert (bench.machine.gear_ratio, bench.mock.motor.gear_ratio, bench.mock.supply_V) == (
+        51,
+        51,
+        24,
+    )
     assert schema_accepts(Path("bench.yaml"))
     sequence = ("--weights", "2,5", "--amplitude", "15", "--frequency", "0.3", "--duration", "4")
     assert status(["new", "sequence", "s.yaml", "--bench", "bench.yaml", *sequence, "--yes"]) == 0
@@ -74,7 +80,8 @@ def test_the_small_bench_runs_at_once(drive: str) -> None:
 def test_a_recording_made_elsewhere_is_described_from_its_columns() -> None:
     for mass in (0, 5):
         Path(f"log_{mass}kg.csv").write_text(
-            "t [ms];i_meas [mA];pos [deg];P_supply\n" + "".join(f"{n};{100 + n};{0.01 * n * n};1\n" for n in range(50))
+            "t [ms];i_meas [mA];pos [deg];P_supply\n"
+            + "".join(f"{n};{100 + n};{0.01 * n * n};1\n" for n in range(50))
         )
     options = ("--moment-arm", "0.1", "--lever-ratio", "2", "--yes")
     assert status(["new", "campaign", "c.yaml", "log_0kg.csv", "log_5kg.csv", *options]) == 0
@@ -98,11 +105,33 @@ def test_a_campaign_says_which_column_is_not_there_and_which_value_is_missing(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     Path("a.csv").write_text("x,y\n1,2\n2,3\n")
-    assert status(["new", "campaign", "c.yaml", "a.csv", "--time", "0", "--torque", "z", "--angle", "y", "--yes"]) == 2
+    assert (
+        status(
+            [
+                "new",
+                "campaign",
+                "c.yaml",
+                "a.csv",
+                "--time",
+                "0",
+                "--torque",
+                "z",
+                "--angle",
+                "y",
+                "--yes",
+            ]
+        )
+        == 2
+    )
     assert "--torque: a.csv has no column 'z'; it has x, y" in capsys.readouterr().err
-    assert status(["new", "campaign", "c.yaml", "a.csv", "--masses", "5", "--angle", "y", "--yes"]) == 2
+    assert (
+        status(["new", "campaign", "c.yaml", "a.csv", "--masses", "5", "--angle", "y", "--yes"])
+        == 2
+    )
     errors = capsys.readouterr().err
-    assert all(f"{option}: missing" in errors for option in ("--rate", "--moment-arm", "--lever-ratio"))
+    assert all(
+        f"{option}: missing" in errors for option in ("--rate", "--moment-arm", "--lever-ratio")
+    )
     assert status(["new", "campaign", "c.yaml", "a.csv", "b.csv", "--yes"]) == 2
     assert "b.csv: no such file" in capsys.readouterr().err
     assert not Path("c.yaml").exists()
@@ -125,7 +154,9 @@ def test_nothing_is_overwritten(kind: str, capsys: pytest.CaptureFixture[str]) -
 
 def test_answers_that_make_no_valid_file_leave_nothing(capsys: pytest.CaptureFixture[str]) -> None:
     assert status(["new", "bench", "b.yaml", *SMALL]) == 0
-    assert status(["new", "sequence", "s.yaml", "--bench", "b.yaml", "--weights", "20", "--yes"]) == 2
+    assert (
+        status(["new", "sequence", "s.yaml", "--bench", "b.yaml", "--weights", "20", "--yes"]) == 2
+    )
     assert "s.yaml:" in (text := capsys.readouterr().err)
     assert "above the bench limit weight_kg" in text
     assert sorted(path.name for path in Path().glob("*")) == ["b.yaml", "schemas"]
@@ -153,12 +184,30 @@ def test_real_devices_name_what_cannot_be_guessed(capsys: pytest.CaptureFixture[
     errors = capsys.readouterr().err
     assert "--servo-eds: missing" in errors
     assert "--encoder-eds: missing" in errors
-    real = ("--devices", "real", "--servo-eds", "d.eds", "--encoder-eds", "e.eds", "--channel", "can1")
+    real = (
+        "--devices",
+        "real",
+        "--servo-eds",
+        "d.eds",
+        "--encoder-eds",
+        "e.eds",
+        "--channel",
+        "can1",
+    )
     assert status(["new", "bench", "b.yaml", *real, *SMALL]) == 0
     bench = load_bench(Path("b.yaml")).value
     assert not bench.simulated
     assert bench.mock is None
-    serial = ("--devices", "real", "--drive", "epos4-serial", "--servo-eds", "d.eds", "--baud", "115200")
+    serial = (
+        "--devices",
+        "real",
+        "--drive",
+        "epos4-serial",
+        "--servo-eds",
+        "d.eds",
+        "--baud",
+        "115200",
+    )
     assert status(["new", "bench", "c.yaml", *serial, *SMALL]) == 0
     assert load_bench(Path("c.yaml")).value.cycle_Hz == 40
 
@@ -176,8 +225,14 @@ def test_questions_are_put_until_they_are_answered(capsys: pytest.CaptureFixture
     assert answers == {"gear": 51.5, "lever": 2.0, "weights": ()}
     assert answering.asked[0] == "Gear ratio [100]: "
     assert answering.asked[-1] == "Weights, kg [51.5]: "
-    assert said == ["'ten' is not a number", "-1 must be above 0", "an answer is needed: it has no default"]
-    with pytest.raises(InputError, match=r"--lever: the input has ended before this was answered; give the option"):
+    assert said == [
+        "'ten' is not a number",
+        "-1 must be above 0",
+        "an answer is needed: it has no default",
+    ]
+    with pytest.raises(
+        InputError, match=r"--lever: the input has ended before this was answered; give the option"
+    ):
         ask_all(questions, {"gear": 1.0}, Answering([]), said.append)
 
 
@@ -211,7 +266,9 @@ def test_numbers_that_no_machine_has_are_refused(typed: str) -> None:
 
 
 def test_a_load_that_the_simulated_motor_cannot_move_is_told() -> None:
-    answers = ask_all(QUESTIONS, {"lever_ratio": 10.0, "moment_arm": 1.0, "weights": (50.0,)}, None, str)
+    answers = ask_all(
+        QUESTIONS, {"lever_ratio": 10.0, "moment_arm": 1.0, "weights": (50.0,)}, None, str
+    )
     (note,) = remarks(answers)
     assert "use less weight, or a smaller lever ratio" in note
     assert remarks(ask_all(QUESTIONS, {"lever_ratio": 1.0}, None, str)) == []

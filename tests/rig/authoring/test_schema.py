@@ -1,4 +1,6 @@
-"""The JSON Schemas: they accept what the program accepts, and refuse what an editor can know to be wrong."""
+"""The JSON Schemas: they accept what the program accepts, and refuse what an editor can know to be
+wrong.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,12 @@ FILES = [
     *(("sequence", resolve(name, "sequences")) for name in names("sequences")),
     *(("campaign", path) for path in CAMPAIGNS),
 ]
-LOADERS = {"bench": load_bench, "sequence": load_sequence, "campaign": load_campaign, "faults": load_faults}
+LOADERS = {
+    "bench": load_bench,
+    "sequence": load_sequence,
+    "campaign": load_campaign,
+    "faults": load_faults,
+}
 
 
 def plain(text: str) -> Any:
@@ -58,7 +65,9 @@ def accepted(kind: str, tree: Any, folder: Path) -> bool:
     return True
 
 
-@pytest.mark.parametrize(("kind", "path"), FILES, ids=lambda item: item.stem if isinstance(item, Path) else item)
+@pytest.mark.parametrize(
+    ("kind", "path"), FILES, ids=lambda item: item.stem if isinstance(item, Path) else item
+)
 def test_files_of_this_repository_are_valid(kind: str, path: Path) -> None:
     errors = list(validator(kind).iter_errors(plain(path.read_text())))
     assert [f"{list(error.absolute_path)}: {error.message}" for error in errors] == []
@@ -78,7 +87,15 @@ def mappings(tree: Any) -> Iterator[dict[str, Any]]:
             yield from mappings(child)
 
 
-MUTATED = ("practical_hot", "practical_dbc", "practical_serial", "figure10", "hotfire", "emps", "sts3032_to_heavy")
+MUTATED = (
+    "practical_hot",
+    "practical_dbc",
+    "practical_serial",
+    "figure10",
+    "hotfire",
+    "emps",
+    "sts3032_to_heavy",
+)
 """Files that have every section between them."""
 
 
@@ -87,7 +104,9 @@ def sources() -> list[Any]:
     return [(kind, plain(path.read_text())) for kind, path in chosen] + [("faults", plain(FAULTS))]
 
 
-@pytest.mark.parametrize(("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else "")
+@pytest.mark.parametrize(
+    ("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else ""
+)
 def test_an_unknown_key_is_refused_wherever_it_stands(kind: str, tree: Any) -> None:
     check = validator(kind)
     assert check.is_valid(tree)
@@ -100,16 +119,24 @@ def test_an_unknown_key_is_refused_wherever_it_stands(kind: str, tree: Any) -> N
         assert not check.is_valid(mutant), place
 
 
-@pytest.mark.parametrize(("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else "")
-def test_the_schema_refuses_nothing_that_the_program_accepts(kind: str, tree: Any, tmp_path: Path) -> None:
-    """Each value in turn is left out, and replaced by others; the schema may be the milder judge, never the harder."""
+@pytest.mark.parametrize(
+    ("kind", "tree"), sources(), ids=lambda item: item if isinstance(item, str) else ""
+)
+def test_the_schema_refuses_nothing_that_the_program_accepts(
+    kind: str, tree: Any, tmp_path: Path
+) -> None:
+    """Each value in turn is left out, and replaced by others; the schema may be the milder judge,
+    never the harder.
+    """
     check, judged = validator(kind), 0
     defaults = tree.get("defaults")
     for number, place in enumerate(mappings(tree)):
         if place is defaults:
             continue  # The program never looks at a default that every recording overrides.
         for key in place:
-            for other in (None, -1, 0, 1, 2.5, "text", [], {}, "absent")[:: 4 if len(place) > 6 else 1]:
+            for other in (None, -1, 0, 1, 2.5, "text", [], {}, "absent")[
+                :: 4 if len(place) > 6 else 1
+            ]:
                 mutant = copy.deepcopy(tree)
                 there = list(mappings(mutant))[number]
                 if other == "absent":
@@ -138,7 +165,9 @@ def test_the_schema_refuses_nothing_that_the_program_accepts(kind: str, tree: An
         ("sequence", "figure10", ("stages", 0, "name"), "a b"),
     ],
 )
-def test_values_that_are_refused(kind: str, name: str, path: tuple[Any, ...], value: Any, tmp_path: Path) -> None:
+def test_values_that_are_refused(
+    kind: str, name: str, path: tuple[Any, ...], value: Any, tmp_path: Path
+) -> None:
     tree = plain(resolve(name, "benches" if kind == "bench" else "sequences").read_text())
     assert validator(kind).is_valid(tree)
     place = tree
@@ -153,7 +182,9 @@ def test_a_recording_may_leave_to_the_defaults_what_it_lacks_and_only_then() -> 
     check = validator("campaign")
     tree = {"campaign": 1, "bench": {}, "recordings": [{"file": "a.csv"}]}
     assert not check.is_valid(tree)
-    assert check.is_valid({**tree, "defaults": {"channels": {"time": "t", "angle": 1, "current": {"column": "i"}}}})
+    assert check.is_valid(
+        {**tree, "defaults": {"channels": {"time": "t", "angle": 1, "current": {"column": "i"}}}}
+    )
     assert not check.is_valid({**tree, "defaults": {"channels": {"tme": "t"}}})
 
 

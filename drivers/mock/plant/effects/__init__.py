@@ -1,1 +1,3 @@
-"""Physics that the simulated machine can hide: names and ranges, formulas, and the kernel that knows them."""
+"""Physics that the simulated machine can hide: names and ranges, formulas, and the kernel that
+knows them.
+"""

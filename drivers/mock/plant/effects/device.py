@@ -43,11 +43,15 @@ def device_torque(theta: float, omega: float, e: Vector) -> float:
 
 @inlined
 def load_factor(theta: float, time: float, e: Vector) -> float:
-    """Return the contact force over that of the hanging weight, at an angle and a time since the power came on."""
+    """Return the contact force over that of the hanging weight, at an angle and a time since the
+    power came on.
+    """
     factor = 1.0
     if e[LOAD_SLOPE] != 0.0:
         factor = max(1.0 + e[LOAD_SLOPE] * theta, 0.0)
     if e[SWING_FRACTION] != 0.0:
-        swing = math.cos(2.0 * math.pi * e[SWING_FREQUENCY] * time) * math.exp(-time / e[SWING_DECAY])
+        swing = math.cos(2.0 * math.pi * e[SWING_FREQUENCY] * time) * math.exp(
+            -time / e[SWING_DECAY]
+        )
         factor *= 1.0 + e[SWING_FRACTION] * swing
     return factor

@@ -1,4 +1,6 @@
-"""Friction at the joint with what the nominal law leaves out: sides, drag, memory, rest, and bristles (LuGre)."""
+"""Friction at the joint with what the nominal law leaves out: sides, drag, memory, rest, and
+bristles (LuGre).
+"""
 
 from __future__ import annotations
 
@@ -32,13 +34,19 @@ _BRISTLE_DAMPING = 0.2
 
 @inlined
 def static_limit(side: float, w: Vector) -> float:
-    """Return the torque up to which the joint holds against being pushed to ``side`` (1 or -1), N m."""
-    return float(max(w[MC] + w[DM] + w[MOMENT] * (w[MU_C] + w[DMU]) + side * w[SIDE] + w[LAGGED], 0.0))
+    """Return the torque up to which the joint holds against being pushed to ``side`` (1 or -1), N
+    m.
+    """
+    return float(
+        max(w[MC] + w[DM] + w[MOMENT] * (w[MU_C] + w[DMU]) + side * w[SIDE] + w[LAGGED], 0.0)
+    )
 
 
 @inlined
 def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float]:
-    """Return friction while slipping to ``side`` at ``speed`` >= 0 rad/s, and its slope; N m and N m s/rad."""
+    """Return friction while slipping to ``side`` at ``speed`` >= 0 rad/s, and its slope; N m and N
+    m s/rad.
+    """
     magnitude, slope = friction(speed, w)
     magnitude += side * (w[SIDE] + w[VISCOUS_SIDE] * speed) + w[DRAG] * speed * speed + w[LAGGED]
     slope += side * w[VISCOUS_SIDE] + 2.0 * w[DRAG] * speed
@@ -52,7 +60,9 @@ def level(speed: float, side: float, w: Vector, e: Vector) -> tuple[float, float
 
 @inlined
 def bristle_level(speed: float, p: Vector, moment: float) -> float:
-    """Return the part of the nominal friction that falls with speed, at ``speed`` >= 0 rad/s, N m."""
+    """Return the part of the nominal friction that falls with speed, at ``speed`` >= 0 rad/s, N
+    m.
+    """
     at_rest = p[DM] * math.exp(-((speed / p[OMEGA_SF]) ** p[ALPHA]))
     if moment > 0.0:
         at_rest += moment * p[DMU] * math.exp(-((speed / p[OMEGA_SL]) ** p[ALPHA]))
@@ -65,10 +75,12 @@ def step_slipping(
 ) -> tuple[float, float, float]:
     """Advance J domega/dt = torque - friction by ``h``; friction may differ by side.
 
-    With the same friction on both sides it is :func:`drivers.mock.plant.parts.friction.step_velocity`.
+    With the same friction on both sides it is
+    :func:`drivers.mock.plant.parts.friction.step_velocity`.
 
     Returns:
-        Speed after the step, impulse of friction against the motion (N m s), friction magnitude at the new speed.
+        Speed after the step, impulse of friction against the motion (N m s), friction magnitude at
+        the new speed.
     """
     if omega == 0.0:
         side = 1.0 if torque > 0.0 else -1.0
@@ -99,11 +111,14 @@ def step_slipping(
 
 
 @inlined
-def step_bristles(omega: float, z: float, torque: float, h: float, w: Vector, e: Vector) -> tuple[float, float, float]:
-    """Advance a joint whose friction is carried by bristles (LuGre; Canudas de Wit et al. 1995) by ``h``.
+def step_bristles(
+    omega: float, z: float, torque: float, h: float, w: Vector, e: Vector
+) -> tuple[float, float, float]:
+    """Advance a joint whose friction is carried by bristles (LuGre; Canudas de Wit et al. 1995) by
+    ``h``.
 
-    dz/dt = omega - sigma_0 |omega| z / g(omega); friction = sigma_0 z + sigma_1 dz/dt + viscous part, with sigma_1
-    fading with speed. Linearly implicit: stable for any stiffness.
+    dz/dt = omega - sigma_0 |omega| z / g(omega); friction = sigma_0 z + sigma_1 dz/dt + viscous
+    part, with sigma_1 fading with speed. Linearly implicit: stable for any stiffness.
 
     Args:
         omega: Speed, rad/s.

@@ -1,4 +1,5 @@
-"""What the gas generator can hide: deposits, a tapered grain, erosion, heat for cold walls, a leak; and decoys.
+"""What the gas generator can hide: deposits, a tapered grain, erosion, heat for cold walls, a leak;
+and decoys.
 
 Slots count from where the hidden part of the gas vector begins, and of the gas state.
 """
@@ -42,10 +43,15 @@ GAS_CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
     "throat_deposition": {"rate_m_s": Parameter(LAYER_RATE, 0.0, 2e-4)},
     "burning_area_change": {"taper_per_m": Parameter(TAPER, -2.0, 2.0)},
     "erosive_burning": {"coefficient_s_m": Parameter(EROSION, 0.0, 1.0)},
-    "heat_loss": {"heat_flow_W": Parameter(HEAT_FLOW, 0.0, 1e6), "time_s": Parameter(HEAT_TIME, 0.1, 1e4)},
+    "heat_loss": {
+        "heat_flow_W": Parameter(HEAT_FLOW, 0.0, 1e6),
+        "time_s": Parameter(HEAT_TIME, 0.1, 1e4),
+    },
     "leakage": {"area_m2": Parameter(LEAK, 0.0, 2e-4)},
 }
-"""Effect -> parameter -> slot and range; ``rate_m_s`` is how fast the layer on all rims of the throat grows thicker."""
+"""Effect -> parameter -> slot and range; ``rate_m_s`` is how fast the layer on all rims of the
+throat grows thicker.
+"""
 
 GAS_OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
     "x_propellant_bands": {
@@ -85,41 +91,59 @@ def open_share(burn_time: float, g: Vector, at: int) -> float:
 
 @inlined
 def burning_share(web: float, g: Vector, at: int) -> float:
-    """Return the burning area of a grain whose diameter changes along its axis, over that at ignition."""
+    """Return the burning area of a grain whose diameter changes along its axis, over that at
+    ignition.
+    """
     return float((1.0 + g[at + TAPER] * web) ** 2)
 
 
 @inlined
 def rate_share(burn_time: float, web: float, gas_speed: float, g: Vector, at: int) -> float:
-    """Return the burning rate over a p^n, under gas that leaves the surface at ``gas_speed`` m/s."""
+    """Return the burning rate over a p^n, under gas that leaves the surface at ``gas_speed``
+    m/s.
+    """
     share = 1.0 + g[at + EROSION] * gas_speed
     if g[at + BAND_SHARE] != 0.0:
         share *= 1.0 + g[at + BAND_SHARE] * math.sin(2.0 * math.pi * web / g[at + BAND_LENGTH])
     if g[at + WAVE_SHARE] != 0.0:
-        share *= 1.0 + g[at + WAVE_SHARE] * math.sin(2.0 * math.pi * g[at + WAVE_FREQUENCY] * burn_time)
+        share *= 1.0 + g[at + WAVE_SHARE] * math.sin(
+            2.0 * math.pi * g[at + WAVE_FREQUENCY] * burn_time
+        )
     return float(share)
 
 
 @inlined
 def chill(cooled: float, warmed: float, g: Vector, at: int) -> float:
-    """Return the heat that the gas gives to the walls, W: in proportion to the difference of their temperatures."""
+    """Return the heat that the gas gives to the walls, W: in proportion to the difference of their
+    temperatures.
+    """
     return float(g[at + HEAT_FLOW] * (1.0 - cooled - warmed))
 
 
 @inlined
 def settled_chill(burnt: float, enthalpy: float, g: Vector, at: int) -> float:
-    """Return the share of the temperature that is lost where ``burnt`` kg/s mix at once and the walls are cold."""
+    """Return the share of the temperature that is lost where ``burnt`` kg/s mix at once and the
+    walls are cold.
+    """
     return float(g[at + HEAT_FLOW] / (g[at + HEAT_FLOW] + burnt * enthalpy))
 
 
 @inlined
 def cool(
-    cooled: float, warmed: float, burnt: float, stored: float, enthalpy: float, h: float, g: Vector, at: int
+    cooled: float,
+    warmed: float,
+    burnt: float,
+    stored: float,
+    enthalpy: float,
+    h: float,
+    g: Vector,
+    at: int,
 ) -> tuple[float, float]:
     """Advance what the gas has lost and what the walls have gained by ``h`` s.
 
     Fresh gas at flame temperature mixes with what is stored, and each gives its share to the walls:
-    stored ds/dt = burnt (1 - s) - Q/enthalpy, walls dx/dt = (s - x)/time. Exact in the mixing, explicit in the heat.
+    stored ds/dt = burnt (1 - s) - Q/enthalpy, walls dx/dt = (s - x)/time. Exact in the mixing,
+    explicit in the heat.
 
     Args:
         cooled: 1 - s.
@@ -134,4 +158,6 @@ def cool(
     heat = chill(cooled, warmed, g, at) / enthalpy
     settled = heat / burnt
     mixed = -math.expm1(-h * burnt / stored)
-    return cooled + (settled - cooled) * mixed, warmed + (1.0 - cooled - warmed) * -math.expm1(-h / g[at + HEAT_TIME])
+    return cooled + (settled - cooled) * mixed, warmed + (1.0 - cooled - warmed) * -math.expm1(
+        -h / g[at + HEAT_TIME]
+    )

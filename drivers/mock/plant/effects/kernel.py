@@ -1,4 +1,6 @@
-"""The compiled heart of a machine that hides something; with nothing to hide it takes the nominal kernel's steps."""
+"""The compiled heart of a machine that hides something; with nothing to hide it takes the nominal
+kernel's steps.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,12 @@ from drivers.mock.plant.effects.motor import (
     saturated,
     winding,
 )
-from drivers.mock.plant.effects.outside import OUTSIDE_END, TRAVEL_LENGTH, TRAVEL_TORQUE, outside_torque
+from drivers.mock.plant.effects.outside import (
+    OUTSIDE_END,
+    TRAVEL_LENGTH,
+    TRAVEL_TORQUE,
+    outside_torque,
+)
 from drivers.mock.plant.effects.sensing import Histories, sense
 from drivers.mock.plant.effects.shaft import deflection, give_way, mesh_error, shaft_torque
 from drivers.mock.plant.effects.state import (
@@ -79,7 +86,9 @@ CONSTANTS_AT = OUTSIDE_END
 def move_joint(
     omega: float, held: float, bristles: float, torque: float, h: float, w: Vector, e: Vector
 ) -> tuple[float, float, float, float]:
-    """Advance the joint's speed by ``h``; return it with friction at its end, bristles and the friction's work."""
+    """Advance the joint's speed by ``h``; return it with friction at its end, bristles and the
+    friction's work.
+    """
     if e[table.PRESLIDING_STIFFNESS] > 0.0:
         new, bristles, drag = step_bristles(omega, bristles, torque, h, w, e)
         return new, abs(drag), bristles, h * drag * 0.5 * (omega + new)
@@ -109,7 +118,8 @@ def integrate(
     outside = e[at + OUTSIDE_TORQUE] != 0.0
     gear, rotor_inertia, damping = e[at + GEAR], e[at + ROTOR_INERTIA], e[at + SHAFT_DAMPING]
     per_ampere, per_speed = d[TORQUE_PER_AMPERE], d[EMF_PER_SPEED]
-    # Everything that changes is local to the loop, so that the compiler may keep the effect vector in registers.
+    # Everything that changes is local to the loop, so that the compiler may keep the effect vector
+    # in registers.
     omega, theta, current = s[OMEGA], x[JOINT], s[CURRENT]
     rotor, turning = s[THETA], x[ROTOR_SPEED]
     effective, bristles = x[TORQUE_CURRENT], x[BRISTLES]
@@ -127,8 +137,11 @@ def integrate(
     for _ in range(int(d[STEPS])):
         flux = warm * flux_factor(rotor * gear, e)
         if powered:
-            current = winding(current, voltage, per_speed * flux * turning, resistance, dead, decay, e)
-        # What acts over the step is the mean of the lagging current; its value at the end is half a step further on.
+            current = winding(
+                current, voltage, per_speed * flux * turning, resistance, dead, decay, e
+            )
+        # What acts over the step is the mean of the lagging current; its value at the end is half a
+        # step further on.
         acting = current if lag == 1.0 else current + lag * lag_s / h * (effective - current)
         effective = current if lag == 1.0 else effective + lag * (current - effective)
         torque = per_ampere * flux * saturated(acting, e) + cogging(rotor * gear, e)
@@ -146,12 +159,16 @@ def integrate(
             carried = shaft_torque(twist, rate, given, damping, e)
             transmitted = carried * (1.0 + steepness)
             turning += h * (torque - carried) / rotor_inertia
-            omega, held, bristles, work = move_joint(omega, held, bristles, transmitted + external + strange, h, w, e)
+            omega, held, bristles, work = move_joint(
+                omega, held, bristles, transmitted + external + strange, h, w, e
+            )
             rotor += 0.5 * h * turning
             theta += 0.5 * h * omega
         else:
             transmitted = torque * (1.0 + steepness)
-            new, held, bristles, work = move_joint(omega, held, bristles, transmitted + external + strange, h, w, e)
+            new, held, bristles, work = move_joint(
+                omega, held, bristles, transmitted + external + strange, h, w, e
+            )
             theta += h * (0.5 * (omega + new))
             omega = new
             error, steepness = mesh_error(theta, e)
@@ -159,7 +176,9 @@ def integrate(
             turning = omega * (1.0 + steepness)
         friction_work += work
         if powered:
-            current = winding(current, voltage, per_speed * flux * turning, resistance, dead, decay, e)
+            current = winding(
+                current, voltage, per_speed * flux * turning, resistance, dead, decay, e
+            )
     s[THETA], s[OMEGA], s[CURRENT] = rotor, omega, current
     s[FRICTION_WORK] += friction_work
     x[JOINT], x[ROTOR_SPEED] = theta, turning
@@ -170,7 +189,9 @@ def integrate(
 
 @inlined
 def power_stage(s: Vector, x: Vector, e: Vector, voltage: float) -> float:
-    """Set the supply under the present load, and return what reaches the winding of ``voltage``, V."""
+    """Set the supply under the present load, and return what reaches the winding of
+    ``voltage``, V.
+    """
     nominal = e[CONSTANTS_AT + NOMINAL_SUPPLY]
     x[SUPPLY] = nominal
     if e[table.SAG_RESISTANCE] == 0.0:
@@ -191,7 +212,8 @@ def advance_hiding(
     noise: Vector,
     path: Vector,
 ) -> None:
-    """Advance ``loops`` drive-loop periods, as :func:`drivers.mock.plant.parts.loops.advance` does, with effects.
+    """Advance ``loops`` drive-loop periods, as :func:`drivers.mock.plant.parts.loops.advance` does,
+    with effects.
 
     ``x`` and ``histories`` are the extra state; ``e`` the effect vector.
     """

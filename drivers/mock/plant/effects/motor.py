@@ -26,12 +26,19 @@ MAGNET_PER_K = -0.001
 
 @inlined
 def winding(
-    current: float, voltage: float, emf: float, resistance: float, dead: float, decay: float, e: Vector
+    current: float,
+    voltage: float,
+    emf: float,
+    resistance: float,
+    dead: float,
+    decay: float,
+    e: Vector,
 ) -> float:
     """Return the current after half a step at constant voltage and speed.
 
-    The dead time opposes the current with a fixed voltage ``dead``, the brushes with one that grows with the current.
-    A current that the dead time brings to zero stays there until the voltage exceeds it.
+    The dead time opposes the current with a fixed voltage ``dead``, the brushes with one that grows
+    with the current. A current that the dead time brings to zero stays there until the voltage
+    exceeds it.
     """
     push = voltage - emf
     if e[BRUSH_VOLTAGE] != 0.0:

@@ -83,7 +83,9 @@ OUTSIDE: Mapping[str, Mapping[str, Parameter]] = {
 """Effect -> parameter -> slot and range."""
 
 _ROOT_FLOOR = 1e-4
-"""Speed in rad/s below which the drag that grows with the root of the speed is straightened, so that it has a slope."""
+"""Speed in rad/s below which the drag that grows with the root of the speed is straightened, so
+that it has a slope.
+"""
 
 
 @inlined
@@ -95,10 +97,14 @@ def scatter(number: float) -> float:
 
 @inlined
 def outside_torque(run: float, theta: float, travel: float, e: Vector) -> float:
-    """Return the torque on the joint that depends on running time, angle and the memory of travel, N m."""
+    """Return the torque on the joint that depends on running time, angle and the memory of travel,
+    N m.
+    """
     torque = 0.0
     if e[TIMED_TORQUE] != 0.0:
-        torque += e[TIMED_TORQUE] * math.sin(2.0 * math.pi * e[TIMED_FREQUENCY] * run + e[TIMED_PHASE])
+        torque += e[TIMED_TORQUE] * math.sin(
+            2.0 * math.pi * e[TIMED_FREQUENCY] * run + e[TIMED_PHASE]
+        )
     if e[WELL_TORQUE] != 0.0:
         for side in (-1.0, 1.0):
             u = (theta - side * e[WELL_CENTER]) / e[WELL_WIDTH]
@@ -144,7 +150,9 @@ def outside_level(speed: float, moment: float, e: Vector) -> tuple[float, float]
 
 @inlined
 def outside_sides(theta: float, acceleration: float, e: Vector) -> tuple[float, float]:
-    """Return extra Coulomb friction for both directions, and what is added forward and taken off backward, N m."""
+    """Return extra Coulomb friction for both directions, and what is added forward and taken off
+    backward, N m.
+    """
     both = one = 0.0
     if e[ACCELERATION_DRAG] != 0.0:
         both += e[ACCELERATION_DRAG] * abs(acceleration)

@@ -45,15 +45,18 @@ def problems(effects: Effects) -> Iterator[tuple[tuple[str, ...], str]]:
             if key not in parameters:
                 yield (name, key), f"{name} has no such parameter; it has {', '.join(parameters)}"
             elif not parameters[key].low <= value <= parameters[key].high:
-                yield (name, key), f"must be within {parameters[key].low:g} to {parameters[key].high:g}"
+                yield (
+                    (name, key),
+                    f"must be within {parameters[key].low:g} to {parameters[key].high:g}",
+                )
 
 
 def effect_vector(machine: constants.Machine) -> NDArray[np.float64]:
     """Pack a machine's effects; empty where it hides nothing, but for its gas generator.
 
     Raises:
-        ValueError: An effect or parameter is unknown or out of range, or no inertia is left for the joint beside that
-            of the rotor.
+        ValueError: An effect or parameter is unknown or out of range, or no inertia is left for the
+            joint beside that of the rotor.
     """
     wrong = [f"{'.'.join(path)}: {text}" for path, text in problems(machine.effects)]
     if wrong or (text := too_light(machine)):
@@ -85,12 +88,15 @@ def bare_vector(machine: constants.Machine) -> NDArray[np.float64]:
 
 
 def too_light(machine: constants.Machine) -> str | None:
-    """Return what is wrong where a transmission that gives leaves no inertia on one of its sides."""
+    """Return what is wrong where a transmission that gives leaves no inertia on one of its
+    sides.
+    """
     rotor, total = _rotor(machine), machine.joint.inertia_kg_m2
     if not _TWO_MASS & machine.effects.keys() or 0.0 < rotor < total:
         return None
     return (
-        f"the rotor has {rotor:g} kg m^2 at the joint, of {total:g} in all, and a transmission that gives needs some "
+        f"the rotor has {rotor:g} kg m^2 at the joint, of {total:g} in all, and a transmission "
+        f"that gives needs some "
         f"on both sides; between 0 and {total / machine.motor.gear_ratio**2:g} kg m^2 at the motor"
     )
 

@@ -8,7 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.mock.plant.effects import table
-from drivers.mock.plant.effects.state import HISTORY, JOINT, LOOP, RECORDING, RUN, SEEN, SLIPPED, TIME
+from drivers.mock.plant.effects.state import (
+    HISTORY,
+    JOINT,
+    LOOP,
+    RECORDING,
+    RUN,
+    SEEN,
+    SLIPPED,
+    TIME,
+)
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 Histories = NDArray[np.float64]
@@ -17,7 +26,9 @@ Histories = NDArray[np.float64]
 
 @inlined
 def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> float:
-    """Return a value of ``delay_s`` ago, interpolated between loop periods; ``loop`` is where the newest stands."""
+    """Return a value of ``delay_s`` ago, interpolated between loop periods; ``loop`` is where the
+    newest stands.
+    """
     back = delay_s / period_s
     whole = math.floor(back)
     share = back - whole
@@ -28,11 +39,17 @@ def earlier(history: Vector, loop: float, delay_s: float, period_s: float) -> fl
 
 @inlined
 def sense(x: Vector, e: Vector, histories: Histories, charge: float, period_s: float) -> float:
-    """Let the joint encoder look, and return the charge (A s) that the current's logged mean gets of this period."""
+    """Let the joint encoder look, and return the charge (A s) that the current's logged mean gets
+    of this period.
+    """
     x[LOOP] += 1.0
     at = int(x[LOOP]) & (HISTORY - 1)
     theta = x[JOINT]
-    if e[table.SLIP_ANGLE] != 0.0 and x[RECORDING] == e[table.SLIP_RECORDING] and x[TIME] >= e[table.SLIP_TIME]:
+    if (
+        e[table.SLIP_ANGLE] != 0.0
+        and x[RECORDING] == e[table.SLIP_RECORDING]
+        and x[TIME] >= e[table.SLIP_TIME]
+    ):
         x[SLIPPED] = e[table.SLIP_ANGLE]
     seen = theta + x[SLIPPED]
     if e[table.ECCENTRICITY] != 0.0:

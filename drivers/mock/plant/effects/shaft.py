@@ -1,4 +1,5 @@
-"""The transmission where it is not rigid: rotor and joint as two masses with a gap, a spring and a hysteresis between.
+"""The transmission where it is not rigid: rotor and joint as two masses with a gap, a spring and a
+hysteresis between.
 
 All at the joint: ``twist`` is phi/i - theta.
 """
@@ -19,7 +20,9 @@ from drivers.mock.plant.effects.table import (
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 HARD_N_M_RAD = 1e6
-"""Stiffness of teeth and shaft where nothing says otherwise: 20 N m twist it by 20 microradian, an encoder count."""
+"""Stiffness of teeth and shaft where nothing says otherwise: 20 N m twist it by 20 microradian, an
+encoder count.
+"""
 DAMPING_RATIO = 0.08
 """Of rotor against joint on the shaft's spring; chosen."""
 
@@ -63,11 +66,13 @@ def deflection(play: float, e: Vector) -> float:
 
 @inlined
 def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
-    """Return the deflection (rad) and the play (N m) of a coupling with hysteresis in series with the shaft's spring.
+    """Return the deflection (rad) and the play (N m) of a coupling with hysteresis in series with
+    the shaft's spring.
 
-    Rate-independent and dissipative: a play of half width ``torque_Nm`` follows the torque, and the deflection is
-    ``deflection_rad`` for each ``torque_Nm`` of it, to no more than +- ``deflection_rad``. Deflection and torque are
-    solved together, in closed form, since the spring is stiff.
+    Rate-independent and dissipative: a play of half width ``torque_Nm`` follows the torque, and the
+    deflection is ``deflection_rad`` for each ``torque_Nm`` of it, to no more than +-
+    ``deflection_rad``. Deflection and torque are solved together, in closed form, since the spring
+    is stiff.
 
     Args:
         twist: Of spring and coupling, rad.
@@ -91,7 +96,9 @@ def give_way(twist: float, play: float, e: Vector) -> tuple[float, float]:
 
 @inlined
 def mesh_error(theta: float, e: Vector) -> tuple[float, float]:
-    """Return phi/i - theta that the teeth force at a joint angle, rad, and its derivative by the angle."""
+    """Return phi/i - theta that the teeth force at a joint angle, rad, and its derivative by the
+    angle.
+    """
     if e[MESH_AMPLITUDE] == 0.0:
         return 0.0, 0.0
     at = e[MESH_ORDER] * theta + e[MESH_PHASE]

@@ -1,7 +1,8 @@
-"""The effects of the catalogue that the simulated machine can hide: parameters, ranges, places in the kernel's vector.
+"""The effects of the catalogue that the simulated machine can hide: parameters, ranges, places in
+the kernel's vector.
 
-Sizes are at the joint, after the gear, unless the name says otherwise. Effects that are in no catalogue are in
-:mod:`drivers.mock.plant.effects.outside`.
+Sizes are at the joint, after the gear, unless the name says otherwise. Effects that are in no
+catalogue are in :mod:`drivers.mock.plant.effects.outside`.
 """
 
 from __future__ import annotations
@@ -182,4 +183,7 @@ CATALOGUE: Mapping[str, Mapping[str, Parameter]] = {
         "recording": Parameter(SLIP_RECORDING, 1.0, 1e4),
     },
 }
-"""Effect -> parameter -> slot and range. ``recording`` counts power-ons from 1; ``at_s`` runs from there."""
+"""Effect -> parameter -> slot and range.
+
+``recording`` counts power-ons from 1; ``at_s`` runs from there.
+"""

@@ -1,4 +1,6 @@
-"""The friction vector of the moment: the nominal one with what angle, time, rest and load make of it."""
+"""The friction vector of the moment: the nominal one with what angle, time, rest and load make of
+it.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +42,9 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
         w[MC] += e[table.PATCH_TORQUE] * math.exp(-0.5 * u * u)
     w[MC] += e[table.COULOMB_RATE] * x[RUN]
     if e[table.THERMAL_FRACTION] != 0.0:
-        w[SIGMA_2] *= 1.0 - e[table.THERMAL_FRACTION] * (1.0 - math.exp(-x[RUN] / e[table.THERMAL_TIME]))
+        w[SIGMA_2] *= 1.0 - e[table.THERMAL_FRACTION] * (
+            1.0 - math.exp(-x[RUN] / e[table.THERMAL_TIME])
+        )
     if p[MOMENT] > 0.0:
         w[MOMENT] = p[MOMENT] * load_factor(theta, x[TIME], e)
         w[MC] += e[table.PIVOT_TORQUE]
@@ -60,7 +64,9 @@ def renew(w: Vector, p: Vector, e: Vector, x: Vector, omega: float) -> None:
 
 
 @inlined
-def remember(w: Vector, p: Vector, e: Vector, x: Vector, before: float, omega: float, h: float) -> None:
+def remember(
+    w: Vector, p: Vector, e: Vector, x: Vector, before: float, omega: float, h: float
+) -> None:
     """Carry what friction remembers over one loop period of ``h`` seconds."""
     speed = abs(omega)
     if e[table.MEMORY_TIME] > 0.0:

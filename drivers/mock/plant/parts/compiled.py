@@ -28,10 +28,12 @@ def compiled(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def inlined(function: Callable[P, R]) -> Callable[P, R]:
-    """Compile a kernel that allocates nothing, for inner loops: its compiled callers take it in whole.
+    """Compile a kernel that allocates nothing, for inner loops: its compiled callers take it in
+    whole.
 
-    Without ``_nrt=False`` numba counts references to every array at every call, atomically, which costs more than the
-    formulas: the hiding kernel is 2.7 times slower so, and the nominal one by a sixth.
+    Without ``_nrt=False`` numba counts references to every array at every call, atomically, which
+    costs more than the formulas: the hiding kernel is 2.7 times slower so, and the nominal one by a
+    sixth.
     """
     return _kept(function, **_INLINED)
 

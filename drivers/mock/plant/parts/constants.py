@@ -1,7 +1,7 @@
 """Constants of the simulated machine, as frozen records in SI units.
 
-Friction, inertia and load are stated at the joint (valve shaft), motor constants at the motor shaft; the gear ratio
-joins them (assumption 5, theta = i theta_r).
+Friction, inertia and load are stated at the joint (valve shaft), motor constants at the motor
+shaft; the gear ratio joins them (assumption 5, theta = i theta_r).
 """
 
 from __future__ import annotations
@@ -119,7 +119,8 @@ class Sensing:
 
 @dataclass(frozen=True)
 class Valve:
-    """The gate of Fig. 3: a plate with a hole, swinging in its own plane on radius L1 over an opening.
+    """The gate of Fig. 3: a plate with a hole, swinging in its own plane on radius L1 over an
+    opening.
 
     Attributes:
         hole_diameter_m: Diameter of the hole in the plate.

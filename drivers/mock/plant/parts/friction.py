@@ -1,7 +1,7 @@
 """Set-valued Stribeck friction at the joint, and the velocity step that is implicit in it.
 
-Eq. 9 (system load) plus eq. 12 and 13 (working load), with the sgn(omega) that the paper leaves out: friction opposes
-motion, and at rest it balances the drive up to the static limit.
+Eq. 9 (system load) plus eq. 12 and 13 (working load), with the sgn(omega) that the paper leaves
+out: friction opposes motion, and at rest it balances the drive up to the static limit.
 """
 
 from __future__ import annotations
@@ -11,12 +11,15 @@ import math
 from drivers.mock.plant.parts.compiled import Vector, inlined
 
 # Layout of the friction vector handed to compiled code.
-MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, ALPHA, MOMENT, INERTIA, FRICTION_SIZE = range(12)
+MC, DM, OMEGA_SF, SIGMA_2, MU_C, DMU, OMEGA_SL, MU_2, ALPHA, MOMENT, INERTIA, FRICTION_SIZE = range(
+    12
+)
 
 
 @inlined
 def friction(speed: float, p: Vector) -> tuple[float, float]:
-    """Return (|M_f| + |M_L|, its slope) while slipping at ``speed`` >= 0 rad/s, in N m and N m s/rad.
+    """Return (|M_f| + |M_L|, its slope) while slipping at ``speed`` >= 0 rad/s, in N m and N m
+    s/rad.
 
     The magnitude at 0 is the static limit; the slope there is that of the viscous part alone.
     """
@@ -41,12 +44,15 @@ def friction(speed: float, p: Vector) -> tuple[float, float]:
 
 
 @inlined
-def step_velocity(omega: float, before: float, torque: float, h: float, p: Vector) -> tuple[float, float, float]:
+def step_velocity(
+    omega: float, before: float, torque: float, h: float, p: Vector
+) -> tuple[float, float, float]:
     """Advance J domega/dt = torque - friction by ``h``.
 
-    Trapezoidal and implicit in friction while it slips; a shaft that would pass through zero stops there, and one at
-    rest stays exactly there until the torque exceeds the static limit, so that it neither creeps nor chatters. Needs
-    h < 2 J / |steepest negative slope| for the step to have one solution.
+    Trapezoidal and implicit in friction while it slips; a shaft that would pass through zero stops
+    there, and one at rest stays exactly there until the torque exceeds the static limit, so that it
+    neither creeps nor chatters. Needs h < 2 J / |steepest negative slope| for the step to have one
+    solution.
 
     Args:
         omega: Speed, rad/s.
@@ -56,7 +62,8 @@ def step_velocity(omega: float, before: float, torque: float, h: float, p: Vecto
         p: Friction vector.
 
     Returns:
-        Speed after the step, impulse of friction against the motion (N m s), friction magnitude at the new speed.
+        Speed after the step, impulse of friction against the motion (N m s), friction magnitude at
+        the new speed.
     """
     static = p[MC] + p[DM] + p[MOMENT] * (p[MU_C] + p[DMU])
     if omega == 0.0:
@@ -78,6 +85,8 @@ def step_velocity(omega: float, before: float, torque: float, h: float, p: Vecto
         change = min(residual / (inertia / h + 0.5 * slope), 0.5 * speed)
         speed -= change
         after -= slope * change
-        if abs(change) <= 1e-7 * speed:  # Newton converges quadratically: what is left is below rounding
+        if (
+            abs(change) <= 1e-7 * speed
+        ):  # Newton converges quadratically: what is left is below rounding
             break
     return side * speed, 0.5 * h * (before + after), after

@@ -1,13 +1,14 @@
-"""Where the machine code of compiled kernels is kept between processes, and when it is compiled anew.
+"""Where the machine code of compiled kernels is kept between processes, and when it is compiled
+anew.
 
 numba's own cache has three gaps that this module closes. It refuses to compile where no folder can
-be written, and a disk that fills up ends the call. It renews machine code when the module of a kernel
-changes, but not when a kernel or a constant of another module changes that was compiled into it. Here
-whatever fails in the cache costs a compilation and nothing else, and the file name carries a digest of
-everything that is compiled in.
+be written, and a disk that fills up ends the call. It renews machine code when the module of a
+kernel changes, but not when a kernel or a constant of another module changes that was compiled into
+it. Here whatever fails in the cache costs a compilation and nothing else, and the file name carries
+a digest of everything that is compiled in.
 
-The same file stands in `identification` and in `drivers.mock.plant`, which never import each other; a
-test compares the two.
+The same file stands in `identification` and in `drivers.mock.plant`, which never import each other;
+a test compares the two.
 """
 
 from __future__ import annotations
@@ -51,7 +52,9 @@ class KernelCache:
         return None if self._files is None else str(self._files.cache_path)
 
     def load_overload(self, signature: Any, target: Any) -> Any:
-        """Return what was compiled for a signature, or None where that is not there or cannot be used."""
+        """Return what was compiled for a signature, or None where that is not there or cannot be
+        used.
+        """
         try:
             return self._opened().load_overload(signature, target)
         except Exception as error:  # noqa: BLE001 - unpickling a damaged file raises anything; compiling is the remedy
@@ -89,7 +92,8 @@ class KernelCache:
 
 
 def digest(kernel: Callable[..., Any]) -> str:
-    """Return a digest of everything that is compiled into a kernel: its own code, constants, and the kernels it calls.
+    """Return a digest of everything that is compiled into a kernel: its own code, constants, and
+    the kernels it calls.
 
     Args:
         kernel: A Python function, or numba's dispatcher of one.
@@ -125,7 +129,9 @@ def _parts(code: CodeType) -> Iterator[bytes]:
 
 
 def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
-    """Yield the globals that a function names, and what it may take from modules and classes among them."""
+    """Yield the globals that a function names, and what it may take from modules and classes among
+    them.
+    """
     names = function.__code__.co_names
     for name in names:
         value = function.__globals__.get(name)
@@ -136,7 +142,9 @@ def _named(function: FunctionType) -> Iterator[tuple[str, Any]]:
 
 
 def _home(value: ModuleType | type) -> str:
-    """Return the package that a module or a class belongs to; what others change comes with another version of them."""
+    """Return the package that a module or a class belongs to; what others change comes with another
+    version of them.
+    """
     return (value.__module__ if isinstance(value, type) else value.__name__).partition(".")[0]
 
 
@@ -150,7 +158,8 @@ def _content(value: Any) -> bytes:
 
 
 class _TemporaryFolder:
-    """Keeps machine code among the temporary files, in a folder that nobody else can write: it is executed.
+    """Keeps machine code among the temporary files, in a folder that nobody else can write: it is
+    executed.
 
     One of numba's cache locators, asked after all of its own.
     """
@@ -193,7 +202,9 @@ class _TemporaryFolder:
 
     def get_disambiguator(self) -> str:
         """Return what tells functions of one name in modules of one name apart."""
-        folder = hashlib.sha256(os.fsencode(self._source.resolve().parent)).hexdigest()[:_DIGEST_DIGITS]
+        folder = hashlib.sha256(os.fsencode(self._source.resolve().parent)).hexdigest()[
+            :_DIGEST_DIGITS
+        ]
         return f"{self._line}-{folder}"
 
 
@@ -234,4 +245,6 @@ def _say_not_kept(reason: str) -> None:
     """Say why machine code is not kept: once, as there are many kernels."""
     if not _SAID.is_set():
         _SAID.set()
-        _LOG.warning("compiled kernels cannot be kept, so that each start compiles them again (%s)", reason)
+        _LOG.warning(
+            "compiled kernels cannot be kept, so that each start compiles them again (%s)", reason
+        )

@@ -1,4 +1,6 @@
-"""The compiled heart of the simulated machine: drive cascade, eq. 1 and friction, loop period after loop period."""
+"""The compiled heart of the simulated machine: drive cascade, eq. 1 and friction, loop period after
+loop period.
+"""
 
 from __future__ import annotations
 
@@ -56,11 +58,15 @@ OFF, TRACK, BRAKE = 0.0, 1.0, 2.0
 
 @inlined
 def current_command(s: Vector, d: Vector) -> float:
-    """Run position P and velocity PI once; return the current asked for with its offset, A, within its limit."""
+    """Run position P and velocity PI once; return the current asked for with its offset, A, within
+    its limit.
+    """
     measured = s[THETA]
     if d[COUNT] > 0.0:
         measured = math.floor(measured / d[COUNT]) * d[COUNT]
-    s[VELOCITY_ESTIMATE] += d[VELOCITY_FILTER] * ((measured - s[MEASURED]) / d[LOOP_S] - s[VELOCITY_ESTIMATE])
+    s[VELOCITY_ESTIMATE] += d[VELOCITY_FILTER] * (
+        (measured - s[MEASURED]) / d[LOOP_S] - s[VELOCITY_ESTIMATE]
+    )
     s[MEASURED] = measured
     if s[MODE] == BRAKE:
         s[TARGET_LEFT] = 1.0
@@ -74,18 +80,24 @@ def current_command(s: Vector, d: Vector) -> float:
     error = s[TARGET] - measured
     limit = d[CURRENT_LIMIT]
     if d[VELOCITY_GAIN] == 0.0:
-        return float(min(max(d[POSITION_GAIN] * error / d[TORQUE_PER_AMPERE] + s[OFFSET], -limit), limit))
+        return float(
+            min(max(d[POSITION_GAIN] * error / d[TORQUE_PER_AMPERE] + s[OFFSET], -limit), limit)
+        )
     velocity_error = d[POSITION_GAIN] * error + d[FEEDFORWARD] * speed - s[VELOCITY_ESTIMATE]
     integral = s[VELOCITY_INTEGRAL] + d[VELOCITY_INTEGRAL_GAIN] * d[LOOP_S] * velocity_error
     wanted = d[VELOCITY_GAIN] * (velocity_error + integral) / d[TORQUE_PER_AMPERE] + s[OFFSET]
-    if abs(wanted) <= limit or wanted * velocity_error < 0.0:  # anti-windup: integrate only out of the limit
+    if (
+        abs(wanted) <= limit or wanted * velocity_error < 0.0
+    ):  # anti-windup: integrate only out of the limit
         s[VELOCITY_INTEGRAL] = integral
     return float(min(max(wanted, -limit), limit))
 
 
 @inlined
 def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
-    """Run the current PI once; return the voltage for the coming loop period, V, within its limit."""
+    """Run the current PI once; return the voltage for the coming loop period, V, within its
+    limit.
+    """
     error = wanted - (s[CURRENT] + noise)
     integral = s[VOLTAGE_INTEGRAL] + d[CURRENT_GAIN] * d[CURRENT_INTEGRAL_GAIN] * d[LOOP_S] * error
     voltage = d[CURRENT_GAIN] * error + integral
@@ -99,9 +111,9 @@ def voltage_command(s: Vector, d: Vector, wanted: float, noise: float) -> float:
 def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, decay: float) -> None:
     """Integrate eq. 1 over one loop period at constant voltage.
 
-    Strang splitting: half a step of the current (exact for a given speed), a step of the speed (trapezoidal, implicit
-    in friction), half a step of the current. The torque impulse on the shaft is exactly Km i times the logged mean.
-    ``decay`` is exp(-R h / 2 L).
+    Strang splitting: half a step of the current (exact for a given speed), a step of the speed
+    (trapezoidal, implicit in friction), half a step of the current. The torque impulse on the shaft
+    is exactly Km i times the logged mean. ``decay`` is exp(-R h / 2 L).
     """
     h = d[LOOP_S] / d[STEPS]
     omega = s[OMEGA]
@@ -132,8 +144,8 @@ def integrate(s: Vector, d: Vector, p: Vector, voltage: float, powered: bool, de
 def advance(loops: int, s: Vector, d: Vector, p: Vector, noise: Vector, path: Vector) -> None:
     """Advance ``loops`` drive-loop periods.
 
-    ``noise`` holds that many samples of unit rms; ``path`` that many joint angles to ask for, one a loop, or none, and
-    then the loops interpolate to the target as a drive does.
+    ``noise`` holds that many samples of unit rms; ``path`` that many joint angles to ask for, one a
+    loop, or none, and then the loops interpolate to the target as a drive does.
     """
     decay = math.exp(-0.5 * d[RESISTANCE] * d[LOOP_S] / d[STEPS] / d[INDUCTANCE])
     for k in range(loops):

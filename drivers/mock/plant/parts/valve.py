@@ -1,8 +1,10 @@
-"""Exact areas of the flow regulator's valve (Fig. 3): what the plate covers of the opening, and what it leaves free.
+"""Exact areas of the flow regulator's valve (Fig. 3): what the plate covers of the opening, and
+what it leaves free.
 
-The plate is a strip of width b that swings in its own plane about a pivot at distance L1 from the opening's centre; its
-centre line passes through the pivot, and the centre of its hole lies on it at L1 too. Turned by theta, the line passes
-the opening's centre at L1 sin(theta) and the hole's centre is 2 L1 sin(theta/2) away, so that
+The plate is a strip of width b that swings in its own plane about a pivot at distance L1 from the
+opening's centre; its centre line passes through the pivot, and the centre of its hole lies on it at
+L1 too. Turned by theta, the line passes the opening's centre at L1 sin(theta) and the hole's centre
+is 2 L1 sin(theta/2) away, so that
 
     A_t = (opening beside the strip) + (opening and hole),    A_s = pi D^2/4 - A_t.
 
@@ -18,14 +20,18 @@ from drivers.mock.plant.parts.compiled import inlined
 
 @inlined
 def disc_beyond(radius: float, distance: float) -> float:
-    """Return the area of a disc on the far side of a line at this signed distance from its centre."""
+    """Return the area of a disc on the far side of a line at this signed distance from its
+    centre.
+    """
     t = min(max(distance / radius, -1.0), 1.0)
     return radius * radius * (math.acos(t) - t * math.sqrt(1.0 - t * t))
 
 
 @inlined
 def lens(large: float, small: float, distance: float) -> float:
-    """Return the area common to two discs of these radii, ``large`` >= ``small``, their centres ``distance`` apart."""
+    """Return the area common to two discs of these radii, ``large`` >= ``small``, their centres
+    ``distance`` apart.
+    """
     if distance >= large + small:
         return 0.0
     if distance <= large - small:

@@ -1,4 +1,6 @@
-"""What is drawn of every sample: what was recorded, and what follows from it as the safety check computes it."""
+"""What is drawn of every sample: what was recorded, and what follows from it as the safety check
+computes it.
+"""
 
 from __future__ import annotations
 
@@ -41,11 +43,11 @@ NAMES = (
 )
 """Columns of the values, in SI units.
 
-``motor`` is the joint angle by the motor's encoder, ``error`` command less joint angle, ``disagreement`` motor less
-joint encoder, ``torque`` Km i I, ``force`` the contact force that follows from the pressure. ``age`` is the time since
-the last fresh sample, ``answer`` that from a cycle's start until its answer had been collected, ``late`` how late a
-cycle started where that was more than a period; the clocks are a device's time less the host's, since the start of the
-stage.
+``motor`` is the joint angle by the motor's encoder, ``error`` command less joint angle,
+``disagreement`` motor less joint encoder, ``torque`` Km i I, ``force`` the contact force that
+follows from the pressure. ``age`` is the time since the last fresh sample, ``answer`` that from a
+cycle's start until its answer had been collected, ``late`` how late a cycle started where that was
+more than a period; the clocks are a device's time less the host's, since the start of the stage.
 """
 STATES = ("off", "fault", "quick stop", "enabled")
 """Of the drive, by the number that ``state`` has."""
@@ -115,7 +117,9 @@ class Deriver:
         self._carried = _Carried()
         self.starts: list[tuple[float, float]] = []
 
-    def __call__(self, samples: Mapping[str, Array], events: Iterable[Mapping[str, Any]]) -> Derived:
+    def __call__(
+        self, samples: Mapping[str, Array], events: Iterable[Mapping[str, Any]]
+    ) -> Derived:
         """Derive one block.
 
         Args:
@@ -126,7 +130,9 @@ class Deriver:
         pauses = self._pauses(time, events, PAUSES)
         stages = self._pauses(time, events, frozenset({"stage start"}))
         step = np.diff(time, prepend=self._carried.time)
-        self.starts += [(float(time[k]), float(samples["command"][k])) for k in np.flatnonzero(stages)]
+        self.starts += [
+            (float(time[k]), float(samples["command"][k])) for k in np.flatnonzero(stages)
+        ]
         found = {
             **self._motion(samples),
             **self._gas(samples),
@@ -135,12 +141,18 @@ class Deriver:
         }
         self._carried.time = float(time[-1])
         values = np.column_stack([found.get(name, np.full(len(time), np.nan)) for name in NAMES])
-        return Derived(time, values, stages | (step > _GAP_CYCLES * self._cycle_s), samples["segment"])
+        return Derived(
+            time, values, stages | (step > _GAP_CYCLES * self._cycle_s), samples["segment"]
+        )
 
-    def _pauses(self, time: Array, events: Iterable[Mapping[str, Any]], kinds: frozenset[str]) -> Flags:
+    def _pauses(
+        self, time: Array, events: Iterable[Mapping[str, Any]], kinds: frozenset[str]
+    ) -> Flags:
         """Return before which samples an event of these kinds lies."""
         flags = np.zeros(len(time), dtype=np.bool_)
-        at = np.array([e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time])
+        at = np.array(
+            [e["time"] for e in events if e["event"] in kinds and e["time"] > self._carried.time]
+        )
         index = np.searchsorted(time, at)
         flags[index[index < len(time)]] = True
         return flags
@@ -163,9 +175,13 @@ class Deriver:
         area = impacted_area(samples["angle"], generator.valve)
         return {"pressure": pressure, "force": (pressure - generator.p_c0) * area}
 
-    def _times(self, samples: Mapping[str, Array], step: Array, pauses: Flags, stages: Flags) -> dict[str, Array]:
+    def _times(
+        self, samples: Mapping[str, Array], step: Array, pauses: Flags, stages: Flags
+    ) -> dict[str, Array]:
         time, fresh, carried = samples["time"], samples["fresh"] != 0.0, self._carried
-        late = np.where((step > 1.99 * self._cycle_s) & ~pauses & np.isfinite(step), step - self._cycle_s, 0.0)
+        late = np.where(
+            (step > 1.99 * self._cycle_s) & ~pauses & np.isfinite(step), step - self._cycle_s, 0.0
+        )
         before = time[0] if math.isnan(carried.fresh) else carried.fresh
         latest = np.maximum.accumulate(np.where(fresh | pauses, time, before))
         carried.fresh = float(latest[-1])
@@ -181,7 +197,9 @@ class Deriver:
 
 
 def _since(values: Array, starts: Flags, before: float) -> tuple[Array, float]:
-    """Return the values less that of the latest start, and that value; ``before`` is the one before the block."""
+    """Return the values less that of the latest start, and that value; ``before`` is the one before
+    the block.
+    """
     if math.isnan(before):
         before = float(values[0])
     index = np.maximum.accumulate(np.where(starts, np.arange(len(values)), -1))

@@ -1,7 +1,9 @@
-"""Draws curves over time as HTML with inline SVG. It draws what it is given, and knows nothing of runs.
+"""Draws curves over time as HTML with inline SVG.
 
-The curves stretch with the page and every text is HTML, so that a chart of any width, on paper too, has text of one
-size; a picture of fixed size would be unreadable on a telephone.
+It draws what it is given, and knows nothing of runs.
+
+The curves stretch with the page and every text is HTML, so that a chart of any width, on paper too,
+has text of one size; a picture of fixed size would be unreadable on a telephone.
 """
 
 from __future__ import annotations
@@ -22,7 +24,9 @@ COLUMNS = 1000
 _SIZE = 1000.0
 """Width and height of a drawing in its own units."""
 _COLOURS = ("#0072B2", "#D55E00", "#009E73")
-"""Okabe and Ito's, told apart by colour-blind readers; every curve has a dash of its own as well."""
+"""Okabe and Ito's, told apart by colour-blind readers; every curve has a dash of its own as
+well.
+"""
 _DASHES = ("", "7 4", "2 3")
 _BORDERS = ("solid", "dashed", "dotted")
 _FEW = 150
@@ -37,14 +41,17 @@ STYLE = (
     ".chart{margin:.5rem 0 1rem;break-inside:avoid}.chart figcaption{line-height:1.35}"
     ".chart .read{color:#555;font-size:.85rem}.chart .beyond{color:#a30000;font-weight:600}"
     ".name{white-space:nowrap}"
-    ".key{display:inline-block;width:1.6em;height:0;border-top:3px;vertical-align:.25em;margin:0 .2em 0 .7em}"
+    ".key{display:inline-block;width:1.6em;height:0;border-top:3px;vertical-align:.25em;margin:0 "
+    ".2em 0 .7em}"
     ".plot{display:grid;grid-template-columns:4.6rem 1fr;font-size:.78rem;line-height:1}"
     ".plot>*{position:relative}.plot .at{position:absolute;white-space:nowrap}"
     ".plot .area{height:8.5rem}.tall .plot .area{height:15rem}"
     ".plot svg{position:absolute;width:100%;height:100%;overflow:hidden}"
-    ".plot svg *{vector-effect:non-scaling-stroke;fill:none}.plot svg .s0{fill:#eef3f8}.plot svg .s1{fill:#dfe9f2}"
+    ".plot svg *{vector-effect:non-scaling-stroke;fill:none}.plot svg .s0{fill:#eef3f8}.plot svg "
+    ".s1{fill:#dfe9f2}"
     ".plot svg .s2{fill:#f7e0d3}.plot svg .s3{fill:#e4e4e4}"
-    # A name that is wider than its stretch goes to a second line, which is cut off, rather than being cut itself.
+    # A name that is wider than its stretch goes to a second line, which is cut off, rather than
+    # being cut itself.
     ".plot .names{height:1.05rem;font-size:.75rem}"
     ".plot .names .at{overflow:hidden;top:0;height:100%;line-height:1.05rem;"
     "box-sizing:border-box;border-left:1px solid #888;white-space:normal}"
@@ -69,7 +76,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Bound:
-    """A limit over time: from when on, s, and its value. ``upper`` says on which side of the curve it is."""
+    """A limit over time: from when on, s, and its value.
+
+    ``upper`` says on which side of the curve it is.
+    """
 
     steps: Sequence[tuple[float, float]]
     upper: bool = True
@@ -77,7 +87,9 @@ class Bound:
 
 @dataclass(frozen=True)
 class Shade:
-    """A stretch of time with a name; ``kind`` is 0 or 1 for phases in turn, 2 for braking, 3 for no power."""
+    """A stretch of time with a name; ``kind`` is 0 or 1 for phases in turn, 2 for braking, 3 for no
+    power.
+    """
 
     start: float
     stop: float
@@ -187,7 +199,9 @@ def _number(value: float, step: float) -> str:
     return f"{value + 0.0:.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"
 
 
-def draw(chart: Chart, axis: TimeAxis, shades: Sequence[Shade] = (), mark: Mark | None = None) -> str:
+def draw(
+    chart: Chart, axis: TimeAxis, shades: Sequence[Shade] = (), mark: Mark | None = None
+) -> str:
     """Return a chart as HTML."""
     low, high = _range(chart)
     height = high - low
@@ -202,13 +216,23 @@ def draw(chart: Chart, axis: TimeAxis, shades: Sequence[Shade] = (), mark: Mark 
         '<div class="plot"><div></div><div class="names">',
         *_names(shades, axis),
         '</div><div class="ys">',
-        *(f'<span class="at" style="bottom:{up(v):.2f}%">{escape(t)}</span>' for v, t in _levels(chart, low, high)),
+        *(
+            f'<span class="at" style="bottom:{up(v):.2f}%">{escape(t)}</span>'
+            for v, t in _levels(chart, low, high)
+        ),
         '</div><div class="area">',
         *_svg(chart, axis, shades, mark, low, high),
-        *(label for bound in chart.bounds for label in _bound_labels(bound, chart, axis, up, on_left)),
+        *(
+            label
+            for bound in chart.bounds
+            for label in _bound_labels(bound, chart, axis, up, on_left)
+        ),
         *([] if mark is None else [_mark_label(mark, axis)]),
         '</div><div></div><div class="times">',
-        *(f'<span class="at" style="left:{100.0 * x:.2f}%">{text} s</span>' for x, text in axis.ticks()),
+        *(
+            f'<span class="at" style="left:{100.0 * x:.2f}%">{text} s</span>'
+            for x, text in axis.ticks()
+        ),
         "</div></div></figure>",
     ]
     return "".join(parts)
@@ -219,9 +243,15 @@ def _caption(chart: Chart) -> Iterator[str]:
     yield f"<figcaption><b>{escape(chart.title)}</b>{unit}"
     for index, curve in enumerate(chart.curves):
         line = f"{_BORDERS[index]} {_COLOURS[index]}"
-        yield f' <span class="name"><span class="key" style="border-top:3px {line}"></span>{escape(curve.name)}</span>'
+        yield (
+            f' <span class="name"><span class="key" style="border-top:3px '
+            f'{line}"></span>{escape(curve.name)}</span>'
+        )
     if chart.bounds:
-        yield ' <span class="name"><span class="key" style="border-top:2px dashed #a30000"></span>limit</span>'
+        yield (
+            ' <span class="name"><span class="key" style="border-top:2px dashed '
+            '#a30000"></span>limit</span>'
+        )
     if chart.reading:
         reading = f"{chart.reading}: BEYOND THE LIMIT" if chart.beyond else chart.reading
         yield f'<br><span class="read{" beyond" if chart.beyond else ""}">{escape(reading)}</span>'
@@ -234,7 +264,10 @@ def _range(chart: Chart) -> tuple[float, float]:
         return -0.3, len(chart.categories) - 0.7
     values = [value for bound in chart.bounds for _, value in bound.steps]
     for curve in chart.curves:
-        finite = curve.bins.low[np.isfinite(curve.bins.low)], curve.bins.high[np.isfinite(curve.bins.high)]
+        finite = (
+            curve.bins.low[np.isfinite(curve.bins.low)],
+            curve.bins.high[np.isfinite(curve.bins.high)],
+        )
         if len(finite[0]) and len(finite[1]):
             values += [float(finite[0].min()), float(finite[1].max())]
     low, high = (min(values), max(values)) if values else (0.0, 1.0)
@@ -267,13 +300,22 @@ def _names(shades: Sequence[Shade], axis: TimeAxis) -> Iterator[str]:
 def _bound_labels(
     bound: Bound, chart: Chart, axis: TimeAxis, up: Callable[[float], float], on_left: bool
 ) -> Iterator[str]:
-    """Yield the values of a limit, inside of it and away from the mark, where there is room for them."""
+    """Yield the values of a limit, inside of it and away from the mark, where there is room for
+    them.
+    """
     below = "transform:translateY(100%);" if bound.upper else ""
     for left, right, value in _stairs(bound, axis):
         if right - left >= _LEAST_LABELLED:
-            side = f"left:{100.0 * left + 0.5:.2f}%" if on_left else f"right:{100.5 - 100.0 * right:.2f}%"
+            side = (
+                f"left:{100.0 * left + 0.5:.2f}%"
+                if on_left
+                else f"right:{100.5 - 100.0 * right:.2f}%"
+            )
             text = escape(f"limit {value:.4g} {chart.unit}")
-            yield f'<span class="at bound" style="{below}{side};bottom:{up(value):.2f}%">{text}</span>'
+            yield (
+                f'<span class="at bound" '
+                f'style="{below}{side};bottom:{up(value):.2f}%">{text}</span>'
+            )
 
 
 def _mark_label(mark: Mark, axis: TimeAxis) -> str:
@@ -283,7 +325,12 @@ def _mark_label(mark: Mark, axis: TimeAxis) -> str:
 
 
 def _svg(
-    chart: Chart, axis: TimeAxis, shades: Sequence[Shade], mark: Mark | None, low: float, high: float
+    chart: Chart,
+    axis: TimeAxis,
+    shades: Sequence[Shade],
+    mark: Mark | None,
+    low: float,
+    high: float,
 ) -> Iterator[str]:
     def y(value: float) -> float:
         return _SIZE * (high - value) / (high - low)
@@ -292,29 +339,48 @@ def _svg(
     for shade in shades:
         left, right = _SIZE * axis.at(shade.start), _SIZE * axis.at(shade.stop)
         if right > left:
-            yield f'<rect class="s{shade.kind}" x="{left:.1f}" width="{right - left:.1f}" height="{_SIZE:g}"/>'
+            yield (
+                f'<rect class="s{shade.kind}" x="{left:.1f}" width="{right - left:.1f}" '
+                f'height="{_SIZE:g}"/>'
+            )
     yield '<g stroke="#00000018" stroke-width="1">'
-    yield "".join(f'<path d="M0 {y(value):.1f}H{_SIZE:g}"/>' for value, _ in _levels(chart, low, high))
+    yield "".join(
+        f'<path d="M0 {y(value):.1f}H{_SIZE:g}"/>' for value, _ in _levels(chart, low, high)
+    )
     yield "".join(f'<path d="M{_SIZE * x:.1f} 0V{_SIZE:g}"/>' for x, _ in axis.ticks())
     yield f'</g><rect width="{_SIZE:g}" height="{_SIZE:g}" stroke="#999"/>'
     for bound in chart.bounds:
-        path = "".join(f"M{_SIZE * a:.1f} {y(value):.1f}H{_SIZE * b:.1f}" for a, b, value in _stairs(bound, axis))
+        path = "".join(
+            f"M{_SIZE * a:.1f} {y(value):.1f}H{_SIZE * b:.1f}"
+            for a, b, value in _stairs(bound, axis)
+        )
         yield f'<path d="{path}" stroke="#a30000" stroke-width="1.5" stroke-dasharray="5 4"/>'
     for index, curve in enumerate(chart.curves):
         path, dots = _path(curve, axis, low, high)
         dash = f' stroke-dasharray="{_DASHES[index]}"' if _DASHES[index] else ""
-        yield f'<path d="{path}" stroke="{_COLOURS[index]}" stroke-width="1.6" stroke-linejoin="round"{dash}/>'
+        yield (
+            f'<path d="{path}" stroke="{_COLOURS[index]}" stroke-width="1.6" '
+            f'stroke-linejoin="round"{dash}/>'
+        )
         if dots:
-            yield f'<path d="{dots}" stroke="{_COLOURS[index]}" stroke-width="5" stroke-linecap="round"/>'
+            yield (
+                f'<path d="{dots}" stroke="{_COLOURS[index]}" stroke-width="5" '
+                f'stroke-linecap="round"/>'
+            )
     if mark is not None:
-        yield f'<path d="M{_SIZE * axis.at(mark.time):.1f} 0V{_SIZE:g}" stroke="#000" stroke-width="1.5"/>'
+        yield (
+            f'<path d="M{_SIZE * axis.at(mark.time):.1f} 0V{_SIZE:g}" stroke="#000" '
+            f'stroke-width="1.5"/>'
+        )
     yield "</svg>"
 
 
 def _stairs(bound: Bound, axis: TimeAxis) -> Iterator[tuple[float, float, float]]:
     """Yield from where to where a limit has which value, where it is on the page."""
     begins, ends = axis.ends
-    for (start, value), stop in zip(bound.steps, [*(s for s, _ in bound.steps[1:]), ends], strict=True):
+    for (start, value), stop in zip(
+        bound.steps, [*(s for s, _ in bound.steps[1:]), ends], strict=True
+    ):
         if max(start, begins) < min(stop, ends):
             yield axis.at(max(start, begins)), axis.at(min(stop, ends)), value
 
@@ -326,7 +392,9 @@ def _path(curve: Curve, axis: TimeAxis, low: float, high: float) -> tuple[str, s
     tops, bottoms = (_SIZE * (high - side[:, 0]) / (high - low) for side in (bins.high, bins.low))
     words: list[str] = []
     previous = math.nan
-    for at, top, bottom, broken in zip(x.tolist(), tops.tolist(), bottoms.tolist(), bins.broken.tolist(), strict=True):
+    for at, top, bottom, broken in zip(
+        x.tolist(), tops.tolist(), bottoms.tolist(), bins.broken.tolist(), strict=True
+    ):
         if not (math.isfinite(top) and math.isfinite(bottom)):
             previous = math.nan
             continue
@@ -336,9 +404,15 @@ def _path(curve: Curve, axis: TimeAxis, low: float, high: float) -> tuple[str, s
             previous = top
             continue
         # From the end that is nearer to where the line comes from.
-        first, second = (top, bottom) if abs(top - previous) < abs(bottom - previous) else (bottom, top)
+        first, second = (
+            (top, bottom) if abs(top - previous) < abs(bottom - previous) else (bottom, top)
+        )
         words.append(f"{verb}{at:.1f} {first:.1f}V{second:.1f}")
         previous = second
     few = len(curve.bins.start) <= _FEW
-    dots = "".join(f"M{a:.1f} {t:.1f}h0" for a, t in zip(x.tolist(), tops.tolist(), strict=True) if math.isfinite(t))
+    dots = "".join(
+        f"M{a:.1f} {t:.1f}h0"
+        for a, t in zip(x.tolist(), tops.tolist(), strict=True)
+        if math.isfinite(t)
+    )
     return "".join(words), dots if few else ""

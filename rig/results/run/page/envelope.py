@@ -23,7 +23,8 @@ class Bins(NamedTuple):
         stop: Time of its last, s, shape (n,).
         low: Least value of each channel, shape (n, channels); NaN where there is none.
         high: Greatest.
-        broken: Whether something is missing before the bin, so that no line may join it to the one before.
+        broken: Whether something is missing before the bin, so that no line may join it to the one
+            before.
     """
 
     start: Array
@@ -35,7 +36,9 @@ class Bins(NamedTuple):
     def part(self, first: float, last: float) -> Bins:
         """Return the bins between two times, s."""
         keep = (self.stop >= first) & (self.start <= last)
-        return Bins(self.start[keep], self.stop[keep], self.low[keep], self.high[keep], self.broken[keep])
+        return Bins(
+            self.start[keep], self.stop[keep], self.low[keep], self.high[keep], self.broken[keep]
+        )
 
 
 def of_samples(time: Array, values: Array, broken: Flags) -> Bins:
@@ -49,7 +52,9 @@ def joined(parts: Sequence[Bins]) -> Bins:
 
 
 def merged(bins: Bins, starts: NDArray[np.intp]) -> Bins:
-    """Return the bins merged into groups that begin at the indices ``starts``, the first of which is 0."""
+    """Return the bins merged into groups that begin at the indices ``starts``, the first of which
+    is 0.
+    """
     if not len(bins.start):
         return bins
     ends = np.append(starts[1:], len(bins.start)) - 1
@@ -67,7 +72,8 @@ def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
 
     Args:
         bins: What is drawn.
-        position: Where each bin begins, 0 at the left edge and 1 at the right, not falling, shape (n,).
+        position: Where each bin begins, 0 at the left edge and 1 at the right, not falling, shape
+        (n,).
         columns: Of the drawing.
     """
     if not len(bins.start):
@@ -78,10 +84,11 @@ def in_columns(bins: Bins, position: Array, columns: int) -> Bins:
 
 
 class Envelope:
-    """Takes samples in order and keeps a bounded number of bins of about the same width, whatever their number.
+    """Takes samples in order and keeps a bounded number of bins of about the same width, whatever
+    their number.
 
-    Bins begin at multiples of the width, counted in samples. A recording with more holes than bins keeps a bin for each
-    run between them.
+    Bins begin at multiples of the width, counted in samples. A recording with more holes than bins
+    keeps a bin for each run between them.
 
     Args:
         most: Twice as many bins are kept at the most.
@@ -120,7 +127,9 @@ class Envelope:
         self._parts, self._count = [reduced], len(reduced[1])
 
     def _reduced(self, bins: Bins, index: NDArray[np.intp]) -> tuple[Bins, NDArray[np.intp]]:
-        """Return the bins merged to the present width; ``index`` is the number of each one's first sample."""
+        """Return the bins merged to the present width; ``index`` is the number of each one's first
+        sample.
+        """
         begins = np.diff(index // self._width, prepend=-1) > 0
         starts = np.flatnonzero(begins | bins.broken)
         return merged(bins, starts), index[starts]

@@ -30,8 +30,10 @@ class Attachments:
     """What the files attached to a recording say.
 
     Attributes:
-        bench: The bench, with the limits in force; None where its file is missing or cannot be read.
-        plan: What was planned on it, with the first passes that were to come before each stage; None as well.
+        bench: The bench, with the limits in force; None where its file is missing or cannot be
+        read.
+        plan: What was planned on it, with the first passes that were to come before each stage;
+        None as well.
         problem: Why one of them is None, in words.
     """
 
@@ -64,7 +66,9 @@ def _document(attachments: Mapping[str, bytes], name: str, schema: type[Schema])
     try:
         root, _ = parse(attachments[name].decode("utf-8"))
     except (DocumentError, UnicodeDecodeError) as error:
-        raise InputError(f"{name}, as attached to the recording, cannot be read: {error}") from error
+        raise InputError(
+            f"{name}, as attached to the recording, cannot be read: {error}"
+        ) from error
     return validated(Path(name), root, schema)
 
 
@@ -72,8 +76,11 @@ Step = tuple[float, Limits]
 """From when on, s, which limits hold."""
 
 
-def limit_steps(plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]) -> list[Step]:
-    """Return the limits of a run over the time of one recording, those of its first passes among them.
+def limit_steps(
+    plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequence[tuple[float, float]]
+) -> list[Step]:
+    """Return the limits of a run over the time of one recording, those of its first passes among
+    them.
 
     Args:
         plan: What was planned.
@@ -100,7 +107,9 @@ def limit_steps(plan: Plan, events: Iterable[Mapping[str, Any]], starts: Sequenc
 
 def _pass_of(plan: Plan, event: Mapping[str, Any]) -> PlannedPass | None:
     passes = next((stage.first_passes for stage in plan.stages if stage.name == event["stage"]), ())
-    return next((p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)), None)
+    return next(
+        (p for p in passes if math.isclose(p.amplitude, event["amplitude"], rel_tol=_SAME)), None
+    )
 
 
 def _pass_steps(
@@ -110,7 +119,9 @@ def _pass_steps(
     event: Mapping[str, Any],
     starts: Sequence[tuple[float, float]],
 ) -> Iterator[Step]:
-    """Yield the limits of the way to a first pass, and those of the pass, which are tighter in angle."""
+    """Yield the limits of the way to a first pass, and those of the pass, which are tighter in
+    angle.
+    """
     yield event["time"], planned.move_limits
     begun = [command for time, command in starts if time <= event["time"]]
     if before is None and not begun:

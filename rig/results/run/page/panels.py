@@ -17,7 +17,9 @@ from rig.results.run.page.limits import Step
 
 DEG = math.degrees(1.0)
 _SEEN = 10.0
-"""Times the greatest value up to which a limit is drawn; one further away would leave a flat line to look at."""
+"""Times the greatest value up to which a limit is drawn; one further away would leave a flat line
+to look at.
+"""
 
 
 @dataclass(frozen=True)
@@ -51,7 +53,9 @@ class Panel:
 
 @dataclass(frozen=True)
 class Tripped:
-    """What a run tripped on: the value found and the limit, in SI units; NaN where the value is no number."""
+    """What a run tripped on: the value found and the limit, in SI units; NaN where the value is no
+    number.
+    """
 
     check: Check
     value: float
@@ -148,7 +152,9 @@ PANELS: tuple[Panel, ...] = (
         (Check.CONTACT_FORCE,),
         lambda limits: None if limits.gas is None else limits.gas.contact_force,
     ),
-    Panel("state of the drive", "", 1.0, {"state": "state"}, (Check.DRIVE_STATE,), categories=STATES),
+    Panel(
+        "state of the drive", "", 1.0, {"state": "state"}, (Check.DRIVE_STATE,), categories=STATES
+    ),
     Panel(
         "age of the last whole answer",
         "ms",
@@ -180,17 +186,22 @@ def tripped_first(check: Check | None) -> list[Panel]:
     return sorted(PANELS, key=lambda panel: check not in panel.checks)
 
 
-def chart(panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | None, tall: bool) -> Chart | None:
+def chart(
+    panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | None, tall: bool
+) -> Chart | None:
     """Return one chart of a stretch of time; None where none of its channels was recorded.
 
     Args:
         panel: Which.
         bins: The stretch.
         steps: Which limits hold from when on; empty where they are not known.
-        tripped: What the run tripped on, where that is on this panel: its limit is drawn where no other is known.
+        tripped: What the run tripped on, where that is on this panel: its limit is drawn where no
+        other is known.
         tall: Whether it is the one to look at first.
     """
-    curves = [Curve(name, _channel(bins, column, panel.scale)) for column, name in panel.channels.items()]
+    curves = [
+        Curve(name, _channel(bins, column, panel.scale)) for column, name in panel.channels.items()
+    ]
     curves = [curve for curve in curves if np.isfinite(curve.bins.high).any()]
     if not curves:
         return None
@@ -220,7 +231,9 @@ def chart(panel: Panel, bins: Bins, steps: Sequence[Step], tripped: Tripped | No
 
 def _channel(bins: Bins, name: str, scale: float) -> Bins:
     column = NAMES.index(name)
-    return bins._replace(low=scale * bins.low[:, column, None], high=scale * bins.high[:, column, None])
+    return bins._replace(
+        low=scale * bins.low[:, column, None], high=scale * bins.high[:, column, None]
+    )
 
 
 def _bounds(panel: Panel, steps: Sequence[Step]) -> list[Bound]:
@@ -236,7 +249,11 @@ def _bounds_of_trip(panel: Panel, tripped: Tripped | None) -> list[Bound]:
         return []
     above = not tripped.value < tripped.limit
     bounds = [_bound(panel, [(-math.inf, tripped.limit)], above)]
-    return [*bounds, _bound(panel, [(-math.inf, -tripped.limit)], False)] if panel.symmetric else bounds
+    return (
+        [*bounds, _bound(panel, [(-math.inf, -tripped.limit)], False)]
+        if panel.symmetric
+        else bounds
+    )
 
 
 def _bound(panel: Panel, steps: Sequence[tuple[float, float]], upper: bool) -> Bound:
@@ -248,14 +265,23 @@ def _bound(panel: Panel, steps: Sequence[tuple[float, float]], upper: bool) -> B
 def _broken(bound: Bound, bins: Bins) -> bool:
     """Whether a bin is beyond a limit."""
     times = np.array([time for time, _ in bound.steps])
-    values = np.array([value for _, value in bound.steps])[np.searchsorted(times, bins.start, side="right") - 1]
-    return bool(np.any(bins.high[:, 0] > values) if bound.upper else np.any(bins.low[:, 0] < values))
+    values = np.array([value for _, value in bound.steps])[
+        np.searchsorted(times, bins.start, side="right") - 1
+    ]
+    return bool(
+        np.any(bins.high[:, 0] > values) if bound.upper else np.any(bins.low[:, 0] < values)
+    )
 
 
 def _reading(low: float, high: float, bounds: Sequence[Bound], panel: Panel) -> str:
     unit, least = panel.unit, max(1e-6 * max(abs(low), abs(high)), 1e-3 * panel.least)
-    words = " to ".join(f"{value if abs(value) > least else 0.0:.4g}" for value in (low, high)) + f" {unit}"
+    words = (
+        " to ".join(f"{value if abs(value) > least else 0.0:.4g}" for value in (low, high))
+        + f" {unit}"
+    )
     if not bounds:
         return f"{words}; {'limit not known' if panel.checks else 'no limit'}"
-    limits = " and ".join(f"{value:.4g}" for value in sorted({bound.steps[-1][1] for bound in bounds}))
+    limits = " and ".join(
+        f"{value:.4g}" for value in sorted({bound.steps[-1][1] for bound in bounds})
+    )
     return f"{words}; limit {limits} {unit}"

@@ -1,4 +1,7 @@
-"""Which stage and phase a run was in over the time of one recording, and when it ended. Pure functions."""
+"""Which stage and phase a run was in over the time of one recording, and when it ended.
+
+Pure functions.
+"""
 
 from __future__ import annotations
 
@@ -18,13 +21,17 @@ BRAKING = "braking"
 MOVING = f"{Phase.APPROACH.value}, {Phase.SETTLE.value}"
 """The way to the start of an excitation and the rest there, whose border is not recorded."""
 _ENDINGS = frozenset(ending.value for ending in Ending)
-_OFF = frozenset({Phase.LOAD.value, Phase.PREPARE.value, Phase.BOUNDARY.value, Phase.FINISHED.value})
+_OFF = frozenset(
+    {Phase.LOAD.value, Phase.PREPARE.value, Phase.BOUNDARY.value, Phase.FINISHED.value}
+)
 """Phases in which the drive has no power."""
 
 
 @dataclass(frozen=True)
 class Span:
-    """A phase of a stage, from ``start`` to ``stop``, s; ``segment`` is the number of an excitation, 0 for none."""
+    """A phase of a stage, from ``start`` to ``stop``, s; ``segment`` is the number of an
+    excitation, 0 for none.
+    """
 
     start: float
     stop: float
@@ -41,8 +48,11 @@ class Moment:
     words: str
 
 
-def spans(events: Iterable[Mapping[str, Any]], segments: Sequence[SegmentRecord], last: float) -> list[Span]:
-    """Return the phases of one recording in order of time; excitations have the name that ``run.json`` has for them.
+def spans(
+    events: Iterable[Mapping[str, Any]], segments: Sequence[SegmentRecord], last: float
+) -> list[Span]:
+    """Return the phases of one recording in order of time; excitations have the name that
+    ``run.json`` has for them.
 
     Args:
         events: Of the recording.
@@ -94,11 +104,15 @@ def _closed(span: Span, stop: float, segment: SegmentRecord | None) -> list[Span
 
 
 def moment_of(
-    record: RunRecord, tail: Derived, segments: Sequence[SegmentRecord], events: Sequence[Mapping[str, Any]]
+    record: RunRecord,
+    tail: Derived,
+    segments: Sequence[SegmentRecord],
+    events: Sequence[Mapping[str, Any]],
 ) -> Moment:
     """Return when a run that is not done ended, in the time of its last recording.
 
-    A trip has its time. Otherwise that is the last sample of the excitation that was going on, or the last under power.
+    A trip has its time. Otherwise that is the last sample of the excitation that was going on, or
+    the last under power.
 
     Args:
         record: ``run.json``.
@@ -112,7 +126,9 @@ def moment_of(
         return Moment(min(float(record.trip["time"]), last), words)
     if record.parts[-1].state not in _ENDINGS:
         return Moment(last, "recording ends")
-    ending: Mapping[str, Any] = next((event for event in reversed(events) if event["event"] in _ENDINGS), {})
+    ending: Mapping[str, Any] = next(
+        (event for event in reversed(events) if event["event"] in _ENDINGS), {}
+    )
     if ending.get("phase") in _OFF:
         words = "last under power"
     going_on = {segment.index for segment in segments if segment.end is None}

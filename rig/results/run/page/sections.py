@@ -1,4 +1,6 @@
-"""The drawn sections of a run's page: the last seconds of a run that is not done, and every recording as a whole."""
+"""The drawn sections of a run's page: the last seconds of a run that is not done, and every
+recording as a whole.
+"""
 
 from __future__ import annotations
 
@@ -42,11 +44,15 @@ class Recorded:
     def __init__(self, folder: Path, record: RunRecord, number: int) -> None:
         self.record = record
         self.part: PartRecord = record.parts[number - 1]
-        self.traces: Traces = read_traces(folder / self.part.file, recorded_bench(record), record.cycle_s)
+        self.traces: Traces = read_traces(
+            folder / self.part.file, recorded_bench(record), record.cycle_s
+        )
         self.attached: Attachments = read_attachments(self.traces.attachments)
         self.segments: list[SegmentRecord] = [s for s in record.segments if s.part == number]
         plan = self.attached.plan
-        self.steps: list[Step] = [] if plan is None else limit_steps(plan, self.traces.events, self.traces.starts)
+        self.steps: list[Step] = (
+            [] if plan is None else limit_steps(plan, self.traces.events, self.traces.starts)
+        )
         self.is_last = number == len(record.parts)
 
     @property
@@ -56,7 +62,9 @@ class Recorded:
 
     @property
     def moment(self) -> Moment | None:
-        """When the run ended, where that was in this recording, not as planned, and after a first sample."""
+        """When the run ended, where that was in this recording, not as planned, and after a first
+        sample.
+        """
         tail = self.traces.tail
         if not self.is_last or self.record.state == "done" or tail is None:
             return None
@@ -84,10 +92,16 @@ def last_seconds(recorded: Recorded) -> Iterator[str]:
         return
     first = max(moment.time - BEFORE_S, float(tail.time[0]))
     last = float(tail.time[-1])
-    until = max(last, moment.time + _AFTER_SHARE * (moment.time - first), first + 10.0 * recorded.record.cycle_s)
+    until = max(
+        last,
+        moment.time + _AFTER_SHARE * (moment.time - first),
+        first + 10.0 * recorded.record.cycle_s,
+    )
     bins = of_samples(tail.time, tail.values, tail.broken).part(first, last)
     shades = _shades(with_braking(recorded.spans, moment), numbered=False)
-    shades.append(Shade(last, math.inf, "drive off" if recorded.record.de_energised else "not recorded", 3))
+    shades.append(
+        Shade(last, math.inf, "drive off" if recorded.record.de_energised else "not recorded", 3)
+    )
     mark = Mark(moment.time, f"{moment.words} {moment.time:.3f} s")
     axis = TimeAxis([(first, until)])
     charts = _charts(recorded, bins)
@@ -112,7 +126,9 @@ def _limits_words(recorded: Recorded) -> str:
     return f"The limits are not known ({recorded.attached.problem}); only that of a trip is drawn."
 
 
-def _closer(recorded: Recorded, bins: Bins, moment: Moment, shades: Sequence[Shade]) -> Iterator[str]:
+def _closer(
+    recorded: Recorded, bins: Bins, moment: Moment, shades: Sequence[Shade]
+) -> Iterator[str]:
     """Yield the tripped channel once more, so close that single samples are seen."""
     before, after = _CLOSE_S
     first, until = moment.time - before, moment.time + after
@@ -136,11 +152,16 @@ def whole(recorded: Recorded) -> Iterator[str]:
     found = recorded.spans if moment is None else with_braking(recorded.spans, moment)
     axis = TimeAxis(_powered(traces))
     shades = _shades(found, numbered=True)
-    words = f"{traces.count} samples. Each column of a chart shows the least and the greatest of its samples. "
+    words = (
+        f"{traces.count} samples. Each column of a chart shows the least and the greatest of "
+        f"its samples. "
+    )
     words += f"Grey: the drive was off{', which is not drawn to scale' if axis.pauses else ''}. "
     yield f'<p class="note">{escape(words + _limits_words(recorded))}</p><div class="pair">'
     mark = None if moment is None else Mark(moment.time, f"{moment.words} {moment.time:.3f} s")
-    yield from (draw(each, axis, shades, mark) for each in _charts(recorded, traces.bins, tall=False))
+    yield from (
+        draw(each, axis, shades, mark) for each in _charts(recorded, traces.bins, tall=False)
+    )
     yield "</div>"
 
 
@@ -165,13 +186,19 @@ def _powered(traces: Traces) -> list[tuple[float, float]]:
     edges = sorted({first, *begins})
     ends = []
     for k, _ in enumerate(edges):
-        inside = traces.bins.stop[traces.bins.stop < edges[k + 1]] if k + 1 < len(edges) else traces.bins.stop
+        inside = (
+            traces.bins.stop[traces.bins.stop < edges[k + 1]]
+            if k + 1 < len(edges)
+            else traces.bins.stop
+        )
         ends.append(float(inside[-1]) if len(inside) else edges[k])
     return list(zip(edges, [*ends[:-1], last], strict=True))
 
 
 def _shades(found: Sequence[Span], *, numbered: bool) -> list[Shade]:
-    """Return the phases as they are shaded; in the whole recording (``numbered``) by the stage's name alone."""
+    """Return the phases as they are shaded; in the whole recording (``numbered``) by the stage's
+    name alone.
+    """
     shades = []
     for k, span in enumerate(found):
         if numbered:

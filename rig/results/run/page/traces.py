@@ -1,4 +1,7 @@
-"""Reads a recording for drawing: reduced as a whole, its end sample by sample. Whole files are streamed."""
+"""Reads a recording for drawing: reduced as a whole, its end sample by sample.
+
+Whole files are streamed.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,9 @@ class Traces:
 
 
 def read_traces(path: Path, bench: Bench, cycle_s: float) -> Traces:
-    """Read one recording of a run. One that was not closed in order is read as a whole, and its damage is said.
+    """Read one recording of a run.
+
+    One that was not closed in order is read as a whole, and its damage is said.
 
     Args:
         path: The recording.
@@ -73,13 +78,17 @@ def read_traces(path: Path, bench: Bench, cycle_s: float) -> Traces:
     return found
 
 
-def _items(samples: Mapping[str, Array], events: tuple[Mapping[str, Any], ...]) -> Iterator[Block | Happening]:
+def _items(
+    samples: Mapping[str, Array], events: tuple[Mapping[str, Any], ...]
+) -> Iterator[Block | Happening]:
     yield from (Happening(event) for event in events)
     if len(samples["time"]):
         yield Block(samples)
 
 
-def _gathered(items: Iterator[Block | Happening | Attached], bench: Bench, cycle_s: float) -> Traces:
+def _gathered(
+    items: Iterator[Block | Happening | Attached], bench: Bench, cycle_s: float
+) -> Traces:
     traces, envelope, derive = Traces(), Envelope(), Deriver(bench, cycle_s)
     tail: list[Derived] = []
     for item in items:
@@ -107,5 +116,7 @@ def _gathered(items: Iterator[Block | Happening | Attached], bench: Bench, cycle
 def _extremes(bins: Bins) -> dict[str, tuple[float, float]]:
     low, high = np.fmin.reduce(bins.low, axis=0), np.fmax.reduce(bins.high, axis=0)
     return {
-        name: (float(least), float(most)) for name, least, most in zip(NAMES, low, high, strict=True) if least == least
+        name: (float(least), float(most))
+        for name, least, most in zip(NAMES, low, high, strict=True)
+        if least == least
     }
