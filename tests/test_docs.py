@@ -143,3 +143,12 @@ def test_every_place_of_the_glossary_exists() -> None:
                 assert any((folder / name).is_file() for folder in folders), name
             else:
                 found(name if f"{name}.".startswith(_PACKAGES) else f"{package}.{name}")
+
+
+def test_every_operator_case_names_a_test_that_exists() -> None:
+    cases = rows(read("operator-cases"))
+    assert len(cases) > 35
+    for _, _, where in cases:
+        (place,) = _CODE.findall(where)
+        file, _, name = place.partition("::")
+        assert f"\ndef {name}(" in (ROOT / file).read_text(encoding="utf-8"), place
