@@ -120,6 +120,8 @@ def once(bench: Bench, folder: Path, kind: str, base: str, after_s: float) -> tu
             any(ns < when < ns + NS for when, _ in account.pauses) or "tripped: " in console.text()
         )
         return Moment(kind, after_s, phase, account.on_at(ns), off_s, tuple(problems)), busy
+    except ProcessLookupError as error:
+        raise MissedError("the run had ended before the signal came") from error
     finally:
         console.close()
 
