@@ -87,9 +87,12 @@ class Prompt:
         self._flush()
         self._screen.ask(words)
         self._screen.drain()
-        if self._descriptor is None:
-            return self._from_stream()
-        return self._from_descriptor(self._descriptor)
+        try:
+            if self._descriptor is None:
+                return self._from_stream()
+            return self._from_descriptor(self._descriptor)
+        finally:
+            self._screen.listened()
 
     def _flush(self) -> None:
         """Drop what was typed before the question."""

@@ -113,6 +113,24 @@ class Outlet:
                 return
             del self._pending[:written]
 
+    def echo(self, shown: bool) -> None:
+        """Have a terminal show the keys that are pressed, or not; nothing where it is none, is gone,
+        or belongs to another job.
+        """
+        if not self.terminal or self._descriptor is None:
+            return
+        # Imported here, as a system without terminals of this kind has no such module.
+        import termios
+
+        with suppress(OSError):
+            # Where it is this session's own, only the job in front may change it.
+            if os.tcgetpgrp(self._descriptor) != os.getpgrp():
+                return
+        with suppress(termios.error):
+            mode = termios.tcgetattr(self._descriptor)
+            mode[3] = mode[3] | termios.ECHO if shown else mode[3] & ~termios.ECHO
+            termios.tcsetattr(self._descriptor, termios.TCSANOW, mode)
+
     def close(self) -> None:
         """Close what was opened here."""
         if self._own and self._descriptor is not None:
@@ -159,6 +177,7 @@ class Screen:
         self._shown = 0
         self._line_open = False
         self._drawn_ns: int | None = None
+        self._silent = False
 
     @property
     def trouble(self) -> OSError | None:
@@ -181,11 +200,27 @@ class Screen:
         outlet = self._err if err else self._out
         outlet.put(f"{_wrapped(words, outlet.columns) if outlet.terminal else words}\n")
 
+    def silence(self) -> None:
+        """Keep the terminal from showing keys, but those of an answer, until :meth:`close`.
+
+        What is typed while a run goes on would stand in the middle of its messages: a ``^C`` before
+        the verdict.
+        """
+        self._silent = True
+        self._err.echo(False)
+
     def ask(self, words: str) -> None:
-        """Show a prompt; the cursor stays behind it."""
+        """Show a prompt; the cursor stays behind it, and what is typed is shown."""
         self._begin_line()
+        if self._silent:
+            self._err.echo(True)
         self._err.put(words)
         self._line_open = True
+
+    def listened(self) -> None:
+        """Note that a prompt takes no more keys, whether or not it was answered."""
+        if self._silent:
+            self._err.echo(False)
 
     def answered(self) -> None:
         """Note that the terminal has begun a new line with the answer to a prompt."""
@@ -249,8 +284,11 @@ class Screen:
         return True
 
     def close(self) -> None:
-        """Take the status line away and close what was opened."""
+        """Take the status line away, have keys shown again, and close what was opened."""
         self._begin_line()
         self.drain(0.0)
+        if self._silent:
+            self._err.echo(True)
+            self._silent = False
         self._out.close()
         self._err.close()

@@ -253,3 +253,39 @@ def test_no_status_line_where_the_output_is_no_terminal() -> None:
         screen.say("words")
     assert os.read(reading, 100) == b"words\n"
     os.close(reading)
+
+
+def echoes(terminal: Terminal) -> bool:
+    return bool(termios.tcgetattr(terminal.slave)[3] & termios.ECHO)
+
+
+def test_keys_are_shown_at_a_prompt_and_after_the_end_and_not_between(terminal: Terminal) -> None:
+    Outlet(terminal.stream).echo(True)
+    screen = on(terminal)
+    screen.silence()
+    assert not echoes(terminal)
+    screen.ask("mass: ")
+    assert echoes(terminal)
+    screen.listened()
+    assert not echoes(terminal)
+    os.write(terminal.master, b"\x03typed")
+    screen.say("stopped: by the operator")
+    assert terminal.shown() == "mass: \nstopped: by the operator\n"
+    screen.close()
+    assert echoes(terminal)
+
+
+def test_a_screen_that_was_not_silenced_leaves_the_keys_alone(terminal: Terminal) -> None:
+    screen = on(terminal)
+    screen.ask("mass: ")
+    screen.listened()
+    screen.close()
+    assert not echoes(terminal)
+
+
+def test_silence_on_what_is_no_terminal_does_nothing() -> None:
+    screen = Screen(SimulatedClock(), io.StringIO(), io.StringIO())
+    screen.silence()
+    screen.ask("mass: ")
+    screen.listened()
+    screen.close()
