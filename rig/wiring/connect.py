@@ -26,7 +26,8 @@ from drivers.mock.drive import Rating
 from drivers.units import EncoderScales, ServoScales
 from rig.common.errors import InputError
 from rig.common.locks import hold_bench
-from rig.config.bench import Bench, Bus, EncoderSection, ServoSection
+from rig.config.bench import Bench
+from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
 from rig.config.serial_bus import Amt21Section, SerialBus
