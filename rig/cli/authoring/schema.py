@@ -21,7 +21,8 @@ from drivers.mock.plant.parts.constants import Machine
 from identification.model.ladder import LADDER
 from identification.recording import CHANNELS
 from rig.config.bench import Bench
-from rig.config.campaign import ANGLE_TIME, FITTED_TERMS, PARAMETERS, Campaign
+from rig.config.campaign import Campaign
+from rig.config.campaign_sections import ANGLE_TIME, FITTED_TERMS, PARAMETERS
 from rig.config.descriptions import Meaning, meanings, summary
 from rig.config.faults import COUNTED_FRAMES, FAULTS, FaultSchedule
 from rig.config.sequence import Sequence
