@@ -113,6 +113,7 @@ def command(
         reference,
         reset,
         feedforward,
+        record,
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
@@ -132,7 +133,5 @@ def command(
                 else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
             )
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
-                folder, outcome = execute(
-                    inputs, plan, devices, run, operator, stop, progress, record=record
-                )
+                folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
         return conclude(folder, outcome, reference, json_file, screen)
