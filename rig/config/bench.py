@@ -17,7 +17,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
-from drivers.canopen import cia402_servo, cia404, cia406
+from drivers.canopen import cia402_objects, cia404, cia406
 from drivers.mock.plant.parts import constants
 from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
@@ -283,7 +283,7 @@ def load_bench(name: str | Path) -> Document[Bench]:
     document = load_located(resolve(name, "benches"), Bench, follow_bench)
     bench = document.value
     document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
-    frames: Sequence[tuple[int, int]] = cia402_servo.FRAMES
+    frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):
         frames = cycle_frames(
             wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s

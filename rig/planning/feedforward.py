@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.canopen.cia402_servo import FRAMES_WITH_OFFSET
+from drivers.canopen.cia402_objects import FRAMES_WITH_OFFSET
 from identification.model import compensation, feedback
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Bench as BenchConstants
