@@ -44,7 +44,29 @@ BOUNDS: Mapping[str, int] = {
 Commands are not counted under ``arguments``: theirs are their options, one for one.
 """
 
-ARGUED: Mapping[tuple[str, str], str] = {}
+ARGUED: Mapping[tuple[str, str], str] = {
+    (
+        "long function",
+        "drivers.mock.plant.effects.kernel:integrate",
+    ): "the inner loop of the simulation: its parts share a dozen local values and are inlined, so "
+    "that a further part would take and return them all",
+    (
+        "arguments",
+        "drivers.mock.plant.effects.kernel:integrate",
+    ): "compiled kernel: five vectors, and four values that its caller has at hand from each loop",
+    (
+        "arguments",
+        "drivers.mock.plant.effects.kernel:advance_hiding",
+    ): "compiled kernel: the vectors of one machine, which Python holds apart and passes as arrays",
+    (
+        "arguments",
+        "drivers.mock.plant.burning:advance_loaded",
+    ): "compiled kernel: all vectors of `advance_hiding`, and the two of the gas generator",
+    (
+        "arguments",
+        "drivers.mock.plant.record:record_cycles",
+    ): "compiled kernel: all vectors of `advance_loaded`, and where the latches go",
+}
 """Bound and place, as they are printed, to why the break stays, in one line.
 
 A row that no break needs is an error.

@@ -17,7 +17,8 @@ import results
 
 from identification.recording import CHANNELS
 from rig.config.bench import Bench
-from rig.config.campaign import ANGLE_TIME, Campaign
+from rig.config.campaign import Campaign
+from rig.config.campaign_sections import ANGLE_TIME
 from rig.config.faults import COUNTED_FRAMES, FAULTS, FaultSchedule
 from rig.config.sequence import Sequence
 

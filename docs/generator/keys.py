@@ -13,8 +13,8 @@ from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 from shapes import Shape, is_record, shape
 
-from rig.config.bench import may_be
 from rig.config.descriptions import meanings, summary
+from rig.config.simulated_machine import may_be
 
 REQUIRED = "**required**"
 

@@ -10,9 +10,11 @@ from contextlib import suppress
 from typing import Final
 
 from drivers import servo_limits
-from drivers.canopen import cia402
+from drivers.canopen import cia402, cia402_checks
+from drivers.canopen import cia402_objects as objects
 from drivers.canopen.cia402 import Command, controlword, decode_state
 from drivers.canopen.emergency import explain
+from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.errors import (
     ConfigurationError,
@@ -32,43 +34,15 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.objects import (
-    IDENTITY,
     ObjectAddress,
-    PdoLayout,
     ProcessChannel,
     read_identity,
     refusal,
 )
-from drivers.units import RATED, ServoScales, Unwrapper
+from drivers.units import ServoScales, Unwrapper
 
-_OUTPUT: Final = 1
-_MOTION: Final = 1
-_SPEED: Final = 2
-_VOLTAGE: Final = 3
-_SUPPLY: Final = 4
-_SUPPLY_EVERY: Final = 10
-FRAMES: Final = ((6, 1), (8, 1), (8, 1), (2, 1), (6, _SUPPLY_EVERY))
-"""Data bytes of each PDO, and in how many cycles it goes once; with a voltage object of 16 bits."""
-FRAMES_WITH_OFFSET: Final = ((8, 1), *FRAMES[1:])
-"""The same where the torque offset is mapped."""
-TORQUE_OFFSET: Final = (0x60B2, 0)
 WATCH_S: Final = 0.1
 """The drive stops by itself when it hears no heartbeat for so long, s."""
-_ABORT_IS_FAULT: Final = 1
-_POSITION: Final = (0x6064, 0)
-_TARGET: Final = (0x607A, 0)
-_CURRENT: Final = (0x6078, 0)
-_SPEED_ACTUAL: Final = (0x606C, 0)
-_DC_LINK: Final = (0x6079, 0)
-_TIME: Final = (0x1013, 0)
-_CYCLE: Final = (0x60C2, 1)
-_CYCLE_EXPONENT: Final = (0x60C2, 2)
-_ON_ABORT: Final = (0x6007, 0)
-_MODE: Final = (0x6060, 0)
-_MODE_DISPLAY: Final = (0x6061, 0)
-_ERROR_CODE: Final = (0x603F, 0)
-_SINGLE: Final = (_CYCLE, _CYCLE_EXPONENT, _ON_ABORT, _MODE, _MODE_DISPLAY, _ERROR_CODE, *RATED)
-"""Objects that are read or written by themselves, beside identity, limits and process data."""
 _US: Final = 1e-6
 _MILLI: Final = 1e-3
 _INT32: Final = range(-(1 << 31), 1 << 31)
@@ -146,7 +120,13 @@ class Cia402Servo(Servo):
         scales = self._scales
         counts, speed, current, supply, temperature = map(
             self._read_or_nan,
-            (_POSITION, _SPEED_ACTUAL, _CURRENT, _DC_LINK, scales.temperature_object),
+            (
+                objects.POSITION,
+                objects.SPEED_ACTUAL,
+                objects.CURRENT,
+                objects.DC_LINK,
+                scales.temperature_object,
+            ),
         )
         return ServoReadings(
             counts * scales.motor_rad_per_count + scales.offset_rad * scales.gear_ratio,
@@ -158,28 +138,20 @@ class Cia402Servo(Servo):
 
     def fault(self) -> DriveFault:
         """Read why the drive is in fault (603Fh)."""
-        code = self._channel.read(*_ERROR_CODE)
+        code = self._channel.read(*objects.ERROR_CODE)
         return DriveFault(code, f"{self._channel.label} is in fault: {explain(code)}")
 
     def description_refusals(self) -> Iterator[DeviceError]:
         """Yield what the EDS lacks that this profile needs. Sends nothing."""
-        for address in (*IDENTITY, *_SINGLE, *servo_limits.OBJECTS):
-            yield from refusal(self._channel.require_fit, *address, 0)
-        yield from refusal(self._channel.require_mappable, *self._layouts())
+        yield from cia402_checks.description_refusals(
+            self._channel, self._scales, self._takes_offset
+        )
 
     def refusals(self, cycle_s: float) -> Iterator[DeviceError]:
         """Yield units that differ from the bench file, a cycle that cannot be set, and objects that
         are not there.
         """
-        yield from self._unit_refusals(cycle_s)
-        channel = self._channel
-        outputs, inputs = self._layouts()
-        unmappable = list(refusal(channel.require_mappable, outputs, inputs))
-        yield from unmappable
-        if not unmappable:
-            for layout in inputs:
-                for address in layout.objects:
-                    yield from refusal(channel.read, *address)
+        yield from cia402_checks.refusals(self._channel, self._scales, self._takes_offset, cycle_s)
 
     def prepare(self, cycle_s: float) -> None:
         """Check units, map process data, set the cycle, and prove that the heartbeat watch can be
@@ -200,18 +172,22 @@ class Cia402Servo(Servo):
             )
         self._word = cia402.DISABLE_VOLTAGE
         channel = self._channel
-        for error in self._unit_refusals(cycle_s):
+        for error in cia402_checks.unit_refusals(
+            channel, self._scales, self._takes_offset, cycle_s
+        ):
             raise error
-        servo_limits.store(channel, _CYCLE, round(cycle_s * 1e3))
-        servo_limits.store(channel, _CYCLE_EXPONENT, -3)
-        servo_limits.store(channel, _ON_ABORT, _ABORT_IS_FAULT)
+        servo_limits.store(channel, objects.CYCLE, round(cycle_s * 1e3))
+        servo_limits.store(channel, objects.CYCLE_EXPONENT, -3)
+        servo_limits.store(channel, objects.ON_ABORT, objects.ABORT_IS_FAULT)
         self._offset = 0
-        channel.map_process_data(*self._layouts(), cycle_s=cycle_s)
+        channel.map_process_data(
+            *objects.layouts(self._scales, self._takes_offset), cycle_s=cycle_s
+        )
         self._cycle_ns = round(cycle_s * NS)
         self._time = Unwrapper(1 << 32)
         channel.watch(self._watch_s)
         channel.unwatch()
-        self._stage(channel.read(*_POSITION))
+        self._stage(channel.read(*objects.POSITION))
 
     def enable(self) -> None:
         """Energise and hold the present position, exchanging all the while.
@@ -231,7 +207,7 @@ class Cia402Servo(Servo):
             self._channel.watch(self._watch_s)
             self._word = cia402.DISABLE_VOLTAGE
             self._offset = 0
-            self._stage(self._channel.read(*_POSITION))
+            self._stage(self._channel.read(*objects.POSITION))
             self._select_mode()
             self._walk()
         except DeviceError:
@@ -249,7 +225,7 @@ class Cia402Servo(Servo):
         self._command(Command.DISABLE)
         self._await(lambda state: not state.energised, "a de-energised state")
         if self._takes_offset:
-            self._channel.write(*TORQUE_OFFSET, 0)
+            self._channel.write(*objects.TORQUE_OFFSET, 0)
         self._channel.unwatch()
 
     def quick_stop(self) -> None:
@@ -313,10 +289,10 @@ class Cia402Servo(Servo):
     def sample(self) -> ServoSample:
         """Return the sample of the last exchange."""
         channel, scales = self._channel, self._scales
-        statusword, position, current = channel.latest(_MOTION)
-        velocity, time_us = channel.latest(_SPEED)
-        (voltage,) = channel.latest(_VOLTAGE)
-        supply, temperature = channel.latest(_SUPPLY)
+        statusword, position, current = channel.latest(objects.MOTION_PDO)
+        velocity, time_us = channel.latest(objects.SPEED_PDO)
+        (voltage,) = channel.latest(objects.VOLTAGE_PDO)
+        supply, temperature = channel.latest(objects.SUPPLY_PDO)
         following = 0.0
         if statusword & 0x6F == 0x27:
             # What was sent with the exchange before is what the drive has interpolated up to this
@@ -342,46 +318,15 @@ class Cia402Servo(Servo):
             self._staged_in = self._channel.cycle
         self._target = counts
         if self._takes_offset:
-            self._channel.stage(_OUTPUT, self._word, counts, self._offset)
+            self._channel.stage(objects.OUTPUT_PDO, self._word, counts, self._offset)
         else:
-            self._channel.stage(_OUTPUT, self._word, counts)
-
-    def _unit_refusals(self, cycle_s: float) -> Iterator[DeviceError]:
-        """Yield what mapping the process data does not find out by itself."""
-        yield from self._scales.mismatches(self._channel)
-        milliseconds = round(cycle_s * 1e3)
-        if milliseconds < 1 or abs(milliseconds * 1e-3 - cycle_s) > 1e-9:
-            yield ConfigurationError(
-                f"cycle is {cycle_s * 1e3:g} ms, must be whole milliseconds (60C2h)"
-            )
-        if self._takes_offset:
-            yield from self._offset_refusals()
-
-    def _layouts(self) -> tuple[list[PdoLayout], list[PdoLayout]]:
-        scales = self._scales
-        outputs: tuple[ObjectAddress, ...] = (cia402.CONTROLWORD, _TARGET)
-        return [PdoLayout(_OUTPUT, (*outputs, TORQUE_OFFSET) if self._takes_offset else outputs)], [
-            PdoLayout(_MOTION, (cia402.STATUSWORD, _POSITION, _CURRENT)),
-            PdoLayout(_SPEED, (_SPEED_ACTUAL, _TIME)),
-            PdoLayout(_VOLTAGE, (scales.voltage_object,)),
-            PdoLayout(_SUPPLY, (_DC_LINK, scales.temperature_object), _SUPPLY_EVERY),
-        ]
+            self._channel.stage(objects.OUTPUT_PDO, self._word, counts)
 
     def _read_or_nan(self, address: ObjectAddress) -> float:
         try:
             return self._channel.read(*address)
         except (ConfigurationError, ObjectAccessError):
             return math.nan
-
-    def _offset_refusals(self) -> Iterator[ConfigurationError]:
-        for error in refusal(self._channel.read, *TORQUE_OFFSET):
-            words = (
-                f"{self._channel.label} has no torque offset 60B2h ({error}): run without "
-                f"feed-forward"
-            )
-            offset_error = ConfigurationError(words)
-            offset_error.__cause__ = error
-            yield offset_error
 
     def _command(self, command: Command) -> None:
         # The word for the cyclic exchange changes first: whatever happens next, it cannot undo the
@@ -393,29 +338,12 @@ class Cia402Servo(Servo):
         self._channel.insist(*cia402.CONTROLWORD, self._word)
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str) -> None:
-        deadline = self._clock.now_ns() + self._timeout_s * NS
-        while not reached(state := self.state()):
-            if self._clock.now_ns() >= deadline:
-                raise StateError(
-                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, "
-                    f"wanted {wanted}: "
-                    "take its power away by hand"
-                )
-
-    def _cycles(self) -> Iterator[bool]:
-        # Exchanges at the cycle's pace; yields whether there is time left.
-        due = self._clock.now_ns()
-        deadline = due + self._timeout_s * NS
-        while True:
-            due += self._cycle_ns
-            self._clock.sleep_until_ns(due)
-            self._link.exchange()
-            yield self._clock.now_ns() < deadline
+        await_state(self.state, reached, wanted, self._clock, self._timeout_s)
 
     def _select_mode(self) -> None:
-        self._channel.write(*_MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
-        for in_time in self._cycles():
-            mode = self._channel.read(*_MODE_DISPLAY)
+        self._channel.write(*objects.MODE, cia402.CYCLIC_SYNCHRONOUS_POSITION)
+        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
+            mode = self._channel.read(*objects.MODE_DISPLAY)
             if mode == cia402.CYCLIC_SYNCHRONOUS_POSITION:
                 return
             if not in_time:
@@ -425,8 +353,8 @@ class Cia402Servo(Servo):
                 )
 
     def _walk(self) -> None:
-        for in_time in self._cycles():
-            statusword, position, _ = self._channel.latest(_MOTION)
+        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
+            statusword, position, _ = self._channel.latest(objects.MOTION_PDO)
             state = decode_state(statusword)
             if state in (ServoState.FAULT, ServoState.FAULT_REACTION):
                 raise self.fault()

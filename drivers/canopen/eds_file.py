@@ -10,6 +10,7 @@ import canopen
 from canopen.objectdictionary import ObjectDictionary, ObjectDictionaryError
 
 from drivers.errors import ConfigurationError
+from drivers.plain_file import require_plain
 
 _UNREADABLE = (
     OSError,
@@ -38,7 +39,8 @@ def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
         # canopen warns of an incomplete file through a deprecated call of its logger.
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DeprecationWarning)
-            dictionary = canopen.import_od(str(eds), node_id)
+            with open(eds, encoding=_encoding(eds)) as stream:
+                dictionary = canopen.import_od(stream, node_id)
     except _UNREADABLE as error:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise ConfigurationError(
@@ -50,3 +52,18 @@ def read_eds(eds: Path, node_id: int) -> ObjectDictionary:
             f"EDS file {eds} of node {node_id} describes no object; use the device's own EDS file"
         )
     return dictionary
+
+
+def _encoding(eds: Path) -> str:
+    """Return how a file is encoded: CiA 306 knows ASCII alone, makers write what their computers
+    do.
+
+    Raises:
+        OSError: It cannot be read, or is no plain file.
+    """
+    require_plain(eds)
+    try:
+        eds.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"

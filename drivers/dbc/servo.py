@@ -10,13 +10,15 @@ from contextlib import suppress
 from typing import Final
 
 from drivers.canopen import cia402
+from drivers.canopen.transitions import await_state, exchanges
 from drivers.clock import NS
 from drivers.dbc import limits as dbc_limits
-from drivers.dbc.channel import PERIODS_KEPT, DbcChannel, Slot
+from drivers.dbc.channel import DbcChannel
+from drivers.dbc.feedback import Feedback
 from drivers.dbc.limits import DbcDrive
 from drivers.dbc.link import DbcLink
 from drivers.dbc.wiring import Images
-from drivers.errors import ConfigurationError, DeviceError, DriveFault, LinkError, StateError
+from drivers.errors import ConfigurationError, DeviceError, DriveFault, StateError
 from drivers.interfaces import (
     Identity,
     LimitSteps,
@@ -27,7 +29,6 @@ from drivers.interfaces import (
     ServoState,
 )
 from drivers.objects import refusal
-from drivers.units import Unwrapper
 
 _ANSWER_S: Final = 0.3
 _RETRY_S: Final = 0.02
@@ -55,13 +56,9 @@ class DbcServo(Servo):
         self._wiring = wiring = channel.wiring
         self._drive = drive
         self._timeout_s = state_timeout_s
-        self._inputs = inputs = wiring.inputs
-        self._reads = {
-            name: (channel.slot(quantity.message), quantity.read)
-            for name, quantity in inputs.items()
-        }
-        self._effort = "current" if "current" in inputs else "torque"
-        self._effort_per_A = 1.0 if "current" in inputs else drive.torque_constant_N_m_A
+        self._feedback = Feedback(link, channel)
+        self._effort = "current" if "current" in wiring.inputs else "torque"
+        self._effort_per_A = 1.0 if "current" in wiring.inputs else drive.torque_constant_N_m_A
         self._status = channel.slot(wiring.status_message)
         self._command_period_s = wiring.sent[wiring.target.message].period_s
         self.watch_s = drive.watchdog_s
@@ -69,7 +66,6 @@ class DbcServo(Servo):
         self._cycle_ns = 0
         self._target = self._previous = 0.0
         self._staged_in = 0
-        self._time = self._unwrapper()
 
     def identity(self) -> Identity:
         """Return who it is, as the bench file and the drive's own frames say.
@@ -82,8 +78,8 @@ class DbcServo(Servo):
             name=told.name,
             vendor_id=told.vendor_id,
             product_code=told.product_code,
-            revision=self._told("revision", told.revision),
-            serial_number=self._told("serial_number", told.serial_number),
+            revision=self._feedback.told("revision", told.revision),
+            serial_number=self._feedback.told("serial_number", told.serial_number),
         )
 
     def state(self) -> ServoState:
@@ -93,7 +89,7 @@ class DbcServo(Servo):
             LinkError: The drive is silent.
             StateError: The map does not name the status value.
         """
-        self._await_frame(self._wiring.status_message)
+        self._feedback.await_frame(self._wiring.status_message)
         state = self._channel.state
         if state is None:
             raw = self._wiring.status.raw(self._status.data)
@@ -109,7 +105,7 @@ class DbcServo(Servo):
         Raises:
             LinkError: The drive is silent.
         """
-        return dbc_limits.decode(self._held(), self._drive)
+        return dbc_limits.decode(self._feedback.limits(), self._drive)
 
     def limit_steps(self) -> LimitSteps:
         """Return one unit of each signal that says what the drive holds, at the joint."""
@@ -139,7 +135,7 @@ class DbcServo(Servo):
         self._channel.pin({})
         for identifier, data in self._channel.settings(dbc_limits.images(self._wiring, wanted)):
             self._link.send(identifier, data)
-        held = self._held()
+        held = self._feedback.limits()
         dbc_limits.verify(wanted, held, settable, self._channel.label)
         self._channel.pin(held)
         dbc_limits.require_room(limits, self._drive.held, settable, self._channel.label)
@@ -150,7 +146,7 @@ class DbcServo(Servo):
         A message that only comes as an answer to a command is not asked for; its values are NaN.
         """
         names = ("position", "velocity", self._effort, "supply_voltage", "temperature")
-        position, velocity, effort, supply, temperature = self._unasked(*names)
+        position, velocity, effort, supply, temperature = self._feedback.unasked(*names)
         gear = self._drive.gear_ratio
         angle = position + self._drive.offset_rad * gear
         return ServoReadings(
@@ -168,7 +164,7 @@ class DbcServo(Servo):
         A message that only comes as an answer to a command is not waited for.
         """
         yield from refusal(self._require_watchdog, cycle_s)
-        (position,) = self._unasked("position")
+        (position,) = self._feedback.unasked("position")
         if not math.isnan(position):
             yield from refusal(self._target_bits, position)
 
@@ -192,10 +188,10 @@ class DbcServo(Servo):
         channel.set_cycle(cycle_s)
         channel.order(self._wiring.disable)
         for name in self._wiring.received:
-            self._hear(name)
+            self._feedback.hear(name)
         self._cycle_ns = round(cycle_s * NS)
-        self._time = self._unwrapper()
-        self._stage(self._value("position"))
+        self._feedback.restart_time()
+        self._stage(self._feedback.value("position"))
 
     def enable(self) -> None:
         """Energise and hold the present position, exchanging all the while.
@@ -279,7 +275,7 @@ class DbcServo(Servo):
         """
         channel, drive = self._channel, self._drive
         state = channel.state
-        position = self._value("position")
+        position = self._feedback.value("position")
         following = 0.0
         if state is ServoState.OPERATION_ENABLED:
             # What was sent with the exchange before is what the drive has interpolated up to this
@@ -287,13 +283,13 @@ class DbcServo(Servo):
             demand = self._previous if channel.cycle <= self._staged_in + 1 else self._target
             following = (demand - position) / drive.gear_ratio
         return ServoSample(
-            self._device_time(),
+            self._feedback.device_time(),
             position + drive.offset_rad * drive.gear_ratio,
-            self._value("velocity") / drive.gear_ratio,
-            self._value(self._effort) / self._effort_per_A,
-            self._value("voltage") if "voltage" in self._reads else math.nan,
-            self._value("supply_voltage"),
-            self._value("temperature"),
+            self._feedback.value("velocity") / drive.gear_ratio,
+            self._feedback.value(self._effort) / self._effort_per_A,
+            self._feedback.value("voltage") if "voltage" in self._wiring.inputs else math.nan,
+            self._feedback.value("supply_voltage"),
+            self._feedback.value("temperature"),
             following,
             _UNKNOWN_STATE if state is None else _STATUSWORDS[state],
             channel.fresh,
@@ -307,80 +303,6 @@ class DbcServo(Servo):
                 f"{watchdog_s * 1e3:g} ms without one: "
                 "at most half of that; raise cycle_Hz"
             )
-
-    def _unasked(self, *names: str) -> list[float]:
-        """Return quantities in the next good frames that carry them; NaN where none comes without a
-        command.
-        """
-        slots = {name: self._reads[name][0] for name in names}
-        messages = {slot.message.name: slot for slot in slots.values()}
-        heard = {
-            message: self._link.await_frame(self._channel, slot, _patience_s(slot))
-            for message, slot in messages.items()
-        }
-        return [
-            self._value(name) if heard[slot.message.name] else math.nan
-            for name, slot in slots.items()
-        ]
-
-    def _held(self) -> dict[str, float]:
-        """Return the limits that the drive says it holds, as it says them next."""
-        for message in sorted({limit.held.message for limit in self._wiring.limits.values()}):
-            self._await_frame(message)
-        return self._channel.limits()
-
-    def _value(self, name: str) -> float:
-        slot, read = self._reads[name]
-        return read(slot.data)
-
-    def _unwrapper(self) -> Unwrapper:
-        time = self._inputs.get("time")
-        return Unwrapper(1 if time is None else 1 << time.signal.width)
-
-    def _device_time(self) -> float:
-        quantity = self._inputs.get("time")
-        if quantity is None:
-            return self._status.time_ns / NS
-        raw = quantity.signal.raw(self._channel.slot(quantity.message).data)
-        whole = raw if quantity.signal.real else self._time.update(int(raw))
-        return whole * quantity.gain + quantity.bias
-
-    def _told(self, name: str, otherwise: int) -> int:
-        quantity = self._inputs.get(name)
-        if quantity is None:
-            return otherwise
-        self._await_frame(quantity.message)
-        return round(self._value(name))
-
-    def _await_frame(self, name: str) -> None:
-        slot = self._channel.slot(name)
-        refused = slot.refused
-        if not self._link.await_frame(self._channel, slot, _patience_s(slot)):
-            raise self._silent(slot, refused)
-
-    def _hear(self, name: str) -> None:
-        """Send the order in force until a message has come; some come only as an answer."""
-        slot = self._channel.slot(name)
-        count, refused = slot.count, slot.refused
-        deadline = self._clock.now_ns() + _patience_s(slot) * NS
-        while slot.count == count:
-            if self._clock.now_ns() >= deadline:
-                raise self._silent(slot, refused)
-            self._link.command(self._channel)
-            self._link.pump(lambda: slot.count != count, _RETRY_S)
-
-    def _silent(self, slot: Slot, refused: int) -> LinkError:
-        bad = slot.refused - refused
-        why = (
-            f"{bad} came with a bad length, checksum or counter: check the map"
-            if bad
-            else "check its supply and bus"
-        )
-        message = slot.message
-        return LinkError(
-            f"{self._channel.label} sent no good {message.name} ({message.identifier:03X}h) "
-            f"in {_patience_s(slot):g} s: {why}"
-        )
 
     def _stage(self, motor_rad: float) -> None:
         bits = self._target_bits(motor_rad)
@@ -406,20 +328,19 @@ class DbcServo(Servo):
 
     def _await(self, reached: Callable[[ServoState], bool], wanted: str, *orders: Images) -> None:
         # Repeats the orders, as a frame may have been lost.
-        deadline = self._clock.now_ns() + self._timeout_s * NS
-        while not reached(state := self.state()):
-            if self._clock.now_ns() >= deadline:
-                raise StateError(
-                    f"the drive reports '{state.value}' {self._timeout_s:g} s after the command, "
-                    f"wanted {wanted}: "
-                    "take its power away by hand"
-                )
-            self._command(*orders)
+        await_state(
+            self.state,
+            reached,
+            wanted,
+            self._clock,
+            self._timeout_s,
+            lambda: self._command(*orders),
+        )
 
     def _walk(self) -> None:
         channel, wiring = self._channel, self._wiring
         channel.order(wiring.disable)
-        for in_time in self._cycles():
+        for in_time in exchanges(self._link, self._cycle_ns, self._timeout_s):
             state = channel.state
             if state in _FAULTS:
                 raise channel.fault()
@@ -435,18 +356,4 @@ class DbcServo(Servo):
                 )
             if channel.fresh and state is not None and state in wiring.enable:
                 channel.order(wiring.enable[state])
-                self._stage(self._value("position"))
-
-    def _cycles(self) -> Iterator[bool]:
-        # Exchanges at the cycle's pace; yields whether there is time left.
-        due = self._clock.now_ns()
-        deadline = due + self._timeout_s * NS
-        while True:
-            due += self._cycle_ns
-            self._clock.sleep_until_ns(due)
-            self._link.exchange()
-            yield self._clock.now_ns() < deadline
-
-
-def _patience_s(slot: Slot) -> float:
-    return max(_ANSWER_S, PERIODS_KEPT * slot.message.period_s)
+                self._stage(self._feedback.value("position"))

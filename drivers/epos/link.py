@@ -14,7 +14,8 @@ from drivers.can.timing import ANSWER_SHARE
 from drivers.canopen.eds_file import read_eds
 from drivers.clock import NS, Clock
 from drivers.epos.frames import ERROR, OBJECT, Frame, FrameDecoder, Opcode, encode
-from drivers.epos.node import IDENTITY, EposSerialNode, Guard
+from drivers.epos.node import EposSerialNode
+from drivers.epos.object_access import IDENTITY, Guard
 from drivers.errors import ConfigurationError, DeviceError, LinkError
 from drivers.interfaces import Link, RawFrame
 from drivers.port_errors import close_all, words

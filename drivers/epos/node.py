@@ -1,6 +1,4 @@
-"""One EPOS4 on a serial line: its objects by ReadObject and WriteObject, and its share of the
-cycle.
-"""
+"""One EPOS4 on a serial line: its objects, and its share of the cycle."""
 
 from __future__ import annotations
 
@@ -8,31 +6,15 @@ import struct
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from itertools import cycle as endless
-from typing import Final, Protocol
+from typing import Final
 
 from canopen.objectdictionary import ObjectDictionary
-from canopen.sdo.exceptions import SdoAbortedError
 
 from drivers.canopen.cia402 import CONTROLWORD
-from drivers.canopen.pdo import packing
-from drivers.canopen.sdo import variable
-from drivers.clock import Clock
-from drivers.epos.frames import (
-    ERROR,
-    LAST,
-    NMT,
-    OBJECT,
-    SEGMENT_BYTES,
-    TOGGLE,
-    TOTAL,
-    Opcode,
-    encode,
-    segment,
-)
-from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.epos.frames import ERROR, NMT, OBJECT, Opcode, encode
+from drivers.epos.object_access import VALUE_BYTES, Line, ObjectAccess
 from drivers.objects import ObjectAddress, PdoLayout
 
-IDENTITY: Final = 0x1018
 CYCLE_WRITES: Final = 1
 CYCLE_READS: Final = 4
 """Objects of a control cycle of a servo: its target; state, position, current and one of the others
@@ -44,65 +26,9 @@ _POSITION: Final = (0x6064, 0)
 _CURRENT: Final = (0x6078, 0)
 _GUARD_FACTOR: Final = 2.0
 _GUARD_CYCLES: Final = 3
-_VALUE_BYTES: Final = 4
-_ANSWER_BYTES: Final = ERROR.size + _VALUE_BYTES
+_ANSWER_BYTES: Final = ERROR.size + VALUE_BYTES
 _ACCEPTED: Final = ERROR.pack(0)
 _START: Final = 1
-_REASONS: Final = {
-    0x0F00FFB9: "wrong node identifier",
-    0x0F00FFBC: "the drive is not in service mode",
-    0x0F00FFBE: "password wrong",
-    0x0F00FFBF: "the drive does not know this command",
-    0x0F00FFC0: "the drive is in a wrong NMT state",
-}
-
-
-class Guard(Protocol):
-    """Whoever takes the power off when this program dies or hangs; the drive has no such watch of
-    its own.
-    """
-
-    def arm(self, limit_s: float) -> None:
-        """Stand by from now on; act where nobody feeds for this long, s.
-
-        Raises:
-            LinkError: Nobody does.
-        """
-        ...
-
-    def feed(self) -> None:
-        """Show that the control loop is alive; called before every request.
-
-        Cheap, and nothing unless armed.
-
-        Raises:
-            LinkError: It has taken over, or is gone: the line must not be used.
-        """
-        ...
-
-    def release(self) -> None:
-        """Stand down: the drive is verified off."""
-        ...
-
-
-class Line(Protocol):
-    """What a node needs of its link."""
-
-    cycle: int
-    clock: Clock
-    guard: Guard | None
-
-    def request(
-        self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False
-    ) -> bytes:
-        """Send one request and return the data of its answer; :class:`LinkError` where there is
-        none.
-        """
-        ...
-
-    def set_cycle(self, cycle_s: float, who: str) -> None:
-        """Set the cycle time, the same for all devices."""
-        ...
 
 
 class _Output:
@@ -119,7 +45,7 @@ class _Output:
     def request(self) -> bytes:
         """Return the frame that writes it."""
         return encode(
-            Opcode.WRITE_OBJECT, self.head + self.layout.pack(self.value).ljust(_VALUE_BYTES, b"\0")
+            Opcode.WRITE_OBJECT, self.head + self.layout.pack(self.value).ljust(VALUE_BYTES, b"\0")
         )
 
 
@@ -142,7 +68,7 @@ class _Input:
         return True
 
 
-class EposSerialNode:
+class EposSerialNode(ObjectAccess):
     """A drive behind an :class:`~drivers.epos.link.EposSerialLink`; a
     :class:`~drivers.objects.ProcessChannel`.
 
@@ -164,13 +90,11 @@ class EposSerialNode:
     """
 
     def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
-        self.node_id = node_id
+        super().__init__(node_id, dictionary, line)
         self.cycle = line.cycle
         self._cycle_s = 0.0
         self.monitored = False
         self.heard_ns = 0
-        self._line = line
-        self._dictionary = dictionary
         self._outputs: dict[int, tuple[_Output, ...]] = {}
         self._word: int | None = None
         self._values: dict[ObjectAddress, _Input] = {}
@@ -182,107 +106,9 @@ class EposSerialNode:
         self._before: tuple[int, int] | None = None
 
     @property
-    def label(self) -> str:
-        """What to call the device in messages."""
-        return f"node {self.node_id}"
-
-    @property
     def fresh(self) -> bool:
         """Whether everything that was due at the last exchange was written and read."""
         return self._complete
-
-    def read(self, index: int, subindex: int = 0) -> int:
-        """Read an integer object.
-
-        Raises:
-            ConfigurationError: The EDS has no such object, or it is no integer of at most 32 bits.
-            ObjectAccessError: The device refuses.
-            LinkError: No answer.
-        """
-        layout = self._packing(index, subindex)
-        answer = self._request(
-            Opcode.READ_OBJECT, OBJECT.pack(self.node_id, index, subindex), index, subindex
-        )
-        if len(answer) != _VALUE_BYTES:
-            raise self._malformed(index, subindex, len(answer))
-        return int(layout.unpack_from(answer)[0])
-
-    def read_bytes(self, index: int, subindex: int = 0) -> bytes:
-        """Read an object of any length, in segments; raises as :meth:`read`."""
-        fields = OBJECT.pack(self.node_id, index, subindex)
-        answer = self._request(Opcode.INITIATE_SEGMENTED_READ, fields, index, subindex)
-        if len(answer) <= TOTAL.size:
-            raise self._malformed(index, subindex, len(answer))
-        (total,) = TOTAL.unpack_from(answer)
-        length = answer[TOTAL.size]
-        data = answer[TOTAL.size + 1 :][:length]
-        toggle = 0
-        while len(data) < total:
-            # A segment asked for twice would be skipped once.
-            answer = self._request(
-                Opcode.SEGMENT_READ, bytes([toggle, 0]), index, subindex, repeat=False
-            )
-            if len(answer) < 3 or not answer[0] or answer[1] & TOGGLE != toggle:
-                raise self._malformed(index, subindex, len(answer))
-            data += answer[2:][: answer[0]]
-            if answer[1] & LAST:
-                break
-            toggle ^= TOGGLE
-        if len(data) != total:
-            raise self._malformed(index, subindex, len(data))
-        return data
-
-    def read_text(self, index: int, subindex: int = 0) -> str:
-        """Read a visible-string object; raises as :meth:`read`."""
-        return self.read_bytes(index, subindex).decode("ascii", errors="replace").rstrip("\0")
-
-    def write(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object.
-
-        Raises:
-            ConfigurationError: The EDS has no such object, or the value does not fit its type.
-            ObjectAccessError: The device refuses.
-            LinkError: No answer.
-        """
-        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
-
-    def require_fit(self, index: int, subindex: int, value: int) -> None:
-        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
-
-        Sends nothing.
-        """
-        self._written(index, subindex, value)
-
-    def insist(self, index: int, subindex: int, value: int) -> None:
-        """Write an integer object, sending it even while the line is out of step; raises as
-        :meth:`write`.
-        """
-        self._request(
-            Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
-        )
-
-    def _written(self, index: int, subindex: int, value: int) -> bytes:
-        try:
-            data = self._packing(index, subindex).pack(value)
-        except struct.error as error:
-            name = variable(self._dictionary, index, subindex).name
-            raise ConfigurationError(
-                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({name})"
-            ) from error
-        return OBJECT.pack(self.node_id, index, subindex) + data.ljust(_VALUE_BYTES, b"\0")
-
-    def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
-        """Write an object of any length, in segments; raises as :meth:`write`."""
-        fields = OBJECT.pack(self.node_id, index, subindex) + TOTAL.pack(len(data))
-        self._request(Opcode.INITIATE_SEGMENTED_WRITE, fields, index, subindex)
-        toggle = 0
-        for at in range(0, len(data), SEGMENT_BYTES):
-            chunk = data[at : at + SEGMENT_BYTES]
-            fields = segment(chunk, toggle, at + SEGMENT_BYTES >= len(data))
-            answer = self._request(Opcode.SEGMENT_WRITE, fields, index, subindex, repeat=False)
-            if len(answer) != 2 or answer[0] != len(chunk) or answer[1] & TOGGLE != toggle:
-                raise self._malformed(index, subindex, len(answer))
-            toggle ^= TOGGLE
 
     def require_mappable(self, outputs: Sequence[PdoLayout], inputs: Sequence[PdoLayout]) -> None:
         """Check that the EDS has every object of a cycle; raises as :meth:`map_process_data`.
@@ -410,33 +236,6 @@ class EposSerialNode:
     def _input(self, address: ObjectAddress) -> _Input:
         request = encode(Opcode.READ_OBJECT, OBJECT.pack(self.node_id, *address))
         return _Input(request, self._packing(*address), self.read(*address))
-
-    def _packing(self, index: int, subindex: int) -> struct.Struct:
-        return packing(self._dictionary, PdoLayout(0, ((index, subindex),)))
-
-    def _request(
-        self,
-        opcode: Opcode,
-        fields: bytes,
-        index: int,
-        subindex: int,
-        repeat: bool = True,
-        insist: bool = False,
-    ) -> bytes:
-        what = f"{self.label}, object {index:04X}h:{subindex:02X}h" if index else self.label
-        answer = self._line.request(opcode, fields, what, repeat, insist)
-        (error,) = ERROR.unpack_from(answer)
-        if error:
-            reason = _REASONS.get(error) or SdoAbortedError.CODES.get(error, "unknown reason")
-            raise ObjectAccessError(index, subindex, error, f"{self.label} refuses: {reason}")
-        return answer[ERROR.size :]
-
-    def _malformed(self, index: int, subindex: int, length: int) -> LinkError:
-        return LinkError(
-            f"{self.label}, object {index:04X}h:{subindex:02X}h: an answer of {length} bytes does "
-            f"not belong to the "
-            "request; check that nothing else uses the line"
-        )
 
 
 def _turns(layouts: Sequence[PdoLayout]) -> list[ObjectAddress]:

@@ -17,55 +17,16 @@ from typing import Annotated, Literal, Self
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from drivers.can.timing import ANSWER_SHARE, cycle_bits
-from drivers.canopen import cia402_servo, cia404, cia406
-from drivers.mock.plant.effects.pack import problems, too_light
+from drivers.canopen import cia402_objects, cia404, cia406
 from drivers.mock.plant.parts import constants
-from rig.config.configuration import Document, Schema, load_located
+from rig.config.canopen import Bus, EncoderSection, ServoSection
+from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
 from rig.config.dbc import DbcServoSection, cycle_frames, wire
 from rig.config.gas_section import GasGeneratorSection, PressureSection
+from rig.config.limits_section import LimitsSection
 from rig.config.packaged import resolve
 from rig.config.serial_bus import MOCK, UNWATCHED_SHARE, Amt21Section, SerialBus, overload
-from rig.config.simulated_machine import follow_bench
-
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-NodeId = Annotated[int, Field(ge=1, le=127)]
-Sign = Literal[1, -1]
-ObjectAddress = tuple[Annotated[int, Field(ge=0, le=0xFFFF)], Annotated[int, Field(ge=0, le=0xFF)]]
-
-_ANY_SIGN = frozenset({"temperature_C"})
-_SMALLEST = 1e-12
-"""Of a constant of the simulated machine, in SI units; the largest is its inverse."""
-_LOOPS_HZ = (100.0, 1e8)
-"""Of the simulated drive's loops; faster ones stand for a drive in continuous time."""
-_MAY_BE_ZERO = frozenset(
-    {
-        "inductance_H",
-        "Mc_N_m",
-        "Ms_N_m",
-        "sigma_2_N_m_s_rad",
-        "mu_c",
-        "mu_s",
-        "mu_2_s_rad",
-        "velocity_integral_1_s",
-        "velocity_feedforward",
-        "current_integral_1_s",
-        "motor_counts_per_turn",
-        "joint_counts_per_turn",
-        "current_noise_A",
-        "rotor_inertia_kg_m2",
-        "warming_K",
-        "noise_Pa",
-        "back_pressure_Pa",
-    }
-)
-
-
-def may_be(name: str) -> str:
-    """Return what a number of the simulated machine may be: "> 0", "≥ 0", or anything (empty)."""
-    if name in _ANY_SIGN:
-        return ""
-    return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
+from rig.config.simulated_machine import follow_bench, hidden_problems, require_buildable
 
 
 class Constants(Schema):
@@ -90,139 +51,6 @@ class Constants(Schema):
     moment_arm_m: Positive
     lever_ratio: Positive
     gravity_m_s2: Positive = 9.80665
-
-
-class Bus(Schema):
-    """Where the devices are.
-
-    Attributes:
-        interface: `mock` is the simulated bus; any other name is an interface of python-can, such
-            as `socketcan`, `slcan` or `pcan`.
-        channel: Name of the bus for that interface, such as `can0` or `/dev/ttyACM0`.
-        bitrate: Bits per second, the same as in the devices.
-    """
-
-    interface: str = "mock"
-    channel: str | None = None
-    bitrate: Annotated[int, Field(ge=10_000, le=1_000_000)] = 1_000_000
-
-
-class ServoSection(Schema):
-    """A CiA 402 drive on CANopen, and the scales that turn its units into SI; checked against the
-    device before a run.
-
-    Attributes:
-        kind: The protocol of the drive.
-        node: CANopen node number.
-        counts_per_motor_turn: Counts of the motor encoder per turn, edges counted (608Fh).
-        sign: 1 where the drive counts up for a positive joint angle, else -1.
-        offset_deg: Joint angle at which the drive's position reads zero.
-        rated_current_A: Rated motor current; the unit of the drive's current objects is a
-            thousandth of it (6075h).
-        rated_torque_N_m: Rated motor torque; the unit of the drive's torque objects is a thousandth
-            of it (6076h).
-        velocity_unit_rad_s: Motor speed of one unit of 606Ch; null for one count per second.
-        voltage_object: Index and subindex of the motor voltage.
-        voltage_unit_V: Voltage of one unit of that object.
-        temperature_object: Index and subindex of the drive's temperature.
-        temperature_unit_C: Temperature of one unit of that object.
-        eds: The device's own EDS file, relative to the bench file; the simulated drive needs none.
-        quick_stop_option: What the drive does on a quick stop (605Ah). 2 brakes and takes the power
-            off, 6 brakes and stays in the state quick stop active.
-        quick_stop_deceleration_deg_s2: Deceleration of the braking ramp, at the joint (6085h).
-    """
-
-    kind: Literal["canopen"] = "canopen"
-    node: NodeId = 1
-    counts_per_motor_turn: Annotated[int, Field(gt=0)] = 4096
-    sign: Sign = 1
-    offset_deg: float = 0.0
-    rated_current_A: Positive = 15.0
-    rated_torque_N_m: Positive = 0.45
-    velocity_unit_rad_s: Positive | None = None
-    voltage_object: ObjectAddress = (0x2100, 0)
-    voltage_unit_V: Positive = 0.01
-    temperature_object: ObjectAddress = (0x2101, 0)
-    temperature_unit_C: Positive = 0.1
-    eds: str | None = None
-    quick_stop_option: Literal[2, 6] = 2
-    quick_stop_deceleration_deg_s2: Positive = 2000.0
-
-
-class EncoderSection(Schema):
-    """The joint encoder, a CiA 406 device on CANopen.
-
-    Attributes:
-        kind: The protocol of the encoder.
-        node: CANopen node number.
-        counts_per_turn: Counts per turn of the joint.
-        sign: 1 where the encoder counts up for a positive joint angle, else -1.
-        offset_deg: Joint angle at which the encoder reads zero.
-        eds: The device's own EDS file, relative to the bench file; the simulated encoder needs
-            none.
-    """
-
-    kind: Literal["cia406"] = "cia406"
-    node: NodeId = 2
-    counts_per_turn: Annotated[int, Field(gt=0)] = 262144
-    sign: Sign = 1
-    offset_deg: float = 0.0
-    eds: str | None = None
-
-
-class LimitsSection(Schema):
-    """Limits checked on every sample, and held by the drive as well where it has an object for
-    them.
-
-    Attributes:
-        angle_min_deg: Lowest joint angle, commanded or measured.
-        angle_max_deg: Highest joint angle, commanded or measured.
-        speed_deg_s: Highest joint speed.
-        torque_N_m: Highest torque of the drive, at the joint after the gear.
-        current_A: Highest motor current.
-        following_error_deg: Largest difference of commanded and measured joint angle.
-        encoder_disagreement_deg: Largest difference of joint encoder and motor encoder, at the
-            joint.
-        weight_kg: Heaviest weight that a sequence may hang.
-        contact_force_N: Highest contact force, of a weight or of the gas generator's pressure.
-        pressure_MPa: Highest chamber pressure; needed where there is a pressure transmitter.
-        temperature_C: Highest temperature that the drive may report.
-        supply_min_V: Lowest supply voltage.
-        supply_max_V: Highest supply voltage.
-        sample_age_ms: Oldest sample that a cycle may go on with.
-        lateness_ms: Latest start of a cycle. At most half the heartbeat time of the drive, past
-            which the drive stops by itself.
-    """
-
-    angle_min_deg: float
-    angle_max_deg: float
-    speed_deg_s: Positive
-    torque_N_m: Positive
-    current_A: Positive
-    following_error_deg: Positive
-    encoder_disagreement_deg: Positive
-    weight_kg: NonNegative
-    contact_force_N: NonNegative
-    pressure_MPa: Positive | None = None
-    temperature_C: float = 80.0
-    supply_min_V: NonNegative = 0.0
-    supply_max_V: Positive = 1000.0
-    sample_age_ms: Positive = 5.0
-    lateness_ms: Annotated[float, Field(gt=0, le=50)] = 25.0
-
-    @model_validator(mode="after")
-    def _range_is_open(self) -> Self:
-        if not self.supply_min_V < self.supply_max_V:
-            raise ValueError(
-                f"supply_min_V {self.supply_min_V:g} must be below supply_max_V "
-                f"{self.supply_max_V:g}; swap them"
-            )
-        if not self.angle_min_deg < self.angle_max_deg:
-            raise ValueError(
-                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
-                f"{self.angle_max_deg:g}; swap them"
-            )
-        return self
 
 
 def _servo_kind(section: object) -> object:
@@ -345,44 +173,9 @@ class Bench(Schema):
 
     @field_validator("mock")
     @classmethod
-    def _physical(cls, machine: constants.Machine | None) -> constants.Machine | None:
-        for path, value in () if machine is None else _leaves(machine):
-            name = path.rsplit(".", 1)[-1]
-            if name in _ANY_SIGN:
-                continue
-            if not math.isfinite(value) or value < 0 or (value == 0 and name not in _MAY_BE_ZERO):
-                bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
-                raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
-            if value and not _SMALLEST <= value <= 1.0 / _SMALLEST:
-                raise ValueError(
-                    f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}; no "
-                    f"machine is built so, "
-                    "check exponent and unit"
-                )
-        if machine is not None and not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
-            raise ValueError(
-                f"loops.rate_Hz is {machine.loops.rate_Hz:g}; it must be {_LOOPS_HZ[0]:g} to "
-                f"{_LOOPS_HZ[1]:g} Hz"
-            )
-        return machine
-
-    @field_validator("mock")
-    @classmethod
-    def _burns(cls, machine: constants.Machine | None) -> constants.Machine | None:
-        if machine is None:
-            return machine
-        generator = machine.gas
-        if not generator.pressure_exponent < 1.0:
-            raise ValueError(
-                f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure "
-                f"is steady: below 1"
-            )
-        if not generator.valve.hole_diameter_m < min(
-            generator.valve.plate_width_m, generator.valve.opening_diameter_m
-        ):
-            raise ValueError(
-                "gas.valve.hole_diameter_m must be below plate_width_m and opening_diameter_m"
-            )
+    def _can_be_built(cls, machine: constants.Machine | None) -> constants.Machine | None:
+        if machine is not None:
+            require_buildable(machine)
         return machine
 
     @model_validator(mode="after")
@@ -478,22 +271,6 @@ class Bench(Schema):
         return self.cycle_ns * 1e-9
 
 
-def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
-    """Yield every number of nested dataclasses with its dotted path."""
-    if not dataclasses.is_dataclass(record):
-        return
-    for item in dataclasses.fields(record):
-        value = getattr(record, item.name)
-        path = f"{prefix}{item.name}"
-        if isinstance(value, int | float):
-            try:
-                yield path, float(value)
-            except OverflowError:
-                yield path, math.inf
-        else:
-            yield from _leaves(value, f"{path}.")
-
-
 def load_bench(name: str | Path) -> Document[Bench]:
     """Read a bench by path, or by the bare name of a packaged one (``practical``).
 
@@ -505,8 +282,8 @@ def load_bench(name: str | Path) -> Document[Bench]:
     """
     document = load_located(resolve(name, "benches"), Bench, follow_bench)
     bench = document.value
-    document.require((("mock", *path), text) for path, text in _hidden(bench.mock))
-    frames: Sequence[tuple[int, int]] = cia402_servo.FRAMES
+    document.require((("mock", *path), text) for path, text in hidden_problems(bench.mock))
+    frames: Sequence[tuple[int, int]] = cia402_objects.FRAMES
     if isinstance(bench.servo, DbcServoSection):
         frames = cycle_frames(
             wire(bench.servo, document.path, bench.simulated, document.problem), bench.cycle_s
@@ -518,18 +295,6 @@ def load_bench(name: str | Path) -> Document[Bench]:
             (("bus", "bitrate"), text) for text in bus_overload(frames, bench.bus, bench)
         )
     return in_force(document)
-
-
-def _hidden(machine: constants.Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
-    """Yield what is wrong with the physics that a simulated machine is to hide."""
-    if machine is None or not machine.effects:
-        return
-    found = False
-    for path, text in problems(machine.effects):
-        found = True
-        yield ("effects", *path), text
-    if not found and (light := too_light(machine)):
-        yield ("motor", "rotor_inertia_kg_m2"), light
 
 
 def in_force(document: Document[Bench]) -> Document[Bench]:

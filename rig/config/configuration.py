@@ -13,9 +13,9 @@ import typing
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from rig.common.errors import InputError
@@ -23,6 +23,8 @@ from rig.common.yaml_tree import DocumentError, Mark, Node, parse, read_text
 
 Loc = tuple[str | int, ...]
 M = TypeVar("M", bound=BaseModel)
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
 _ABSENT = object()
 _INDEX = re.compile(r"\[\d+\]")
 _Found = tuple[Mark, str, str, object]

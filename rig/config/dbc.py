@@ -29,9 +29,8 @@ from drivers.errors import ConfigurationError
 from drivers.interfaces import Identity, ServoLimits
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.common.errors import InputError
-from rig.config.configuration import Loc, Schema
+from rig.config.configuration import Loc, Positive, Schema
 
-_Positive = Annotated[float, Field(gt=0)]
 _Natural = Annotated[int, Field(ge=0)]
 Problem = Callable[[Loc, str], str]
 """Words a problem found after validation: :meth:`rig.config.configuration.Document.problem`."""
@@ -53,11 +52,11 @@ class HeldSection(Schema):
 
     angle_min_deg: float
     angle_max_deg: float
-    speed_deg_s: _Positive
-    torque_N_m: _Positive
-    current_A: _Positive
-    following_error_deg: _Positive | None
-    quick_stop_deceleration_deg_s2: _Positive
+    speed_deg_s: Positive
+    torque_N_m: Positive
+    current_A: Positive
+    following_error_deg: Positive | None
+    quick_stop_deceleration_deg_s2: Positive
 
 
 class DbcServoSection(Schema):
@@ -92,7 +91,7 @@ class DbcServoSection(Schema):
     revision: _Natural = 0
     serial_number: _Natural = 0
     offset_deg: float = 0.0
-    watchdog_ms: _Positive | None
+    watchdog_ms: Positive | None
     held: HeldSection
     inputs: Inputs
     status: Status

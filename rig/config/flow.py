@@ -11,12 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from rig.config.configuration import Schema
+from rig.config.configuration import NonNegative, Positive, Schema
 
 Array = NDArray[np.float64]
-
-_Positive = Annotated[float, Field(gt=0)]
-_NonNegative = Annotated[float, Field(ge=0)]
 
 
 class FlowStep(Schema):
@@ -27,8 +24,8 @@ class FlowStep(Schema):
         flow_kg_s: Mass flow that is asked for.
     """
 
-    at_s: _NonNegative
-    flow_kg_s: _Positive
+    at_s: NonNegative
+    flow_kg_s: Positive
 
 
 class FlowController(Schema):
@@ -47,12 +44,12 @@ class FlowController(Schema):
         speed_deg_s: Highest valve speed.
     """
 
-    gain_deg: _Positive = 8.0
-    integral_1_s: _NonNegative = 8.0
-    filter_Hz: _Positive = 10.0
+    gain_deg: Positive = 8.0
+    integral_1_s: NonNegative = 8.0
+    filter_Hz: Positive = 10.0
     angle_min_deg: float = 0.0
     angle_max_deg: float = 30.0
-    speed_deg_s: _Positive = 50.0
+    speed_deg_s: Positive = 50.0
 
     @model_validator(mode="after")
     def _range_is_open(self) -> Self:
@@ -74,7 +71,7 @@ class FlowSection(Schema):
     """
 
     steps: Annotated[tuple[FlowStep, ...], Field(min_length=1)]
-    ramp_s: _NonNegative = 0.2
+    ramp_s: NonNegative = 0.2
     controller: FlowController = FlowController()
 
     @model_validator(mode="after")

@@ -10,9 +10,7 @@ from drivers.canopen.cia404 import Cia404Transmitter
 from drivers.objects import ProcessChannel
 from identification.model.gas_generator import GasGenerator
 from identification.model.valve import ValveGeometry
-from rig.config.configuration import Schema
-
-_Positive = Annotated[float, Field(gt=0)]
+from rig.config.configuration import Positive, Schema
 
 
 class PressureSection(Schema):
@@ -30,8 +28,8 @@ class PressureSection(Schema):
 
     kind: Literal["cia404"] = "cia404"
     node: Annotated[int, Field(ge=1, le=127)] = 4
-    unit_Pa: _Positive = 100.0
-    range_MPa: _Positive
+    unit_Pa: Positive = 100.0
+    range_MPa: Positive
     eds: str | None = None
 
     def transmitter(self, channel: ProcessChannel) -> Cia404Transmitter:
@@ -59,17 +57,17 @@ class GasGeneratorSection(Schema):
         free_volume_m3: Volume of the chamber without the grain, at ignition.
     """
 
-    hole_diameter_m: _Positive
-    opening_diameter_m: _Positive
-    plate_width_m: _Positive
+    hole_diameter_m: Positive
+    opening_diameter_m: Positive
+    plate_width_m: Positive
     back_pressure_MPa: Annotated[float, Field(ge=0)]
-    propellant_density_kg_m3: _Positive
-    burning_rate_mm_s: _Positive
+    propellant_density_kg_m3: Positive
+    burning_rate_mm_s: Positive
     pressure_exponent: Annotated[float, Field(gt=0, lt=1)]
-    chamber_diameter_m: _Positive
-    characteristic_velocity_m_s: _Positive
+    chamber_diameter_m: Positive
+    characteristic_velocity_m_s: Positive
     heat_ratio: Annotated[float, Field(gt=1, lt=2)]
-    free_volume_m3: _Positive
+    free_volume_m3: Positive
 
     def valve(self, arm_m: float) -> ValveGeometry:
         """Return the valve; it swings on the moment arm L1."""

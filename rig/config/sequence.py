@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, field_validator, model_validator
 
-from rig.config.bench import NonNegative, Positive
-from rig.config.configuration import Document, Schema, load_located
+from rig.config.configuration import Document, NonNegative, Positive, Schema, load_located
 from rig.config.flow import FlowSection
 from rig.config.packaged import resolve
 

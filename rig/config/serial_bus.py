@@ -14,7 +14,7 @@ from drivers.amt21.line import DEFAULT_ADDRESS
 from drivers.can.timing import ANSWER_SHARE
 from drivers.epos import frames as epos_serial
 from drivers.epos import node as epos_serial_node
-from rig.config.configuration import Schema
+from rig.config.configuration import Positive, Schema
 
 MOCK: Final = "mock"
 UNWATCHED_SHARE: Final = 0.6
@@ -36,7 +36,6 @@ GUARDED: Final = (
     f"if the computer or the cable dies, {_ALONE}"
 )
 
-_Positive = Annotated[float, Field(gt=0)]
 _Baud = Annotated[int, Field(ge=9_600, le=12_000_000)]
 
 
@@ -79,8 +78,8 @@ class Amt21Section(Schema):
     address: Annotated[int, Field(ge=0, le=252, multiple_of=4)] = DEFAULT_ADDRESS
     sign: Literal[1, -1] = 1
     offset_deg: float = 0.0
-    gate_speed_deg_s: _Positive = 500.0
-    gate_acceleration_deg_s2: _Positive = 20_000.0
+    gate_speed_deg_s: Positive = 500.0
+    gate_acceleration_deg_s2: Positive = 20_000.0
 
 
 def overload(bus: SerialBus, cycle_s: float) -> Iterator[str]:

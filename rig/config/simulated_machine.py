@@ -1,4 +1,5 @@
-"""The ``mock`` section of a bench file: what it leaves out follows from the rest of the file.
+"""The ``mock`` section of a bench file: what it leaves out follows from the rest of the file, and
+what its numbers may be.
 
 A bench that is simulated in place of the real one is then the same machine: the same motor, gear,
 lever, encoders, supply and current limit. Friction and inertia, which nobody knows before they are
@@ -7,18 +8,46 @@ identified, are those of the paper, scaled by the limit on torque.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from drivers.amt21.encoder import COUNTS_PER_TURN
-from drivers.mock.plant.parts.constants import Joint, Loops, Motor, Sensing
+from drivers.mock.plant.effects.pack import problems, too_light
+from drivers.mock.plant.parts.constants import Joint, Loops, Machine, Motor, Sensing
 from rig.common.yaml_tree import Mark, Node
 
 _PAPER_TORQUE_N_M: Final = 75.0
 """Limit on torque of the bench whose friction the defaults are."""
 _FALLBACK: Final[Mapping[str, Any]] = {"canopen": 4096, "cia406": 262144, "amt21": COUNTS_PER_TURN}
+_ANY_SIGN: Final = frozenset({"temperature_C"})
+_SMALLEST: Final = 1e-12
+"""Of a constant of the simulated machine, in SI units; the largest is its inverse."""
+_LOOPS_HZ: Final = (100.0, 1e8)
+"""Of the simulated drive's loops; faster ones stand for a drive in continuous time."""
+_MAY_BE_ZERO: Final = frozenset(
+    {
+        "inductance_H",
+        "Mc_N_m",
+        "Ms_N_m",
+        "sigma_2_N_m_s_rad",
+        "mu_c",
+        "mu_s",
+        "mu_2_s_rad",
+        "velocity_integral_1_s",
+        "velocity_feedforward",
+        "current_integral_1_s",
+        "motor_counts_per_turn",
+        "joint_counts_per_turn",
+        "current_noise_A",
+        "rotor_inertia_kg_m2",
+        "warming_K",
+        "noise_Pa",
+        "back_pressure_Pa",
+    }
+)
 Section = dict[str, float]
 
 
@@ -166,3 +195,76 @@ def _under(given: Node, values: Mapping[str, Any], mark: Mark) -> Node:
         elif name not in children:
             children[name] = Node(value, mark, {})
     return Node(children, given.mark, given.keys)
+
+
+def may_be(name: str) -> str:
+    """Return what a number of the simulated machine may be: "> 0", "≥ 0", or anything (empty)."""
+    if name in _ANY_SIGN:
+        return ""
+    return "≥ 0" if name in _MAY_BE_ZERO else "> 0"
+
+
+def require_buildable(machine: Machine) -> None:
+    """Check the numbers of a simulated machine.
+
+    Raises:
+        ValueError: One is not finite, has the wrong sign, or lies where no machine is built; or the
+            gas generator cannot burn steadily.
+    """
+    for path, value in _leaves(machine):
+        name = path.rsplit(".", 1)[-1]
+        if name in _ANY_SIGN:
+            continue
+        if not math.isfinite(value) or value < 0 or (value == 0 and name not in _MAY_BE_ZERO):
+            bound = "zero or more" if name in _MAY_BE_ZERO else "more than zero"
+            raise ValueError(f"{path} is {value:g}; it must be finite and {bound}")
+        if value and not _SMALLEST <= value <= 1.0 / _SMALLEST:
+            raise ValueError(
+                f"{path} is {value:g}, outside of {_SMALLEST:g} to {1.0 / _SMALLEST:g}; no "
+                f"machine is built so, check exponent and unit"
+            )
+    if not _LOOPS_HZ[0] <= machine.loops.rate_Hz <= _LOOPS_HZ[1]:
+        raise ValueError(
+            f"loops.rate_Hz is {machine.loops.rate_Hz:g}; it must be {_LOOPS_HZ[0]:g} to "
+            f"{_LOOPS_HZ[1]:g} Hz"
+        )
+    generator = machine.gas
+    if not generator.pressure_exponent < 1.0:
+        raise ValueError(
+            f"gas.pressure_exponent is {generator.pressure_exponent:g}; from 1 on no pressure "
+            f"is steady: below 1"
+        )
+    if not generator.valve.hole_diameter_m < min(
+        generator.valve.plate_width_m, generator.valve.opening_diameter_m
+    ):
+        raise ValueError(
+            "gas.valve.hole_diameter_m must be below plate_width_m and opening_diameter_m"
+        )
+
+
+def _leaves(record: object, prefix: str = "") -> Iterator[tuple[str, float]]:
+    """Yield every number of nested dataclasses with its dotted path."""
+    if not dataclasses.is_dataclass(record):
+        return
+    for item in dataclasses.fields(record):
+        value = getattr(record, item.name)
+        path = f"{prefix}{item.name}"
+        if isinstance(value, int | float):
+            try:
+                yield path, float(value)
+            except OverflowError:
+                yield path, math.inf
+        else:
+            yield from _leaves(value, f"{path}.")
+
+
+def hidden_problems(machine: Machine | None) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield what is wrong with the physics that a simulated machine is to hide."""
+    if machine is None or not machine.effects:
+        return
+    found = False
+    for path, text in problems(machine.effects):
+        found = True
+        yield ("effects", *path), text
+    if not found and (light := too_light(machine)):
+        yield ("motor", "rotor_inertia_kg_m2"), light

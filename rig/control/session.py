@@ -24,6 +24,7 @@ from rig.config.sequence import Sequence
 from rig.config.serial_bus import GUARDED, NO_WATCHDOG
 from rig.control.cycle import Cycle, Progress
 from rig.control.operator import Operator
+from rig.control.phase_handlers import Console, StartingPoint
 from rig.control.sequencer import Outcome, Sequencer
 from rig.planning.feedforward import Feedforward
 from rig.planning.plan import Plan, stage_records
@@ -63,6 +64,8 @@ class Inputs:
         reference: An accepted identification of the bench, to check the weights by.
         reset_fault: Whether a fault that the drive is in may be cleared.
         feedforward: What the torque that the drive adds is computed from; None where it adds none.
+        resumed: ``run.json`` of a run that stopped, to go on with at its first unfinished stage;
+            None for a new run.
     """
 
     bench: Document[Bench]
@@ -73,6 +76,7 @@ class Inputs:
     reference: Reference | None = None
     reset_fault: bool = False
     feedforward: Feedforward | None = None
+    resumed: RunRecord | None = None
 
     def files(self) -> dict[str, bytes]:
         """Return the content of both files under the names of their attachments."""
@@ -126,7 +130,6 @@ def execute(
     stop: StopButton,
     progress: Progress,
     start_recording: Callable[[Path], Recorder] = open_recorder,
-    record: RunRecord | None = None,
 ) -> tuple[RunFolder, Outcome]:
     """Run a plan into an empty folder, or go on with a run.
 
@@ -141,7 +144,6 @@ def execute(
         stop: Looked at every cycle.
         progress: Told how it goes.
         start_recording: Creates the recording.
-        record: ``run.json`` of a run that stopped, to go on at its first unfinished stage.
 
     Raises:
         DeviceError: A device cannot even be identified; nothing was energised.
@@ -149,14 +151,11 @@ def execute(
     """
     wall = RealClock()
     began_ns = wall.now_ns()
-    record = record or new_record(inputs, plan)
+    record = inputs.resumed or new_record(inputs, plan)
     identities = describe_devices(devices)
     part = _begin_part(record, inputs, identities)
     if not devices.link.has_watchdog:
-        words = NO_WATCHDOG if devices.guard is None else GUARDED
-        operator.tell(words)
-        if words not in record.warnings:
-            record.warnings.append(words)
+        _warn_unwatched(record, devices, operator)
     folder = RunFolder(path, record)
     folder.save()
     if devices.guard is not None:
@@ -167,15 +166,11 @@ def execute(
         sequencer = Sequencer(
             plan,
             devices,
-            operator,
+            Console(operator, stop, progress),
             recorder,
             folder,
-            stop,
-            progress,
             Scale(inputs.reference),
-            start=first_unfinished(record) or 0,
-            segment=max((segment.index for segment in record.segments), default=0),
-            reset_fault=inputs.reset_fault,
+            _starting_point(record, inputs.reset_fault),
         )
         outcome = sequencer.run()
         _count(record, part, sequencer.cycle)
@@ -186,6 +181,23 @@ def execute(
         outcome = _save(folder, outcome)
     assert outcome is not None
     return folder, outcome
+
+
+def _warn_unwatched(record: RunRecord, devices: Devices, operator: Operator) -> None:
+    """Tell the operator that the drive has no watchdog, and note it in the record once."""
+    words = NO_WATCHDOG if devices.guard is None else GUARDED
+    operator.tell(words)
+    if words not in record.warnings:
+        record.warnings.append(words)
+
+
+def _starting_point(record: RunRecord, reset_fault: bool) -> StartingPoint:
+    """Return where a run begins: at its first unfinished stage, after the excitations it has."""
+    return StartingPoint(
+        stage=first_unfinished(record) or 0,
+        segment=max((segment.index for segment in record.segments), default=0),
+        reset_fault=reset_fault,
+    )
 
 
 def _start_recording(

@@ -11,14 +11,15 @@ from pathlib import Path
 
 import numpy as np
 
-from drivers.canopen.cia402_servo import FRAMES_WITH_OFFSET
+from drivers.canopen.cia402_objects import FRAMES_WITH_OFFSET
 from identification.model import compensation, feedback
 from identification.model.parameters import STRIBECK_TERMS
 from identification.recording import Bench as BenchConstants
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
 from rig.common.sample import Sample
-from rig.config.bench import Bench, Bus, bus_overload
+from rig.config.bench import Bench, bus_overload
+from rig.config.canopen import Bus
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection
 from rig.config.sequence import Array

@@ -277,6 +277,30 @@ def _objections(
             f"{bench.limits.contact_force_N:g} N; use less weight",
             section.weight_kg,
         )
+    yield from _motion_objections(section, stage, limits)
+    if (
+        stage.offsets is not None
+        and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque
+    ):
+        text = (
+            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m "
+            f"{limits.torque:g} N m; use less weight"
+        )
+        yield ("weight_kg",), text, section.weight_kg
+    fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
+    for index, tone in enumerate(section.tones):
+        if tone.frequency_Hz > fastest:
+            text = (
+                f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it "
+                f"or raise cycle_Hz"
+            )
+            yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
+
+
+def _motion_objections(
+    section: StageSection, stage: PlannedStage, limits: Limits
+) -> Iterator[_Objection]:
+    """Yield what leaves the range of angles, or is faster than the limit on speed."""
     way: tuple[str, ...]
     pace: tuple[str, ...]
     way, pace, slower = (
@@ -305,23 +329,6 @@ def _objections(
             f"{math.degrees(limits.speed):.4g} deg/s; {slower}",
             math.degrees(stage.peak_speed_rad_s),
         )
-    if (
-        stage.offsets is not None
-        and (peak := float(np.max(np.abs(stage.offsets.torque)))) > limits.torque
-    ):
-        text = (
-            f"feed-forward asks for {peak:.4g} N m, above the limit torque_N_m "
-            f"{limits.torque:g} N m; use less weight"
-        )
-        yield ("weight_kg",), text, section.weight_kg
-    fastest = bench.cycle_Hz / SAMPLES_PER_PERIOD
-    for index, tone in enumerate(section.tones):
-        if tone.frequency_Hz > fastest:
-            text = (
-                f"above {fastest:g} Hz, {SAMPLES_PER_PERIOD} control cycles a period; lower it "
-                f"or raise cycle_Hz"
-            )
-            yield ("tones", index, "frequency_Hz"), text, tone.frequency_Hz
 
 
 def _tighten(sequence: Document[Sequence], bench: Bench) -> tuple[dict[str, float], list[str]]:

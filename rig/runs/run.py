@@ -268,15 +268,8 @@ def _recording(
     if not fresh.all():
         for name in samples:
             samples[name] = samples[name][fresh]
-    time, device_time = samples.pop("time"), samples.pop("device_time")
     encoder_time = samples.pop("encoder_time")
-    notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
-    # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
-    if device_time.size > 1 and np.all(np.diff(device_time) > 0):
-        device_time += time[0] - device_time[0]
-        time = device_time
-    else:
-        notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
+    time, notes = _times(samples, encoder_time)
     if partial:
         seconds = f"{time[-1] - time[0]:.4g} s"
         notes.insert(
@@ -307,3 +300,18 @@ def _recording(
         notes=tuple(notes),
         partial=partial,
     )
+
+
+def _times(samples: dict[str, Array], encoder_time: Array) -> tuple[Array, list[str]]:
+    """Return the times of the samples, s, and notes on the clocks; takes the clocks out of
+    ``samples``.
+    """
+    time, device_time = samples.pop("time"), samples.pop("device_time")
+    notes = clocks.describe(time, samples.pop("host_time"), device_time, encoder_time)
+    # The drive stamps its own latch; the host's time carries the jitter of its scheduler.
+    if device_time.size > 1 and np.all(np.diff(device_time) > 0):
+        device_time += time[0] - device_time[0]
+        time = device_time
+    else:
+        notes.insert(0, "the drive's time stamps do not increase; the host's times are used")
+    return time, notes

@@ -10,7 +10,8 @@ import numpy as np
 from identification.recording import Array, Bench, Recording
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
-from rig.config.campaign import ANGLE_TIME, Campaign, ChannelSection, RecordingSection
+from rig.config.campaign import Campaign
+from rig.config.campaign_sections import ANGLE_TIME, ChannelSection, RecordingSection
 from rig.config.configuration import Document, Loc, nearest
 from rig.runs.alignment import aligned
 from rig.sources.formats import open_table

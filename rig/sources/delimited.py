@@ -19,7 +19,7 @@ import numpy as np
 from drivers.plain_file import require_plain
 from identification.recording import Array
 from rig.common.errors import InputError
-from rig.config.campaign import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.table import Table, damaged
 
 _DELIMITERS = (";", "\t", "|", ",")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from rig.config.campaign import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.arrays import MatTable, NpzTable
 from rig.sources.delimited import DelimitedTable
 from rig.sources.logs import McapTable

@@ -13,7 +13,8 @@ from identification.recording import Dataset, Recording
 from rig.common.errors import InputError
 from rig.common.input_files import is_file, is_folder
 from rig.common.text import stored_path
-from rig.config.campaign import Campaign, RecordingSection, load_campaign
+from rig.config.campaign import Campaign, load_campaign
+from rig.config.campaign_sections import RecordingSection
 from rig.config.configuration import Document, Loc
 from rig.sources.build import build
 from rig.sources.formats import FORMATS

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -26,7 +27,8 @@ from drivers.mock.drive import Rating
 from drivers.units import EncoderScales, ServoScales
 from rig.common.errors import InputError
 from rig.common.locks import hold_bench
-from rig.config.bench import Bench, Bus, EncoderSection, ServoSection
+from rig.config.bench import Bench
+from rig.config.canopen import Bus, EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, dbc_path, wire
 from rig.config.serial_bus import Amt21Section, SerialBus
@@ -88,18 +90,75 @@ def connect(
     bench = document.value
     if bench.bus is None:
         raise InputError(document.problem(("bus",), NO_BUS))
+    wired = _wire(document, bench.bus, seed, attach, torque_offset)
+    link, guard = wired.link, wired.guard
+    with hold_bench(bench.name, resources(bench), purpose) as lock:
+        if guard is not None:
+            guard.keep(lock.descriptors)
+        link.open()
+        try:
+            pacer = RealClock() if realtime and bench.simulated else None
+            yield Devices(
+                link,
+                wired.servo,
+                wired.encoder,
+                wired.hang,
+                pacer,
+                guard=guard,
+                pressure=wired.pressure,
+                ignite=wired.ignite,
+                lock=lock,
+            )
+        finally:
+            link.close()
+            if guard is not None:
+                guard.close()
+
+
+@dataclass(frozen=True)
+class _Wired:
+    """Devices on a link that is not open yet.
+
+    Attributes:
+        link: The link.
+        servo: The drive.
+        encoder: The joint encoder.
+        pressure: The pressure transmitter, where there is one.
+        hang: Hangs a weight on a simulated lever.
+        ignite: Lights a simulated gas generator.
+        guard: Stops a real drive that has no watchdog of its own.
+    """
+
+    link: Link
+    servo: Servo
+    encoder: Encoder
+    pressure: PressureTransmitter | None
+    hang: Hang | None
+    ignite: Callable[[], None] | None
+    guard: Guard | None
+
+
+def _wire(
+    document: Document[Bench],
+    bus: Bus | SerialBus,
+    seed: int,
+    attach: Attach | None,
+    torque_offset: bool,
+) -> _Wired:
+    """Choose the drivers of a bench and put them on their link, which stays closed."""
+    bench = document.value
     twin: SimulatedBench | None = None
     hang: Hang | None
     link: Link
     servo: Servo
     guard: Guard | None = None
-    if isinstance(bench.bus, SerialBus):
-        link, servo, twin, guard = _epos(document, bench.bus, seed, attach)
+    if isinstance(bus, SerialBus):
+        link, servo, twin, guard = _epos(document, bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
     elif isinstance(bench.servo, DbcServoSection):
-        link, servo, hang = _dbc_servo(document, bench.servo, bench.bus, seed, attach)
+        link, servo, hang = _dbc_servo(document, bench.servo, bus, seed, attach)
     else:
-        link, twin = _link(bench, bench.servo, bench.bus, seed, attach)
+        link, twin = _link(bench, bench.servo, bus, seed, attach)
         hang = None if twin is None else twin.machine.hang
         drive = link.add_node(bench.servo.node, eds_path(document, "servo"))
         scales = servo_scales(bench.servo, bench.machine.gear_ratio)
@@ -117,27 +176,7 @@ def connect(
         node = link.add_node(bench.encoder.node, eds_path(document, "encoder"))
         encoder = Cia406Encoder(node, encoder_scales(bench.encoder))
     ignite = None if twin is None or pressure is None else twin.machine.ignite
-    with hold_bench(bench.name, resources(bench), purpose) as lock:
-        if guard is not None:
-            guard.keep(lock.descriptors)
-        link.open()
-        try:
-            pacer = RealClock() if realtime and bench.simulated else None
-            yield Devices(
-                link,
-                servo,
-                encoder,
-                hang,
-                pacer,
-                guard=guard,
-                pressure=pressure,
-                ignite=ignite,
-                lock=lock,
-            )
-        finally:
-            link.close()
-            if guard is not None:
-                guard.close()
+    return _Wired(link, servo, encoder, pressure, hang, ignite, guard)
 
 
 def _epos(

@@ -16,7 +16,8 @@ from drivers.interfaces import Link
 from drivers.objects import ProcessChannel
 from rig.common.errors import InputError
 from rig.common.findings import Cause, Finding
-from rig.config.bench import Bench, EncoderSection, ServoSection
+from rig.config.bench import Bench
+from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.dbc import DbcServoSection, wire
 from rig.config.serial_bus import SerialBus

@@ -9,7 +9,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from rig.common.findings import Cause, Finding
-from rig.config.bench import Bench, Constants, ServoSection
+from rig.config.bench import Bench, Constants
+from rig.config.canopen import ServoSection
 from rig.config.configuration import Document, Loc
 
 

@@ -6,7 +6,8 @@ import os
 from typing import Final
 
 from rig.common.locks import Resource
-from rig.config.bench import Bench, Bus
+from rig.config.bench import Bench
+from rig.config.canopen import Bus
 from rig.config.serial_bus import Amt21Section, SerialBus
 
 _IN_PROCESS: Final = "virtual"

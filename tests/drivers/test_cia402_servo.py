@@ -10,7 +10,8 @@ from typing import Any
 
 import pytest
 
-from drivers.canopen.cia402_servo import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET, Cia402Servo
+from drivers.canopen.cia402_objects import FRAMES, FRAMES_WITH_OFFSET, TORQUE_OFFSET
+from drivers.canopen.cia402_servo import Cia402Servo
 from drivers.clock import NS, SimulatedClock
 from drivers.errors import ConfigurationError, DriveFault, LinkError, ObjectAccessError, StateError
 from drivers.interfaces import Identity, ServoLimits, ServoSample, ServoState

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from contextlib import suppress
 from pathlib import Path
 
@@ -128,3 +129,21 @@ def test_a_serial_line_needs_no_process_data_and_no_time_stamp(tmp_path: Path) -
     node = missing.add_node(1, without(tmp_path, DRIVE_EDS, "6079"))
     (error,) = Cia402Servo(node, missing, SCALES).description_refusals()
     assert "object 6079h" in str(error)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "latin-1"])
+def test_a_maker_s_encoding_does_no_harm_in_any_locale(
+    tmp_path: Path, encoding: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As in a C locale: what is opened without an encoding of its own is ASCII.
+    monkeypatch.setattr("locale.getpreferredencoding", lambda *_: "ascii")
+    monkeypatch.setattr("locale.getencoding", lambda: "ascii")
+    eds = tmp_path / "own.eds"
+    eds.write_text(f"; Motor für 25 °C\n{TEXT}", encoding=encoding)
+    assert 0x6041 in read_eds(eds, 1)
+
+
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "own.eds")
+    with pytest.raises(ConfigurationError, match="it is a pipe or a device"):
+        read_eds(tmp_path / "own.eds", 1)

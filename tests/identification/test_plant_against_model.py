@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from drivers.mock.plant.gas_direct import burn, throat_area
-from drivers.mock.plant.machine import friction_vector
+from drivers.mock.plant.machine_pack import friction_vector
 from drivers.mock.plant.parts.constants import Joint, Machine
 from drivers.mock.plant.parts.friction import friction
 from identification.model import gas_kernel as kernel

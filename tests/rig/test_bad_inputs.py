@@ -21,6 +21,7 @@ import pytest
 from drivers.mock.dbc_drive import DRIVE_DBC
 from rig.cli.entry import BAD_INPUT, BAD_VERDICT, DEVICE_FAILED, DONE, status
 from rig.config.packaged import resolve
+from rig.wiring.connect import DRIVE_EDS
 
 from .ordinary import ordinary_user
 
@@ -350,6 +351,28 @@ def test_a_dbc_file_that_cannot_be_used(
     shown = capsys.readouterr().err
     assert_in_words(shown, place)
     assert code == BAD_INPUT, shown
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+@pytest.mark.parametrize("command", ["run --bench", "jog", "check"])
+def test_an_eds_file_that_cannot_be_used(
+    place: Path,
+    capsys: pytest.CaptureFixture[str],
+    command: str,
+    kind: Callable[[Path, bytes], None],
+) -> None:
+    kind(place / "bad.eds", DRIVE_EDS.read_bytes())
+    bench = (place / "bench.yaml").read_text(encoding="utf-8")
+    assert "\nservo: {" in bench
+    (place / "eds.yaml").write_text(
+        bench.replace("\nservo: {", "\nservo: {eds: bad.eds, "), encoding="utf-8"
+    )
+    code = call(COMMANDS[command][1]("eds.yaml"))
+    shown = capsys.readouterr()
+    assert_in_words(shown.err, place)
+    if kind is not latin_1:
+        assert code == BAD_INPUT, shown.err
+        assert "bad.eds" in shown.out + shown.err
 
 
 NUMBERS = ("1e999", "9" * 400, ".nan", "-.inf", "-1e300", "1e300", "1e-300", "0", '"x"', "null")

@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 
 from rig.common.locks import Resource
-from rig.config.bench import Bench, Bus, EncoderSection, load_bench
+from rig.config.bench import Bench, load_bench
+from rig.config.canopen import Bus, EncoderSection
 from rig.config.serial_bus import Amt21Section, SerialBus
 from rig.wiring.resources import resources
 

@@ -17,7 +17,7 @@ from mcap.writer import Writer
 
 from rig.common.errors import InputError
 from rig.common.provenance import sha256_file
-from rig.config.campaign import ReadSection
+from rig.config.campaign_sections import ReadSection
 from rig.sources.arrays import MatTable, NpzTable
 from rig.sources.delimited import DelimitedTable
 from rig.sources.formats import open_table

@@ -44,12 +44,7 @@ def simulate(
         ValueError: The rates do not divide.
     """
     plant = SimulatedMachine(machine, rng or np.random.default_rng(0))
-    if burning:
-        plant.ignite()
-    elif contact_force_N is None:
-        plant.hang(weight_kg)
-    else:
-        plant.press(contact_force_N)
+    _load(plant, weight_kg, contact_force_N, burning)
     loops_per_sample = round(machine.loops.rate_Hz / rate_Hz)
     if abs(loops_per_sample * rate_Hz - machine.loops.rate_Hz) > 1e-9 * rate_Hz:
         raise ValueError(
@@ -64,14 +59,9 @@ def simulate(
     for k in range(1, n):
         plant.follow(path[(k - 1) * loops_per_sample : k * loops_per_sample])
         state, reading = plant.truth(), plant.latch()
-        motion = (
-            state.angle_rad,
-            state.velocity_rad_s,
-            state.current_A,
-            reading.current_A,
-            reading.voltage_V,
-        )
-        out[:, k] = *motion, state.pressure_Pa, state.contact_force_N
+        out[:3, k] = state.angle_rad, state.velocity_rad_s, state.current_A
+        out[3:5, k] = reading.current_A, reading.voltage_V
+        out[5:, k] = state.pressure_Pa, state.contact_force_N
     return {
         "time": time,
         "command": command(time),
@@ -83,3 +73,15 @@ def simulate(
         "pressure": out[5],
         "contact_force": out[6],
     }
+
+
+def _load(
+    plant: SimulatedMachine, weight_kg: float, contact_force_N: float | None, burning: bool
+) -> None:
+    """Press on the valve: with a burning gas generator, else a contact force, else a weight."""
+    if burning:
+        plant.ignite()
+    elif contact_force_N is None:
+        plant.hang(weight_kg)
+    else:
+        plant.press(contact_force_N)

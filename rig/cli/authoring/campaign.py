@@ -16,13 +16,8 @@ from rig.cli.authoring.questions import Answers, Number, Numbers, Question, ask_
 from rig.cli.authoring.yaml_text import Block, render
 from rig.common.errors import InputError
 from rig.config.bench import Constants
-from rig.config.campaign import (
-    BenchSection,
-    Campaign,
-    ChannelSection,
-    ReadSection,
-    RecordingSection,
-)
+from rig.config.campaign import Campaign
+from rig.config.campaign_sections import BenchSection, ChannelSection, ReadSection, RecordingSection
 from rig.sources.formats import FORMATS, open_table
 from rig.sources.table import format_of
 from rig.terminal.prompt import Asker

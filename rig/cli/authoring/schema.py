@@ -20,11 +20,13 @@ from drivers.mock.plant.effects.pack import GAS_KNOWN, KNOWN
 from drivers.mock.plant.parts.constants import Machine
 from identification.model.ladder import LADDER
 from identification.recording import CHANNELS
-from rig.config.bench import Bench, may_be
-from rig.config.campaign import ANGLE_TIME, FITTED_TERMS, PARAMETERS, Campaign
+from rig.config.bench import Bench
+from rig.config.campaign import Campaign
+from rig.config.campaign_sections import ANGLE_TIME, FITTED_TERMS, PARAMETERS
 from rig.config.descriptions import Meaning, meanings, summary
 from rig.config.faults import COUNTED_FRAMES, FAULTS, FaultSchedule
 from rig.config.sequence import Sequence
+from rig.config.simulated_machine import may_be
 
 Tree = dict[str, Any]
 _LINK: Final = re.compile(r"\s*\[[^\]]+\]\([^)]+\.md\)\.?")

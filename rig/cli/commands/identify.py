@@ -4,8 +4,9 @@ report.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import click
 
@@ -114,24 +115,7 @@ _METHODS: dict[str, tuple[str, ...]] = {
     type=click.Path(path_type=Path, dir_okay=False),
     help="Result file.",
 )
-def command(
-    source: Path | None,
-    method: Literal["default", "paper", "both"],
-    compared: bool,
-    profile: bool,
-    draws: int | None,
-    sequence: str | None,
-    bench: str,
-    nominal: Path | None,
-    current_noise: float | None,
-    bandwidth: float | None,
-    partial: bool,
-    ladder: bool,
-    score: Path | None,
-    seed: int,
-    out: Path | None,
-    json_file: Path | None,
-) -> None:
+def command(**options: Any) -> None:
     """Identify inertia, system load and working load from SOURCE, a run folder or a campaign file.
 
     With --plan, before anything is recorded: say what a sequence can pin, and propose a better one
@@ -148,6 +132,61 @@ def command(
       rig identify monday.yaml --score friday.yaml
       rig identify runs/stopped --partial
     """
+    _identify(_Options(**options))
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Argument and options of the command, as click names and converts them."""
+
+    source: Path | None
+    method: Literal["default", "paper", "both"]
+    compared: bool
+    profile: bool
+    draws: int | None
+    sequence: str | None
+    bench: str
+    nominal: Path | None
+    current_noise: float | None
+    bandwidth: float | None
+    partial: bool
+    ladder: bool
+    score: Path | None
+    seed: int
+    out: Path | None
+    json_file: Path | None
+
+
+def _identify(options: _Options) -> None:
+    """Identify SOURCE, or plan with ``--plan``.
+
+    Raises:
+        click.UsageError: The options contradict one another.
+    """
+    if (options.source is None) is (options.sequence is None):
+        raise click.UsageError(
+            "give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be"
+        )
+    if options.sequence is not None:
+        _plan(options, options.sequence)
+        return
+    assert options.source is not None
+    if options.compared and options.method == "paper":
+        raise click.UsageError(
+            "--compare sets the others beside the default method; leave out --method paper"
+        )
+    if options.method == "paper" and (
+        options.ladder or options.score or options.profile or options.draws
+    ):
+        raise click.UsageError(
+            "--ladder, --score, --profile and --bootstrap are of the default method; leave "
+            "--method paper out"
+        )
+    _identify_source(options, options.source)
+
+
+def _identify_source(options: _Options, source: Path) -> None:
+    """Identify a run or a campaign, write the report and print the tables."""
     # Imported late: --help must not wait for the numerics.
     from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
@@ -156,57 +195,33 @@ def command(
     from rig.runs.truth import truth_of
     from rig.terminal.bar import ShareBar
 
-    if (source is None) is (sequence is None):
-        raise click.UsageError(
-            "give either SOURCE, what was recorded, or --plan SEQUENCE, what is to be"
-        )
-    if sequence is not None:
-        _plan(sequence, bench, nominal, current_noise, seed, out, json_file)
-        return
-    assert source is not None
-    if compared and method == "paper":
-        raise click.UsageError(
-            "--compare sets the others beside the default method; leave out --method paper"
-        )
-    if method == "paper" and (ladder or score or profile or draws):
-        raise click.UsageError(
-            "--ladder, --score, --profile and --bootstrap are of the default method; leave "
-            "--method paper out"
-        )
-    folder = out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
+    folder = options.out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
-    require_file(json_file, "--json")
+    require_file(options.json_file, "--json")
     with ShareBar() as bar:
         outcome = identify_source(
             source,
-            _METHODS[method],
-            bandwidth,
-            seed,
+            _METHODS[options.method],
+            options.bandwidth,
+            options.seed,
             bar,
-            ladder=ladder,
-            score=score,
-            profile=profile,
-            draws=draws or 0,
-            take_partial=partial,
+            ladder=options.ladder,
+            score=options.score,
+            profile=options.profile,
+            draws=options.draws or 0,
+            take_partial=options.partial,
         )
         truth = truth_of(source)
-        if compared:
+        if options.compared:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
-        report = write(folder, source_name(source), outcome, truth, json_file)
+        report = write(folder, source_name(source), outcome, truth, options.json_file)
     click.echo(text(outcome, truth))
     click.echo(f"report: {report}")
 
 
-def _plan(
-    sequence: str,
-    bench: str,
-    nominal: Path | None,
-    current_noise: float | None,
-    seed: int,
-    out: Path | None,
-    json_file: Path | None,
-) -> None:
+def _plan(options: _Options, sequence: str) -> None:
+    """Say what a sequence would pin, and write one that would pin more."""
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
@@ -214,12 +229,14 @@ def _plan(
     from rig.results.design.output import text, write
     from rig.terminal.bar import ShareBar
 
-    folder = out or Path(f"{Path(sequence).stem}-planned")
+    folder = options.out or Path(f"{Path(sequence).stem}-planned")
     require_folder(folder, "--out")
-    require_file(json_file, "--json")
-    bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
+    require_file(options.json_file, "--json")
+    bench_file, sequence_file = load_bench(options.bench), load_sequence(sequence)
     with ShareBar() as bar:
-        experiment = plan_experiment(sequence_file, bench_file, nominal, current_noise, seed, bar)
-    proposal = write(folder, experiment, bench_file.value.name, json_file)
+        experiment = plan_experiment(
+            sequence_file, bench_file, options.nominal, options.current_noise, options.seed, bar
+        )
+    proposal = write(folder, experiment, bench_file.value.name, options.json_file)
     click.echo(text(experiment))
     click.echo(f"proposal: {proposal}")

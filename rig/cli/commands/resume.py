@@ -18,7 +18,7 @@ from rig.control.operator import AutomaticOperator, ConsoleOperator
 from rig.control.progress import RunProgress
 from rig.control.session import Inputs, execute
 from rig.planning.feedforward import load_feedforward
-from rig.planning.plan import make_plan
+from rig.planning.plan import Plan, make_plan
 from rig.planning.reference import load_reference
 from rig.runs.recorded_inputs import recorded_input
 from rig.runs.resume import prepare, stopped_words
@@ -113,16 +113,27 @@ def command(
         reference,
         reset,
         feedforward,
+        record,
     )
     low = True if first_pass is None and identification else first_pass
     plan = make_plan(resumed.sequence, resumed.bench, low, feedforward)
-    bench = resumed.bench
+    require_attendance(plan, resumed.bench, yes, at_terminal())
+    return _carry_out(inputs, plan, run, yes, json_file)
+
+
+def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path | None) -> int:
+    """Connect, go on in the run's folder, and say what came of it; return the status."""
+    bench = inputs.bench
     screen = Screen()
-    require_attendance(plan, bench, yes, at_terminal())
     with closing(screen), StopButton(screen.say) as stop:
-        offset = feedforward is not None
+        offset = inputs.feedforward is not None
         with connected(
-            stop, bench, seed, record.realtime, torque_offset=offset, purpose="rig resume"
+            stop,
+            bench,
+            inputs.seed,
+            inputs.realtime,
+            torque_offset=offset,
+            purpose="rig resume",
         ) as devices:
             say_taken_over(devices.lock, screen)
             patience_s, tolerance = bench.value.prompt_timeout_s, bench.value.weight_tolerance
@@ -132,7 +143,5 @@ def command(
                 else ConsoleOperator(screen, patience_s=patience_s, tolerance=tolerance)
             )
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
-                folder, outcome = execute(
-                    inputs, plan, devices, run, operator, stop, progress, record=record
-                )
-        return conclude(folder, outcome, reference, json_file, screen)
+                folder, outcome = execute(inputs, plan, devices, run, operator, stop, progress)
+        return conclude(folder, outcome, inputs.reference, json_file, screen)

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,8 +23,8 @@ from rig.control.attendance import connected, require_attendance
 from rig.control.operator import AutomaticOperator, ConsoleOperator
 from rig.control.progress import RunProgress
 from rig.control.session import Inputs, execute
+from rig.fault_injection.inject import Saboteur, sabotage
 from rig.fault_injection.inject import describe as describe_findings
-from rig.fault_injection.inject import sabotage
 from rig.planning.feedforward import load_feedforward
 from rig.planning.friction_model import FrictionModel, friction_model, of_another_bench
 from rig.planning.plan import Plan, make_plan
@@ -116,23 +118,7 @@ from rig.wiring.preflight import require_startable
     type=click.Path(path_type=Path),
     help="Also write run.json to this file, or what --dry-run finds.",
 )
-def command(
-    sequence: str,
-    bench: str,
-    out: Path | None,
-    yes: bool,
-    realtime: bool,
-    dry_run: bool,
-    seed: int,
-    fault_file: Path | None,
-    operator_name: str | None,
-    identification: Path | None,
-    feedforward_file: Path | None,
-    first_pass: bool | None,
-    reset_fault: bool,
-    prompt_timeout_s: float | None,
-    json_file: Path | None,
-) -> int:
+def command(**options: Any) -> int:
     """Run SEQUENCE, a file or the name of a packaged one, and record it.
 
     Before each stage the drive is de-energised and the weight is asked for; `repeat` and `abort`
@@ -150,71 +136,109 @@ def command(
       rig run figure10 --yes --out runs/demo
       rig run slow_ramp --yes --feedforward runs/demo/identify.json --out runs/compensated
     """
-    require_file(json_file, "--json")
-    bench_file, sequence_file = load_bench(bench), load_sequence(sequence)
-    click.echo(bench_line(bench_file))
-    constants = bench_constants(bench_file.value)
+    return _run(_Options(**options))
+
+
+@dataclass(frozen=True)
+class _Options:
+    """Argument and options of the command, as click names and converts them."""
+
+    sequence: str
+    bench: str
+    out: Path | None
+    yes: bool
+    realtime: bool
+    dry_run: bool
+    seed: int
+    fault_file: Path | None
+    operator_name: str | None
+    identification: Path | None
+    feedforward_file: Path | None
+    first_pass: bool | None
+    reset_fault: bool
+    prompt_timeout_s: float | None
+    json_file: Path | None
+
+    def patience_s(self, bench: Bench) -> float | None:
+        """Return how long an answer of the operator is waited for; None is for ever."""
+        return self.prompt_timeout_s or bench.prompt_timeout_s
+
+
+def _run(options: _Options) -> int:
+    """Check everything that can be checked before anything moves, then run; return the status."""
+    require_file(options.json_file, "--json")
+    bench, sequence = load_bench(options.bench), load_sequence(options.sequence)
+    click.echo(bench_line(bench))
+    constants = bench_constants(bench.value)
+    identification, feedforward_file = options.identification, options.feedforward_file
     feedforward = (
         None if feedforward_file is None else load_feedforward(feedforward_file, constants)
     )
-    low = True if first_pass is None and identification else first_pass
-    plan = make_plan(sequence_file, bench_file, low, feedforward)
+    low = True if options.first_pass is None and identification else options.first_pass
+    plan = make_plan(sequence, bench, low, feedforward)
     if feedforward is not None and feedforward.remark:
         click.echo(feedforward.remark, err=True)
-    path = out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
+    path = options.out or Path("runs") / f"{utc_now():%Y%m%dT%H%M%SZ}-{plan.name}"
     require_folder(path, "--out")
     # Of a folder that another program works in, its lock says more than what lies there.
     if not (path / OWNER_FILE).exists():
         require_unused(path)
     reference = None if identification is None else load_reference(identification, constants)
     inputs = Inputs(
-        bench_file,
-        sequence_file,
-        seed,
-        realtime,
-        operator_name,
+        bench,
+        sequence,
+        options.seed,
+        options.realtime,
+        options.operator_name,
         reference,
-        reset_fault,
+        options.reset_fault,
         feedforward,
     )
-    patience_s = prompt_timeout_s or bench_file.value.prompt_timeout_s
     saboteur = (
-        None if fault_file is None else sabotage(fault_file, bench_file, sequence_file, patience_s)
+        None
+        if options.fault_file is None
+        else sabotage(options.fault_file, bench, sequence, options.patience_s(bench.value))
     )
-    require_startable(bench_file, utc_now().date(), lambda words: click.echo(words, err=True))
-    require_attendance(plan, bench_file, yes, dry_run or at_terminal())
+    require_startable(bench, utc_now().date(), lambda words: click.echo(words, err=True))
+    require_attendance(plan, bench, options.yes, options.dry_run or at_terminal())
     for words in (
         of_another_bench(file, constants) for file in (identification, feedforward_file) if file
     ):
         if words is not None:
             click.echo(f"warning: {words}", err=True)
-    if dry_run:
-        return _dry_run(
-            bench_file,
-            plan,
-            friction_model(constants, identification or feedforward_file),
-            yes,
-            json_file,
-        )
+    if options.dry_run:
+        model = friction_model(constants, identification or feedforward_file)
+        return _dry_run(bench, plan, model, options.yes, options.json_file)
+    return _carry_out(options, inputs, plan, path, saboteur)
+
+
+def _carry_out(
+    options: _Options, inputs: Inputs, plan: Plan, path: Path, saboteur: Saboteur | None
+) -> int:
+    """Connect, run into a new folder, and say what came of it; return the status."""
+    bench = inputs.bench
     screen = Screen()
     with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
         attach = None if saboteur is None else saboteur.attach
+        offset = inputs.feedforward is not None
         with connected(
-            stop, bench_file, seed, realtime, attach, feedforward is not None, "rig run"
+            stop, bench, options.seed, options.realtime, attach, offset, "rig run"
         ) as devices:
             say_taken_over(devices.lock, screen)
             until_the_end(create_folder(path, "rig run"))
             operator = (
                 AutomaticOperator(screen=screen)
-                if yes
+                if options.yes
                 else ConsoleOperator(
-                    screen, patience_s=patience_s, tolerance=bench_file.value.weight_tolerance
+                    screen,
+                    patience_s=options.patience_s(bench.value),
+                    tolerance=bench.value.weight_tolerance,
                 )
             )
             carry_out = execute if saboteur is None else saboteur.execute
             with RunProgress(plan.cycle_s, plan.duration_s, screen) as progress:
                 folder, outcome = carry_out(inputs, plan, devices, path, operator, stop, progress)
-        status = conclude(folder, outcome, reference, json_file, screen)
+        status = conclude(folder, outcome, inputs.reference, options.json_file, screen)
     if saboteur is not None:
         click.echo(describe_findings(saboteur.conclude(STATUS[outcome.ending], outcome.message)))
     return status

@@ -18,7 +18,8 @@ from identification.design.excitation import Bounds, Excitation, Frame, Part
 from identification.design.propose import Proposal, propose
 from identification.design.simulated import Nominal, Sensors
 from identification.simulate.drive_loop import drive_loop
-from rig.config.bench import Bench, EncoderSection, ServoSection
+from rig.config.bench import Bench
+from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.sequence import Array, Ramp, Sequence, StageSection, Tone, excitation
 from rig.planning.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan

@@ -1,0 +1,214 @@
+"""The objects of an EPOS4 on a serial line, one at a time, by ReadObject and WriteObject."""
+
+from __future__ import annotations
+
+import struct
+from typing import Final, Protocol
+
+from canopen.objectdictionary import ObjectDictionary
+from canopen.sdo.exceptions import SdoAbortedError
+
+from drivers.canopen.pdo import packing
+from drivers.canopen.sdo import variable
+from drivers.clock import Clock
+from drivers.epos.frames import ERROR, LAST, OBJECT, SEGMENT_BYTES, TOGGLE, TOTAL, Opcode, segment
+from drivers.errors import ConfigurationError, LinkError, ObjectAccessError
+from drivers.objects import PdoLayout
+
+IDENTITY: Final = 0x1018
+VALUE_BYTES: Final = 4
+_REASONS: Final = {
+    0x0F00FFB9: "wrong node identifier",
+    0x0F00FFBC: "the drive is not in service mode",
+    0x0F00FFBE: "password wrong",
+    0x0F00FFBF: "the drive does not know this command",
+    0x0F00FFC0: "the drive is in a wrong NMT state",
+}
+
+
+class Guard(Protocol):
+    """Whoever takes the power off when this program dies or hangs; the drive has no such watch of
+    its own.
+    """
+
+    def arm(self, limit_s: float) -> None:
+        """Stand by from now on; act where nobody feeds for this long, s.
+
+        Raises:
+            LinkError: Nobody does.
+        """
+        ...
+
+    def feed(self) -> None:
+        """Show that the control loop is alive; called before every request.
+
+        Cheap, and nothing unless armed.
+
+        Raises:
+            LinkError: It has taken over, or is gone: the line must not be used.
+        """
+        ...
+
+    def release(self) -> None:
+        """Stand down: the drive is verified off."""
+        ...
+
+
+class Line(Protocol):
+    """What a node needs of its link."""
+
+    cycle: int
+    clock: Clock
+    guard: Guard | None
+
+    def request(
+        self, opcode: Opcode, data: bytes, what: str, repeat: bool = True, insist: bool = False
+    ) -> bytes:
+        """Send one request and return the data of its answer; :class:`LinkError` where there is
+        none.
+        """
+        ...
+
+    def set_cycle(self, cycle_s: float, who: str) -> None:
+        """Set the cycle time, the same for all devices."""
+        ...
+
+
+class ObjectAccess:
+    """Reads and writes the objects of one node.
+
+    Args:
+        node_id: 1 to 127.
+        dictionary: Its objects, from the EDS.
+        line: The line it is on.
+    """
+
+    def __init__(self, node_id: int, dictionary: ObjectDictionary, line: Line) -> None:
+        self.node_id = node_id
+        self._line = line
+        self._dictionary = dictionary
+
+    @property
+    def label(self) -> str:
+        """What to call the device in messages."""
+        return f"node {self.node_id}"
+
+    def read(self, index: int, subindex: int = 0) -> int:
+        """Read an integer object.
+
+        Raises:
+            ConfigurationError: The EDS has no such object, or it is no integer of at most 32 bits.
+            ObjectAccessError: The device refuses.
+            LinkError: No answer.
+        """
+        layout = self._packing(index, subindex)
+        answer = self._request(
+            Opcode.READ_OBJECT, OBJECT.pack(self.node_id, index, subindex), index, subindex
+        )
+        if len(answer) != VALUE_BYTES:
+            raise self._malformed(index, subindex, len(answer))
+        return int(layout.unpack_from(answer)[0])
+
+    def read_bytes(self, index: int, subindex: int = 0) -> bytes:
+        """Read an object of any length, in segments; raises as :meth:`read`."""
+        fields = OBJECT.pack(self.node_id, index, subindex)
+        answer = self._request(Opcode.INITIATE_SEGMENTED_READ, fields, index, subindex)
+        if len(answer) <= TOTAL.size:
+            raise self._malformed(index, subindex, len(answer))
+        (total,) = TOTAL.unpack_from(answer)
+        length = answer[TOTAL.size]
+        data = answer[TOTAL.size + 1 :][:length]
+        toggle = 0
+        while len(data) < total:
+            # A segment asked for twice would be skipped once.
+            answer = self._request(
+                Opcode.SEGMENT_READ, bytes([toggle, 0]), index, subindex, repeat=False
+            )
+            if len(answer) < 3 or not answer[0] or answer[1] & TOGGLE != toggle:
+                raise self._malformed(index, subindex, len(answer))
+            data += answer[2:][: answer[0]]
+            if answer[1] & LAST:
+                break
+            toggle ^= TOGGLE
+        if len(data) != total:
+            raise self._malformed(index, subindex, len(data))
+        return data
+
+    def read_text(self, index: int, subindex: int = 0) -> str:
+        """Read a visible-string object; raises as :meth:`read`."""
+        return self.read_bytes(index, subindex).decode("ascii", errors="replace").rstrip("\0")
+
+    def write(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object.
+
+        Raises:
+            ConfigurationError: The EDS has no such object, or the value does not fit its type.
+            ObjectAccessError: The device refuses.
+            LinkError: No answer.
+        """
+        self._request(Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex)
+
+    def require_fit(self, index: int, subindex: int, value: int) -> None:
+        """Check that the EDS has an object and its type can hold a value; raises as :meth:`write`.
+
+        Sends nothing.
+        """
+        self._written(index, subindex, value)
+
+    def insist(self, index: int, subindex: int, value: int) -> None:
+        """Write an integer object, sending it even while the line is out of step; raises as
+        :meth:`write`.
+        """
+        self._request(
+            Opcode.WRITE_OBJECT, self._written(index, subindex, value), index, subindex, insist=True
+        )
+
+    def _written(self, index: int, subindex: int, value: int) -> bytes:
+        try:
+            data = self._packing(index, subindex).pack(value)
+        except struct.error as error:
+            name = variable(self._dictionary, index, subindex).name
+            raise ConfigurationError(
+                f"{self.label}: {value} does not fit object {index:04X}h:{subindex:02X}h ({name})"
+            ) from error
+        return OBJECT.pack(self.node_id, index, subindex) + data.ljust(VALUE_BYTES, b"\0")
+
+    def write_bytes(self, index: int, subindex: int, data: bytes) -> None:
+        """Write an object of any length, in segments; raises as :meth:`write`."""
+        fields = OBJECT.pack(self.node_id, index, subindex) + TOTAL.pack(len(data))
+        self._request(Opcode.INITIATE_SEGMENTED_WRITE, fields, index, subindex)
+        toggle = 0
+        for at in range(0, len(data), SEGMENT_BYTES):
+            chunk = data[at : at + SEGMENT_BYTES]
+            fields = segment(chunk, toggle, at + SEGMENT_BYTES >= len(data))
+            answer = self._request(Opcode.SEGMENT_WRITE, fields, index, subindex, repeat=False)
+            if len(answer) != 2 or answer[0] != len(chunk) or answer[1] & TOGGLE != toggle:
+                raise self._malformed(index, subindex, len(answer))
+            toggle ^= TOGGLE
+
+    def _packing(self, index: int, subindex: int) -> struct.Struct:
+        return packing(self._dictionary, PdoLayout(0, ((index, subindex),)))
+
+    def _request(
+        self,
+        opcode: Opcode,
+        fields: bytes,
+        index: int,
+        subindex: int,
+        repeat: bool = True,
+        insist: bool = False,
+    ) -> bytes:
+        what = f"{self.label}, object {index:04X}h:{subindex:02X}h" if index else self.label
+        answer = self._line.request(opcode, fields, what, repeat, insist)
+        (error,) = ERROR.unpack_from(answer)
+        if error:
+            reason = _REASONS.get(error) or SdoAbortedError.CODES.get(error, "unknown reason")
+            raise ObjectAccessError(index, subindex, error, f"{self.label} refuses: {reason}")
+        return answer[ERROR.size :]
+
+    def _malformed(self, index: int, subindex: int, length: int) -> LinkError:
+        return LinkError(
+            f"{self.label}, object {index:04X}h:{subindex:02X}h: an answer of {length} bytes does "
+            f"not belong to the "
+            "request; check that nothing else uses the line"
+        )

@@ -1,0 +1,270 @@
+"""Sections of a campaign file: constants of the bench, declared physics, and what was recorded
+where.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, Field, PositiveFloat, field_validator, model_validator
+
+from identification.model.ladder import LADDER, NOMINAL
+from identification.model.parameters import LOAD_PARAMETERS, SYSTEM_PARAMETERS
+from identification.model.valve import PAPER
+from identification.recording import CHANNELS, Bench, Controller, Model, Pendulum
+from rig.config.campaign_gas import Constant, GasGeneratorSection
+from rig.config.catalogue import EFFECTS
+from rig.config.configuration import Schema, nearest
+
+FITTED_TERMS = ("offset", "load_dependent_friction")
+"""Terms that the estimators of this version can fit."""
+_BEARING_LOAD = {"coulomb_viscous": "load_dependent", "stribeck": "stribeck_load_dependent"}
+"""Rung to the one with `load_dependent_friction` declared beside it."""
+PARAMETERS = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS, "offset")
+
+
+def _known_term(name: str) -> str:
+    if name in FITTED_TERMS:
+        return name
+    if name in EFFECTS:
+        remedy = (
+            "; a known weight is declared by `gravity:` of a recording"
+            if name == "gravity_imbalance"
+            else ""
+        )
+        raise ValueError(
+            f"this version cannot fit the effect {name!r}, only {', '.join(FITTED_TERMS)}{remedy}"
+        )
+    raise ValueError(f"unknown effect; {nearest(name, [*FITTED_TERMS, *EFFECTS])}")
+
+
+ANGLE_TIME = "angle_time"
+"""Channel of the joint encoder's own stamps, s; used on reading, and gone then."""
+
+
+def _known_friction(name: str) -> str:
+    if name not in LADDER:
+        raise ValueError(f"unknown friction; {nearest(name, list(LADDER))}")
+    return name
+
+
+def _known_parameter(name: str) -> str:
+    if name not in PARAMETERS:
+        raise ValueError(f"unknown parameter; {nearest(name, list(PARAMETERS))}")
+    return name
+
+
+def _known_channel(name: str) -> str:
+    if name not in (*CHANNELS, ANGLE_TIME):
+        raise ValueError(f"unknown channel; {nearest(name, [*CHANNELS, ANGLE_TIME])}")
+    return name
+
+
+def _not_zero(value: float) -> float:
+    if value == 0:
+        raise ValueError("a scale of zero erases the channel")
+    return value
+
+
+class BenchSection(Schema):
+    """Constants of the machine, SI; field meanings as in :class:`identification.recording.Bench`.
+
+    Attributes:
+        motion: `rotary`: angles in rad, torques in N m. `linear`: positions in m, forces in N,
+            masses in kg; read N for N m and m for rad throughout.
+        torque_constant: Motor torque per ampere, N m/A. Without it and without a `torque` channel
+            the fit is in amperes.
+        back_emf_constant: Voltage per rad/s of the motor, V s/rad; needed where only the voltage
+            was measured.
+        resistance: Winding resistance, ohm; needed where only the voltage was measured.
+        inductance: Winding inductance, H.
+        gear_ratio: Motor turns per turn of the joint.
+        moment_arm: Radius L1 at which the contact force acts, m; needed for the working load.
+        lever_ratio: Contact force over the weight on the lever, L3/L4; needed where a recording
+            has a `weight_mass`.
+        gravity: Local gravity, m/s^2.
+        gas_generator: The gas generator, where pressure was recorded.
+    """
+
+    motion: Literal["rotary", "linear"] = "rotary"
+    torque_constant: Constant | None = None
+    back_emf_constant: Constant | None = None
+    resistance: Constant | None = None
+    inductance: Constant | None = None
+    gear_ratio: Constant = 1.0
+    moment_arm: Constant | None = None
+    lever_ratio: Constant | None = None
+    gravity: Constant = 9.80665
+    gas_generator: GasGeneratorSection | None = None
+
+    def bench(self) -> Bench:
+        """Return the record the numerics use."""
+        constants = self.model_dump(exclude={"gas_generator"}, exclude_none=True)
+        if self.gas_generator is None:
+            return Bench(**constants)
+        return Bench(
+            **constants, gas_generator=self.gas_generator.generator(self.moment_arm or PAPER.L1)
+        )
+
+
+class ModelSection(Schema):
+    """Declared physics beyond the nominal nine, and values that are not fitted.
+
+    Attributes:
+        friction: Friction model, from the ladder of friction models.
+        terms: Further physics that is fitted: `offset` (a constant torque) or
+            `load_dependent_friction` (friction grows with the torque of a pendulum).
+        fixed: Parameter to value, not fitted.
+    """
+
+    friction: Annotated[str, AfterValidator(_known_friction)] = NOMINAL
+    terms: tuple[Annotated[str, AfterValidator(_known_term)], ...] = ()
+    fixed: dict[Annotated[str, AfterValidator(_known_parameter)], float] = Field(
+        default_factory=dict
+    )
+
+    @field_validator("terms")
+    @classmethod
+    def _once(cls, terms: tuple[str, ...]) -> tuple[str, ...]:
+        repeated = sorted({name for name in terms if terms.count(name) > 1})
+        if repeated:
+            raise ValueError(f"{', '.join(repeated)} listed more than once")
+        return terms
+
+    @field_validator("fixed")
+    @classmethod
+    def _physical(cls, fixed: dict[str, float]) -> dict[str, float]:
+        negative = [
+            f"{name} = {value:g}" for name, value in fixed.items() if value < 0 and name != "offset"
+        ]
+        if negative:
+            raise ValueError(f"must not be negative: {', '.join(negative)}")
+        return fixed
+
+    def model(self) -> Model:
+        """Return the record the numerics use."""
+        return Model(terms=self.terms, fixed=dict(self.fixed), friction=self.rung)
+
+    @property
+    def rung(self) -> str:
+        """The rung of the ladder after `terms`."""
+        if "load_dependent_friction" in self.terms:
+            return _BEARING_LOAD.get(self.friction, self.friction)
+        return self.friction
+
+
+class GravitySection(Schema):
+    """A known weight that turns with the joint: torque -m g l sin(angle - zero).
+
+    Attributes:
+        mass: Mass m, kg.
+        length: Distance l of its centre from the axis, m.
+        zero: Angle at which it hangs straight down, rad.
+    """
+
+    mass: Constant
+    length: Constant
+    zero: float = 0.0
+
+    def pendulum(self) -> Pendulum:
+        """Return the record the numerics use."""
+        return Pendulum(self.mass, self.length, self.zero)
+
+
+class ControllerSection(Schema):
+    """The position loop: output = clip(position_gain (command - angle) - velocity_gain velocity,
+    limit).
+
+    Attributes:
+        output: `duty`: share of the supply voltage; `voltage`: at the motor, V; `torque`: at the
+            joint, N m.
+        position_gain: Output per rad.
+        velocity_gain: Output per rad/s.
+        limit: Greatest magnitude of the output.
+    """
+
+    output: Literal["duty", "voltage", "torque"]
+    position_gain: PositiveFloat
+    velocity_gain: Annotated[float, Field(ge=0.0)] = 0.0
+    limit: PositiveFloat | None = None
+
+    def controller(self) -> Controller:
+        """Return the record the numerics use."""
+        return Controller(**self.model_dump())
+
+
+class ReadSection(Schema):
+    """How to read a delimited text file; other formats need nothing.
+
+    Attributes:
+        delimiter: One character; found from the first line where not given.
+        skip_rows: Lines before the header, or before the first row of numbers where there is no
+            header.
+        decimal: What separates the decimals.
+    """
+
+    delimiter: str | None = Field(default=None, min_length=1, max_length=1)
+    skip_rows: int = Field(default=0, ge=0)
+    decimal: Literal[".", ","] = "."
+
+    @model_validator(mode="after")
+    def _told_apart(self) -> ReadSection:
+        if self.delimiter == self.decimal == ",":
+            raise ValueError("delimiter and decimal are both a comma; numbers cannot be told apart")
+        return self
+
+
+class ChannelSection(Schema):
+    """Where a channel comes from: SI value = scale * column + offset.
+
+    Attributes:
+        column: Name, or index from 0.
+        scale: SI units per unit of the column; a negative scale turns the sign.
+        offset: Added after the scale, SI.
+        average: Whether each sample is the mean over the period that ends at its time.
+    """
+
+    column: str | Annotated[int, Field(ge=0)]
+    scale: Annotated[float, AfterValidator(_not_zero)] = 1.0
+    offset: float = 0.0
+    average: bool = False
+
+    @model_validator(mode="before")
+    @classmethod
+    def _short_form(cls, data: object) -> object:
+        return (
+            {"column": data} if isinstance(data, str | int) and not isinstance(data, bool) else data
+        )
+
+
+class RecordingSection(Schema):
+    """One entry of `recordings`; may stand for several files.
+
+    Attributes:
+        file: File name or glob relative to the campaign file, or a list of them: csv, mat, npz,
+            mcap or parquet; text files may be gzipped.
+        stage: The load condition.
+        weight_mass: Mass on the lever, kg. The contact force is lever_ratio m g (Fig. 10).
+        gravity: A known weight that turns with the joint.
+        controller: The position loop that the recording was made in, for simulations.
+        role: `validate` sets the recording aside: it is used for no decision and scored once at the
+            end.
+        rate: Sampling rate, Hz; only where there is no `time` channel.
+        read: How to read a text file.
+        channels: Canonical channel to column. A name or index alone is short for `{column: ...}`.
+    """
+
+    file: str | Annotated[tuple[str, ...], Field(min_length=1)]
+    stage: Literal["unloaded", "loaded"] = "unloaded"
+    weight_mass: Annotated[float, Field(ge=0.0, lt=1e9)] = 0.0
+    gravity: GravitySection | None = None
+    controller: ControllerSection | None = None
+    role: Literal["fit", "validate"] = "fit"
+    rate: Constant | None = None
+    read: ReadSection = ReadSection()
+    channels: dict[Annotated[str, AfterValidator(_known_channel)], ChannelSection]
+
+    @property
+    def patterns(self) -> tuple[str, ...]:
+        """File names and globs as written."""
+        return (self.file,) if isinstance(self.file, str) else self.file

@@ -1,0 +1,64 @@
+"""The limits in a bench file."""
+
+from __future__ import annotations
+
+from typing import Annotated, Self
+
+from pydantic import Field, model_validator
+
+from rig.config.configuration import NonNegative, Positive, Schema
+
+
+class LimitsSection(Schema):
+    """Limits checked on every sample, and held by the drive as well where it has an object for
+    them.
+
+    Attributes:
+        angle_min_deg: Lowest joint angle, commanded or measured.
+        angle_max_deg: Highest joint angle, commanded or measured.
+        speed_deg_s: Highest joint speed.
+        torque_N_m: Highest torque of the drive, at the joint after the gear.
+        current_A: Highest motor current.
+        following_error_deg: Largest difference of commanded and measured joint angle.
+        encoder_disagreement_deg: Largest difference of joint encoder and motor encoder, at the
+            joint.
+        weight_kg: Heaviest weight that a sequence may hang.
+        contact_force_N: Highest contact force, of a weight or of the gas generator's pressure.
+        pressure_MPa: Highest chamber pressure; needed where there is a pressure transmitter.
+        temperature_C: Highest temperature that the drive may report.
+        supply_min_V: Lowest supply voltage.
+        supply_max_V: Highest supply voltage.
+        sample_age_ms: Oldest sample that a cycle may go on with.
+        lateness_ms: Latest start of a cycle. At most half the heartbeat time of the drive, past
+            which the drive stops by itself.
+    """
+
+    angle_min_deg: float
+    angle_max_deg: float
+    speed_deg_s: Positive
+    torque_N_m: Positive
+    current_A: Positive
+    following_error_deg: Positive
+    encoder_disagreement_deg: Positive
+    weight_kg: NonNegative
+    contact_force_N: NonNegative
+    pressure_MPa: Positive | None = None
+    temperature_C: float = 80.0
+    supply_min_V: NonNegative = 0.0
+    supply_max_V: Positive = 1000.0
+    sample_age_ms: Positive = 5.0
+    lateness_ms: Annotated[float, Field(gt=0, le=50)] = 25.0
+
+    @model_validator(mode="after")
+    def _range_is_open(self) -> Self:
+        if not self.supply_min_V < self.supply_max_V:
+            raise ValueError(
+                f"supply_min_V {self.supply_min_V:g} must be below supply_max_V "
+                f"{self.supply_max_V:g}; swap them"
+            )
+        if not self.angle_min_deg < self.angle_max_deg:
+            raise ValueError(
+                f"angle_min_deg {self.angle_min_deg:g} must be below angle_max_deg "
+                f"{self.angle_max_deg:g}; swap them"
+            )
+        return self
