@@ -113,7 +113,7 @@ class Desk:
 
     def status(self) -> int | None:
         """Return the exit status, once it is on the screen."""
-        found = re.findall(r"^status (\d+)$", self.tmux.everything(), re.MULTILINE)
+        found = re.findall(r"^(?:\^C)*status (\d+)$", self.tmux.everything(), re.MULTILINE)
         return int(found[-1]) if found else None
 
     def wait_for_end(self, timeout_s: float = END_S) -> int | None:

@@ -85,6 +85,7 @@ def command(
     plan_jog(document.value, angles, speed)
     require_startable(document, utc_now().date(), lambda words: click.echo(words, err=True))
     screen = Screen()
+    screen.silence()
     outcome = None
     with (
         closing(screen),

@@ -125,6 +125,7 @@ def _carry_out(inputs: Inputs, plan: Plan, run: Path, yes: bool, json_file: Path
     """Connect, go on in the run's folder, and say what came of it; return the status."""
     bench = inputs.bench
     screen = Screen()
+    screen.silence()
     with closing(screen), StopButton(screen.say) as stop:
         offset = inputs.feedforward is not None
         with connected(

@@ -218,6 +218,7 @@ def _carry_out(
     """Connect, run into a new folder, and say what came of it; return the status."""
     bench = inputs.bench
     screen = Screen()
+    screen.silence()
     with noting_folder(path), closing(screen), StopButton(screen.say) as stop:
         attach = None if saboteur is None else saboteur.attach
         offset = inputs.feedforward is not None
