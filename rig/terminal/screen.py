@@ -114,8 +114,9 @@ class Outlet:
             del self._pending[:written]
 
     def echo(self, shown: bool) -> None:
-        """Have a terminal show the keys that are pressed, or not; nothing where it is none, is gone,
-        or belongs to another job.
+        """Have a terminal show the keys that are pressed, or not.
+
+        Does nothing where it is no terminal, is gone, or belongs to another job.
         """
         if not self.terminal or self._descriptor is None:
             return
