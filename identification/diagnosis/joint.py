@@ -18,7 +18,7 @@ from identification.diagnosis.stack import Stack, granting, stacked, tied
 from identification.diagnosis.terms.term import Shape
 from identification.diagnosis.view import View
 from identification.numerics.least_squares import least_squares
-from identification.recording import Array
+from identification.recording import Array, RecordingError
 
 ROUNDS = 12
 """Most Gauss-Newton rounds of one joint fit."""
@@ -87,6 +87,9 @@ def fit(
         start: Nominal values to start from.
         effects: With their trial shapes; coefficients are found.
         before: A fit of the same recordings, whose noise and blocks are kept.
+
+    Raises:
+        RecordingError: Nowhere in the recordings is the joint in steady motion.
     """
     nominal, effects = _begun(start.limited(views), effects)
     best: Joint | None = None
@@ -94,6 +97,7 @@ def fit(
     stack = None if before is None else before.stack
     for k in range(ROUNDS):
         rows = equations(views, nominal, unit, () if stack is None else stack.equations)
+        _require_motion(rows)
         here = stack = stacked(rows, nominal, stack)
         if k < len(REACHES):
             for place in range(len(effects)):
@@ -131,6 +135,15 @@ def fit(
     # contribute.
     left = replace(best.stack, residual=best.residual)
     return replace(best, stack=granting(left, directions(left, best.effects)))
+
+
+def _require_motion(rows: Sequence[Equation]) -> None:
+    if not any(equation.name == "torque" for equation in rows):
+        raise RecordingError(
+            "no sample of the recordings to fit is in steady motion, so that they determine no "
+            "friction and no inertia; add a recording in which the joint moves on for longer than "
+            "the errors' bandwidth resolves (see --bandwidth)"
+        )
 
 
 def _kept(views: Sequence[View], unit: str, best: Joint, solved: Solved) -> Joint:

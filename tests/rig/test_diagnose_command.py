@@ -360,3 +360,19 @@ def test_recordings_that_cannot_be_refined_are_diagnosed_all_the_same(
     record = json.loads(file.read_text())
     assert "not refined: no motion" in record["warnings"]
     assert record["parameters"]["Mc"] == PLAIN.parameters["Mc"]
+
+
+def test_a_joint_that_never_moves_on_is_bad_input(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    time = np.arange(8000) / 400.0
+    torque = 5.0 * np.abs((time % 4.0) - 2.0) - 5.0
+    angle = 2e-4 * torque + 1e-5 * np.random.default_rng(0).standard_normal(len(time))
+    table = np.column_stack([time, angle, torque])
+    np.savetxt(tmp_path / "held.csv", table, "%.7f", ",", header="time,angle,torque", comments="")
+    (tmp_path / "held.yaml").write_text(
+        "campaign: 1\nbench: {motion: rotary}\nrecordings:\n  - file: held.csv\n    stage: unloaded\n"
+        "    channels: {time: time, angle: angle, torque: torque}\n"
+    )
+    assert status(["diagnose", str(tmp_path / "held.yaml"), "--out", str(tmp_path / "out")]) == 2
+    assert "no sample of the recordings to fit is in steady motion" in capsys.readouterr().err
