@@ -27,7 +27,7 @@ slow() {{
   WITNESS=9 WITNESS_GATE="@8" {python} -m tests.long.slow_line \\
     {python} -m tests.long.witness "$@" 9>>notices 8<>gate
 }}
-go() {{ clear; "$@"; echo "status $?"; }}
+go() {{ trap : INT; clear; "$@"; echo "status $?"; trap - INT; }}
 """
 
 
