@@ -21,6 +21,7 @@ from rig.cli import crash
 from rig.common.allocation import keep_freed_memory
 from rig.common.errors import InputError, InUseError, StorageError
 from rig.terminal.output import Streams, complain
+from rig.terminal.stop_button import ignore_stops
 
 COMMANDS: Mapping[str, tuple[str, str]] = {
     "new": (
@@ -168,6 +169,8 @@ def main() -> None:
         except KeyboardInterrupt:
             # Pressed again while the words of the first time were printed.
             code = STOPPED
+        if code == STOPPED:
+            ignore_stops()
     if threads.broken:
         code = code or CRASHED
     lost = streams.finish()

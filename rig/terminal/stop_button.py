@@ -147,3 +147,15 @@ class StopButton:
     def _on_pause(self, number: int, frame: FrameType | None) -> None:
         self.pause()
         self._tell(PAUSE_ASKED if self.pausing else PAUSE_ENDED)
+
+
+def ignore_stops() -> None:
+    """Ignore every stop signal from now on.
+
+    For a program that was stopped, has said so, and ends: a signal that comes then, as Ctrl-C is
+    pressed more often than needed, would replace its exit status.
+    """
+    for name in STOP_SIGNALS:
+        number = getattr(signal, name, None)
+        if number is not None:
+            signal.signal(number, signal.SIG_IGN)

@@ -155,3 +155,15 @@ def test_a_second_one_while_braking_takes_the_power_off_at_once(tmp_path: Path) 
     # The ramp was cut short: nothing was recorded after the second one, and the drive is verified
     # off.
     assert samples["segment"][-1] == 1
+
+
+def test_one_more_after_the_end_leaves_the_status_of_a_stopped_run() -> None:
+    script = (
+        "import os, signal\n"
+        "from rig.cli import entry\n"
+        "entry.status = lambda arguments: entry.STOPPED\n"
+        "entry.gc.freeze = lambda: [os.kill(os.getpid(), n) for n in (SIGNALS)]\n"
+        "entry.main()\n"
+    ).replace("SIGNALS", "signal.SIGINT, signal.SIGTERM, signal.SIGTSTP")
+    ended = subprocess.run([sys.executable, "-c", script], capture_output=True, timeout=60)
+    assert (ended.returncode, ended.stderr) == (3, b"")
