@@ -32,6 +32,10 @@ UNRELATED = 0.5
 nothing in common (1 for rows in random order and for mere noise; a sine has less up to a sixth of
 the sample rate).
 """
+STILL_LEVELS = 8
+"""Most values of a position at rest, whose encoder flickers between neighbouring counts; in random
+order it is the same recording.
+"""
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
 """Peaks from which it is asked whether the channel is in thousandths."""
 RATIO_TOLERANCE = 0.05
@@ -144,6 +148,8 @@ def _peak(values: Array) -> float:
 
 
 def _unrelated(position: Array) -> bool:
+    if len(np.unique(position)) <= STILL_LEVELS:
+        return False
     spread = float(np.sum((position - position.mean()) ** 2))
     return spread > 0.0 and float(np.sum(np.diff(position) ** 2)) > 2.0 * UNRELATED * spread
 

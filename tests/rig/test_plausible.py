@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from identification.recording import Array
-from rig.sources.plausible import LARGEST, SMALLEST, unit_hints, value_errors
+from rig.sources.plausible import LARGEST, SMALLEST, STILL_LEVELS, unit_hints, value_errors
 
 TIME = np.arange(2000) * 1e-3
 
@@ -51,6 +51,12 @@ def test_both_sides_of_the_fastest_sine(share_of_rate: float, bad: bool) -> None
 
 def test_a_position_at_rest_is_left_to_the_fit() -> None:
     assert list(value_errors(channels(angle=np.full(2000, 0.1)))) == []
+
+
+@pytest.mark.parametrize(("levels", "bad"), [(2, False), (STILL_LEVELS, False), (9, True)])
+def test_an_encoder_that_flickers_at_rest_is_no_noise(levels: int, bad: bool) -> None:
+    counts = np.random.default_rng(0).integers(0, levels, 2000)
+    assert bool(list(value_errors(channels(angle=0.1 + 1e-3 * counts)))) is bad
 
 
 def test_units_are_asked_for() -> None:
