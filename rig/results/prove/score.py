@@ -145,7 +145,7 @@ def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return true effect -> first identified effect, or the verdict where there is none -> count."""
+    """Return true effect -> first identified effect, or the verdict without one -> count."""
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
         called = row["named"][0]["name"] if row["named"] else row["verdict"]

@@ -52,7 +52,7 @@ def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
 
 
 def reference_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Simulate a trial's reference simulation: without effects, with the same commands and noise."""
+    """Return a trial's reference simulation: without effects, with the same commands and noise."""
     return campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
 
 
