@@ -147,7 +147,7 @@ def gas_limits(bench: Bench) -> GasLimits | None:
 
 
 def hot_fire_words(stage: str, simulated: bool) -> str:
-    """Return the message to the operator before a hot firing; its prompt asks for an empty lever."""
+    """Return the message before a hot firing, whose prompt asks for an empty lever."""
     lights = (
         "is lit by this program"
         if simulated
