@@ -16,11 +16,11 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
     """Return F_P on ``grid``, N, shape (n,).
 
     The `load_force` channel where there is one; in a hot firing (p_g - p_c0) A_s(theta_r) of eq. 10
-    from the `pressure` channel, nothing where the pressure behind the valve is the greater; else
-    that of the weight, eq. 17.
+    from the `pressure` channel, zero where the pressure behind the valve is greater; otherwise that
+    of the weight, eq. 17.
 
     Args:
-        recording: What was measured.
+        recording: The recording.
         grid: Times, s, shape (n,).
         angle: Of the valve at those times, rad, shape (n,).
 
@@ -44,10 +44,12 @@ def contact_force(recording: Recording, grid: Array, angle: Array) -> Array:
 
 
 def contact_moment(recording: Recording, grid: Array, angle: Array) -> Array:
-    """Return F_P L1, what multiplies m_L in eq. 13, N m; arguments and errors as above.
+    """Return the contact moment F_P L1, which multiplies m_L in eq. 13, N m; arguments as of
+    :func:`contact_force`.
 
     Raises:
-        RecordingError: Also where something presses and the moment arm is not known.
+        RecordingError: As :func:`contact_force`, or the moment arm of a loaded recording is not
+            known.
     """
     force = contact_force(recording, grid, angle)
     arm = recording.bench.moment_arm

@@ -18,18 +18,18 @@ from identification.signals import quantum
 OFF_GRID = 0.01
 """Distance from the grid, in periods, up to which a sample is on it."""
 MOST_FILLED = 0.1
-"""Share of the grid that may be filled; beyond, the sampling is uneven as such."""
+"""Greatest share of the grid that may be interpolated; above it the sampling counts as uneven."""
 SHORT_HOLE = 3
-"""Samples in a row that may be filled and used."""
+"""Most samples in a row that are interpolated and used."""
 _COUNTED = ("angle", "motor_angle")
 
 
 def evened(recording: Recording) -> tuple[Recording, BoolArray] | None:
-    """Return the recording on its even grid and the samples of holes too long to be used; None
+    """Return the recording on its even grid and the samples of gaps too long to be used; None
     where it is uneven.
 
     The grid is fitted to all time stamps, since a median period would drift off it within seconds.
-    A recording that is even already is returned as it is.
+    An even recording is returned unchanged.
     """
     time = recording.time
     steps = np.diff(time)

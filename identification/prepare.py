@@ -2,8 +2,8 @@
 bandwidth.
 
 Torque and regressors must pass the same filter, or every parameter is biased. The filter is a
-symmetric FIR, so that it is known exactly which outputs a resting shaft (where friction balances
-the drive and obeys no equation) has touched.
+symmetric FIR filter, so that the outputs whose window contains a resting sample are known exactly;
+at rest friction balances the drive and obeys no equation.
 """
 
 from __future__ import annotations
@@ -30,20 +30,20 @@ from identification.signals import (
 POSITION_BANDWIDTH = 2.5
 """Cut-off of the filter on position over the stated bandwidth (EMPS practice: 100 Hz and 40 Hz)."""
 DEFAULT_SHARE_OF_RATE = 1.0 / 25.0
-"""Default bandwidth over the sample rate, where the encoder does not ask for less."""
+"""Default bandwidth over the sample rate, where encoder quantisation does not require less."""
 SLOW_BANDWIDTH_HZ = 20.0
-"""Slowly sampled recordings get up to this, as servo motion reaches there, but at most a sixth of
-their rate.
+"""Bandwidth of slowly sampled recordings, but at most a sixth of their rate; servo motion reaches
+this frequency.
 """
 RATE_TOLERANCE = 1e-6
-"""Share of the rate that rounded time stamps may cost."""
+"""Share of the rate by which rounded time stamps may lower it."""
 IRREGULAR, STANDS_OUT = 0.25, 8.0
-"""A sample interval is irregular that differs from the period by this share, and by so many times
-what is usual.
+"""Least difference of an irregular sample interval from the period: as a share of the period, and
+over the usual difference.
 """
 LEAST_CLEAN = 0.1
-"""Share of the samples in motion that must be left where those about late or missing samples are
-taken out.
+"""Least share of the samples in motion that remains after those about late or missing samples are
+removed.
 """
 REST_SAMPLES = 8
 """Samples over which the angle changes by no more than one step of its encoder that count as
@@ -66,9 +66,9 @@ class Prepared:
         torque: Drive torque less the known loads (a declared pendulum), N m; A where no torque
         constant is known.
         drive_torque: Drive torque alone, N m.
-        moment: F_P L1, what multiplies m_L in eq. 13, N m; zero when unloaded.
-        used: Samples in motion that no resting sample, and none about a late or missing one, has
-        touched.
+        moment: Contact moment F_P L1, which multiplies m_L in eq. 13, N m; zero when unloaded.
+        used: Samples in motion whose filter window holds no resting sample and none about a late or
+        missing one.
         bandwidth_Hz: Of all of the above.
         filter: The filter, for regressors that are not linear in the velocity.
         raw_velocity: Velocity before that filter, shape (m,), for those regressors.
@@ -100,7 +100,7 @@ def joint_angle(recording: Recording) -> Array | None:
     """Return the joint angle by the finer of the two encoders, rad, or None where neither was
     recorded.
 
-    The motor encoder counts through the gear (assumption 5); the joint encoder's zero is kept.
+    The motor encoder counts through the gear (assumption 5); the joint encoder's zero is used.
     """
     channels = recording.channels
     joint = channels.get("angle")
@@ -119,8 +119,8 @@ def drive_torque(recording: Recording, grid: Array, velocity: Array) -> Array:
     constant).
 
     From the torque channel, else the current, else the voltage: I = (U - Ke omega_motor)/R, zero
-    while the power stage is off. A channel that is a mean over the period ending at its time stands
-    half a period earlier.
+    while the power stage is off. A channel that is a mean over the period ending at its time is
+    shifted by half a period.
 
     Raises:
         RecordingError: No channel gives the torque.
@@ -166,8 +166,8 @@ def volts_per_torque(recording: Recording) -> float | None:
 
 
 def resting(angle: Array, samples: int = REST_SAMPLES) -> BoolArray:
-    """Mark samples of stretches of at least ``samples`` in which the angle changes by one encoder
-    step at most.
+    """Mark runs of at least ``samples`` samples in which the angle changes by at most one encoder
+    step.
     """
     tolerance = max(1.01 * quantum(angle), 1e-9 * float(np.ptp(angle)) if len(angle) else 0.0)
     if len(angle) <= samples:
@@ -184,9 +184,8 @@ def irregular(time: Array, grid: Array) -> BoolArray:
     """Mark grid samples at which the recording's own samples came too early, too late, or not at
     all.
 
-    In a run in real time nearly all cycles are on time and a few are not; about those the motion
-    jerks faster than the samples tell. Where sampling is uneven throughout, nothing stands out, and
-    nothing is marked.
+    In a run in real time a few cycles are late, and about those the joint accelerates faster than
+    the samples resolve. Where sampling is uneven throughout, nothing is marked.
     """
     steps = np.diff(time)
     median = float(np.median(steps))
@@ -201,8 +200,8 @@ def irregular(time: Array, grid: Array) -> BoolArray:
 
 
 def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolArray:
-    """Return which outputs neither ``bad`` nor ``rare`` samples have touched; ``rare`` ones do
-    where little is left.
+    """Return which outputs depend on neither ``bad`` nor ``rare`` samples; ``rare`` ones are
+    allowed where few outputs remain.
     """
     every = low_pass.untouched(bad)
     clean = low_pass.untouched(bad | rare)
@@ -210,8 +209,8 @@ def without_rare(low_pass: Decimator, bad: BoolArray, rare: BoolArray) -> BoolAr
 
 
 def widened(marks: BoolArray, samples: int) -> BoolArray:
-    """Return the marks with ``samples`` more on either side: what a filter on position has smeared
-    into motion.
+    """Return the marks widened by ``samples`` on either side, over which a filter on position mixes
+    rest and motion.
     """
     spread = np.convolve(marks.astype(np.float64), np.ones(2 * samples + 1), mode="same")
     return np.asarray(spread[: len(marks)] > 0.5) if len(marks) > 2 * samples else marks
@@ -219,7 +218,7 @@ def widened(marks: BoolArray, samples: int) -> BoolArray:
 
 def default_bandwidth(recording: Recording) -> float:
     """Choose a bandwidth, Hz: 1/25 of the rate (20 Hz or a sixth of the rate where that is slow),
-    or less where the encoder's steps would swamp the acceleration.
+    or less where encoder quantisation would dominate the acceleration.
 
     White quantisation noise q/sqrt(12) differentiated twice has an rms of (2 pi b)^2 q/sqrt(12)
     sqrt(2 b / (5 rate)); the bandwidth keeps that below a tenth of the acceleration's own rms,
@@ -326,14 +325,14 @@ def _motion(
     velocity = smooth(raw, rate, cutoff)
     if position is None:
         series = np.concatenate(([0.0], np.cumsum(0.5 * (velocity[1:] + velocity[:-1])))) / rate
-        # Within one step of the channel, rest and motion look alike.
+        # Within one step of the channel, rest and motion cannot be distinguished.
         still = np.asarray(np.abs(raw) <= 1.01 * quantum(recording.channels["velocity"]))
     return series, velocity, still
 
 
 def _unresolved(velocity: Array, rate: float) -> BoolArray:
-    """Mark samples where differences of third and seventh point disagree: faster than the rate can
-    follow.
+    """Mark samples where three-point and seven-point differences disagree, as the rate does not
+    resolve the motion.
 
     Used where nothing is filtered, on exact channels: around breakaway and stop the speed changes
     within microseconds.

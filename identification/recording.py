@@ -55,8 +55,8 @@ class Bench:
         moment_arm: L1, m (eq. 13).
         lever_ratio: L3/L4 (eq. 17).
         gravity: Local acceleration of free fall, m/s^2.
-        gas_generator: What is believed of the valve (Fig. 3), the pressure behind it and what burns
-            before it (eq. 2 to 8); only hot firings need it.
+        gas_generator: Nominal constants of the valve (Fig. 3), the pressure behind it and the gas
+            generator (eq. 2 to 8); only hot firings need it.
     """
 
     motion: Literal["rotary", "linear"] = "rotary"
@@ -127,11 +127,11 @@ class Controller:
 
 @dataclass(frozen=True)
 class Model:
-    """What is fitted beyond, or held out of, the nominal nine parameters.
+    """Terms fitted beyond the nominal nine parameters, and parameters that are fixed.
 
     Attributes:
-        terms: Declared physics of the bench by catalogue name, or ``offset``; fitted, never
-        "found".
+        terms: Declared physics of the bench by catalogue name, or ``offset``; it is fitted, and no
+        finding of a diagnosis.
         fixed: Parameter name to value, not fitted.
         alpha: Stribeck exponent (eq. 9; eq. 13 prints 2).
         friction: Rung of :data:`identification.model.ladder.LADDER` that the unloaded stage fits.
@@ -145,7 +145,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Recording:
-    """One stretch of evenly or unevenly sampled channels under one load.
+    """Channels of one excitation under one load, evenly or unevenly sampled.
 
     Attributes:
         name: Short name for tables and legends.
@@ -161,8 +161,8 @@ class Recording:
         averaged: Channels whose samples are means over the period that ends at their time.
         source: File the samples came from.
         sha256: Of that file.
-        notes: Every correction made on reading, in words.
-        partial: Whether its run stopped before its command was at an end.
+        notes: Every correction made on reading, as text.
+        partial: Whether its run stopped before the end of its command.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""What an estimator returns: values with their credentials, and everything a report shows."""
+"""Results of an estimator: values with their intervals, and everything a report shows."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from identification.numerics.arrays import Array
 class Parameter:
     """One estimate with its 90 % interval.
 
-    ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then says
-    why, in words. ``floor`` is the half width that the Cramer-Rao bound allows the interval; None
+    ``value``, ``low`` and ``high`` are None where ``identifiable`` is False; ``reason`` then states
+    why. ``floor`` is the half width that the Cramer-Rao bound allows the interval; None
     where it was not computed.
     """
 
@@ -48,7 +48,7 @@ class Fit:
 
 @dataclass(frozen=True)
 class Convergence:
-    """How one stage's search went.
+    """Record of one stage's search.
 
     Attributes:
         stage: ``unloaded``, ``loaded`` or ``joint``.
@@ -80,7 +80,7 @@ class Starts:
 
     Attributes:
         stage: ``unloaded`` or ``loaded``.
-        cost: What was compared, in words.
+        cost: Quantity that was compared.
         ends: Final cost of each start, in the order they were tried.
         reached: Cost up to which a start has reached the best end.
         absolute: Whether ``reached`` is a fixed limit, at which the search ends, and not one above
@@ -111,7 +111,7 @@ class Profile:
         low: Lower end of the 90 % range; None where the deviance does not get there within
         ``values``.
         high: Upper end, alike.
-        scale: What the likelihood's own deviance was multiplied by, so that it bears out the
+        scale: Factor of the likelihood's own deviance, so that its curvature agrees with the
             interval.
     """
 
@@ -131,12 +131,12 @@ class Profile:
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """Two parameters that the recordings hardly tell apart, and what of them they do pin.
+    """Two parameters that correlate strongly, and the combination that is determined.
 
     Attributes:
         names: Both.
         correlation: Of their estimates.
-        statement: In words, with the combination that is pinned.
+        statement: Text with the combination that is determined.
     """
 
     names: tuple[str, str]
@@ -146,7 +146,7 @@ class Tradeoff:
 
 @dataclass(frozen=True)
 class Trace:
-    """The signals of one recording as the fit saw them, all at the stated bandwidth, shape (n,)."""
+    """Signals of one recording in the fit, all at the stated bandwidth, shape (n,)."""
 
     recording: str
     role: str
@@ -162,7 +162,7 @@ class Trace:
 
 @dataclass(frozen=True)
 class Resampled:
-    """Spread of one parameter over bootstrap draws of the stretches of motion.
+    """Spread of one parameter over bootstrap draws of the motion segments.
 
     Attributes:
         name: Of the parameter.
@@ -188,7 +188,7 @@ class Resampled:
 
 @dataclass(frozen=True)
 class MeasuredNoise:
-    """Noise of the measurement, as the prediction errors ask for it.
+    """Noise of the measurement, as estimated from the prediction errors.
 
     Attributes:
         torque: White part of the measured torque's, over one period, rms in ``unit``.
@@ -215,21 +215,21 @@ class Identification:
         method: Name of the estimator.
         motion: ``rotary`` or ``linear``.
         alpha: Stribeck exponent.
-        parameters: Name to estimate with its credentials.
+        parameters: Name to estimate with its interval.
         fit: Error over all recordings.
-        stages: How each search went.
-        warnings: What to know about the result, in words.
+        stages: Record of each search.
+        warnings: Warnings about the result.
         traces: Signals of every recording.
         fits_by_recording: Error of every recording.
         evaluations: Residual evaluations spent.
         seconds: Wall-clock time spent.
-        fitted: Name to the value the fit ended with, those that are not identifiable by themselves
-            included: what a simulation of the fitted model needs.
+        fitted: Name to the value at the end of the fit, including parameters that are not
+            identifiable by themselves; a simulation of the fitted model needs them.
         friction: Rung of :data:`identification.model.ladder.LADDER`.
         starts: Where the starts of each search ended; empty where there was one start only.
-        tradeoffs: Pairs that the recordings hardly tell apart.
-        least_pinned: In words, what combination of parameters the recordings pin least.
-        noise: Of the measurement; None where no prediction errors were taken.
+        tradeoffs: Pairs of parameters that correlate strongly.
+        least_pinned: Text with the least determined combination of parameters.
+        noise: Of the measurement; None where refined values were not accepted.
         profiles: Profile likelihoods, where asked for.
         resampled: Spread over bootstrap draws, where asked for.
     """

@@ -13,7 +13,7 @@ from identification.numerics.arrays import BoolArray as BoolArray
 from identification.numerics.compiled import compiled_sums
 
 _LEAST_STEPS = 8
-"""Steps near the smallest one below which a common measure would be chance."""
+"""Least steps near the smallest one for which a common divisor is not chance."""
 
 
 def quantum(values: Array) -> float:
@@ -21,9 +21,9 @@ def quantum(values: Array) -> float:
     continuous.
 
     A channel counts as quantised when its steps are whole multiples of the smallest one within 2 %,
-    as an encoder's are after any scale and offset. Steps of up to 20 units settle the unit, those
-    of up to 400 test it: around a turning point even a smooth curve, sampled just so, steps by 1,
-    3, 5 units at first.
+    as an encoder's are after any scale and offset. Steps of up to 20 units determine the unit,
+    those of up to 400 test it: around a turning point even a smooth curve can have steps of 1, 3
+    and 5 units at first.
     """
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     steps = steps[steps > 1e-9 * float(np.max(steps, initial=0.0))]
@@ -69,8 +69,7 @@ def smooth(values: Array, rate: float, cutoff: float) -> Array:
         return values
     sections = signal.butter(4, cutoff / (0.5 * rate), output="sos")
     both = signal.sosfiltfilt(sections, values, padlen=min(len(values) - 1, int(3 * rate / cutoff)))
-    # It comes back to front, and every kernel that is compiled for that as well takes several times
-    # as long.
+    # filtfilt returns a reversed view; a contiguous copy avoids compiling kernels a second time.
     return np.ascontiguousarray(both)
 
 
@@ -80,7 +79,7 @@ class Decimator:
 
     Attributes:
         taps: Filter, shape (2 half + 1,), sum 1; a single tap means no filtering.
-        factor: One sample in ``factor`` is kept.
+        factor: Decimation: one sample in ``factor`` remains.
     """
 
     taps: Array
@@ -92,7 +91,7 @@ class Decimator:
         return len(self.taps) // 2
 
     def __call__(self, values: Array) -> Array:
-        """Filter and decimate along the last axis; the ends, where the filter hangs over, are
+        """Filter and decimate along the last axis; outputs whose window exceeds the ends are
         dropped.
         """
         if self.half == 0:
@@ -144,7 +143,7 @@ def _chosen(series: Array, taps: Array, factor: int, places: NDArray[np.int64]) 
             size += abs(value)
         if size == 0.0:
             continue
-        # Four outputs at a time, or each would wait for its own sum.
+        # Four outputs at a time, so that the additions of one do not wait for each other.
         for j in range(0, count - 3, 4):
             a = series[i, places[j] * factor : places[j] * factor + reach]
             b = series[i, places[j + 1] * factor : places[j + 1] * factor + reach]

@@ -40,8 +40,8 @@ def tracking_error(recording: Recording) -> Array:
 
 
 def resting(recording: Recording) -> Array:
-    """Return where the joint rests, 0 or 1, shape (n,): its mean speed about the sample is next to
-    nothing.
+    """Return where the joint rests, 0 or 1, shape (n,): its mean speed about the sample is near
+    zero.
     """
     n = max(1, round(REST_SPAN_S / recording.period))
     angle = recording.channels["angle"]

@@ -15,14 +15,24 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *DOCS.rglob("*.md")])
 WIDE = 100
+WRITTEN = ("decisions", "guides", "studies", "tutorials")
+"""Folders of pages written by hand."""
+DECISION_WORDS = 500
+DECISIONS = sorted((DOCS / "decisions").iterdir())
 NARROW_PAGES = sorted(
-    [DOCS / f"{name}.md" for name in ("architecture", "glossary", "index", "method")]
-    + [ROOT / "README.md", *(DOCS / "tutorials").iterdir(), *(DOCS / "guides").iterdir()]
+    [
+        *DOCS.glob("*.md"),
+        *(page for folder in WRITTEN for page in (DOCS / folder).iterdir()),
+        ROOT / "README.md",
+        ROOT / "CHANGELOG.md",
+    ]
 )
 """Pages whose prose keeps to :data:`WIDE` columns."""
 _PATH = re.compile(r"`((?:rig|drivers|identification|tests|benchmarks|docs)/[\w/.-]+)`")
 _LINK = re.compile(r"\[[^\]]*\]\(([^)\s]+)\)")
 _FENCE = re.compile(r"^ *```.*?^ *```$", re.MULTILINE | re.DOTALL)
+_WRITTEN = re.compile(r"<!-- (\w+): written by .*?<!-- end of \1 -->", re.DOTALL)
+"""Part of a page that a program writes."""
 _CODE = re.compile(r"`([^`]+)`")
 _NUMBER = re.compile(r"\bM(\d+)\b")
 _TAG = re.compile(r"\\tag\{M(\d+)\}")
@@ -75,7 +85,8 @@ def test_the_index_lists_every_page() -> None:
 
 @pytest.mark.parametrize("page", NARROW_PAGES, ids=lambda p: str(p.relative_to(ROOT)))
 def test_prose_is_narrow(page: Path) -> None:
-    lines = prose(page.read_text(encoding="utf-8")).splitlines()
+    text = _WRITTEN.sub("", page.read_text(encoding="utf-8"))
+    lines = prose(text).splitlines()
     assert [line for line in lines if len(line) > WIDE and not line.startswith("|")] == []
 
 
@@ -83,6 +94,21 @@ def test_prose_is_narrow(page: Path) -> None:
 def test_every_path_that_a_page_names_exists(page: Path) -> None:
     for name in _PATH.findall(prose(page.read_text(encoding="utf-8"))):
         assert (ROOT / name).exists(), name
+
+
+@pytest.mark.parametrize("page", DECISIONS, ids=lambda p: str(p.stem))
+def test_a_decision_is_one_dated_page(page: Path) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert re.match(rf"# {int(page.name[:4])}\. .+\n\n\*\*Status\.\*\* \d{{4}}-\d\d-\d\d, ", text)
+    assert re.findall(r"^## (.+)$", text, re.MULTILINE) == ["Context", "Decision", "Consequence"]
+    assert len(text.split()) <= DECISION_WORDS
+
+
+@pytest.mark.parametrize("page", [*(DOCS / "studies").iterdir()], ids=lambda p: str(p.stem))
+def test_a_study_says_when_it_was_made_and_how_to_repeat_it(page: Path) -> None:
+    head = " ".join(page.read_text(encoding="utf-8").split("\n## ")[0].split())
+    assert page.name[:10] in head
+    assert "`" in head
 
 
 def test_the_readme_is_short() -> None:

@@ -1,5 +1,5 @@
-"""Excitations that are tried: sines and ramps drawn at random, and small changes of those that did
-well.
+"""Candidate excitations: sines and ramps drawn at random, and small changes of those that get a
+share of the time.
 """
 
 from __future__ import annotations
@@ -22,26 +22,27 @@ _LEAST_SPEED, _GREATEST_SPEED = 0.03, 1.8
 _LEAST_ACCELERATION = 0.25
 """At its ends, rad/s^2.
 
-The less it is the longer the shaft is near rest, and the more it sticks and slips.
+A lower one keeps the joint near rest for longer, where it sticks and slips.
 """
 _LEAST_ANGLE = math.radians(0.3)
-"""Least amplitude: smaller swings rest on what no nominal model knows (play, presliding)."""
+"""Least amplitude: play and presliding, which the nominal model lacks, dominate smaller swings."""
 _HEAVIEST = 0.25
 """Share of loaded sines that get the heaviest weight whatever the draw."""
 _NEAR = 0.75
 """Share of sines drawn about where friction falls."""
 _NEAR_SPEEDS, _NEAR_ACCELERATIONS = (1.2, 4.0), (_LEAST_ACCELERATION, 1.2)
 """Their speeds at the middle, over the Stribeck speed, and accelerations at the ends, rad/s^2:
-below, the shaft sticks and slips; above, it is past the fall of friction before a sample is taken.
+at lower ones the joint sticks and slips; at higher ones it passes the falling branch of friction
+within one sample.
 """
 _RAMPS = 0.4
 """Share of ramps among the excitations that are drawn."""
 _RAMP_SPEEDS, _RAMP_TIMES = (1.2, 5.0), (0.15, 1.0)
 """Their speeds over the Stribeck speed, and times to the far end, s.
 
-Where friction falls faster than the drive's velocity gain can hold, the shaft sticks and slips;
-just beyond, every sample tells of the fall, and those after a breakaway, while the drive catches
-the shaft, tell the most: short ramps have more of them.
+Where friction falls faster than the drive's velocity gain can hold, the joint sticks and slips.
+Just above that speed every sample carries information on the falling branch; samples after a
+breakaway carry most, and short ramps have more of them.
 """
 _SPREAD, _RAMP_SPREAD = 0.2, 0.06
 """Standard deviation of the logarithm of a refinement's change; and of a ramp's speed."""
@@ -71,8 +72,8 @@ class Draws:
         """
         b, rng = self.bounds, self.rng
         number = [f.loaded for f in self.frames].index(loaded)
-        # Friction rises with the weight, and so does what fast sines show of the load's; under the
-        # lighter ones the drive holds the shaft where friction falls.
+        # Load friction, and the information of fast sines on it, grows with the weight; under
+        # lighter weights the drive holds the joint on the falling branch.
         weight = max(b.weights) if rng.random() < _HEAVIEST else float(rng.choice(b.weights))
         found = self._ramps(number) if rng.random() < _RAMPS else self._sine(number)
         return Part(number, self._tried(number, replace(found, weight=weight if loaded else 0.0)))
@@ -87,8 +88,8 @@ class Draws:
         )
 
     def _ramps(self, number: int) -> Excitation:
-        """Return ramps about the least speed at which the drive holds the shaft while friction
-        falls.
+        """Return ramps about the least speed at which the drive holds the joint on the falling
+        branch of friction.
         """
         speed = self.stribeck[self.frames[number].loaded] * _log_uniform(self.rng, *_RAMP_SPEEDS)
         speed = min(speed, MARGIN * self.bounds.speed)

@@ -1,4 +1,4 @@
-"""What an experiment commands, under which weight, for how long, and within which limits."""
+"""Excitations of an experiment: commands, weights, durations, and the limits of the bench."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ class Excitation:
 
     @property
     def fade(self) -> float:
-        """Time in which a proposal's sines fade in and out, s: short, since meanwhile the shaft
-        creeps or nearly stops.
+        """Time in which a proposal's sines fade in and out, s.
 
-        One stretch in which the filter lost it widened the interval of omega_sL twofold.
+        It is short because the joint creeps or nearly stops meanwhile, and the filter may diverge
+        there.
         """
         speed = sum(2.0 * math.pi * frequency * amplitude for amplitude, frequency in self.tones)
         longest = min(1.0, _LONGEST_RAMP * self.seconds)

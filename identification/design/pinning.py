@@ -1,12 +1,11 @@
-"""How tightly a planned experiment would pin each parameter: Fisher information on the nominal
-model.
+"""Intervals that a planned experiment would leave: Fisher information on the nominal model.
 
-The nominal response, with the bench's noise, is put through its sensors and handed to the very
-residuals that the default method minimises. So the information knows of the encoder's quantisation,
-of the current's noise, of unknown breakaway times, and of what the estimator leaves out around
-them. A stretch's own sensitivities hold the current's noise, and one in which the shaft all but
-stopped by chance would promise what no other run need repeat. So a stage is simulated with several
-drives and noises, and what counts is what two of these runs have in common, as in the floor of an
+The nominal response passes the bench's noise and sensors and enters the residuals that the default
+method minimises. So the information includes the encoder's quantisation, the current's noise, the
+unknown breakaway times, and the samples that the estimator leaves out around them. A motion
+segment's own sensitivities contain the current's noise, and a segment in which the joint almost
+stops by chance would predict an information that other runs do not have. So a stage is simulated
+with several drives and noises, and only products of two such runs count, as in the floor of an
 estimate (:mod:`identification.estimate.uncertainty.cramer_rao`). Whole designs are then judged by
 several runs of each (:mod:`identification.design.simulated_trial`).
 """
@@ -33,22 +32,22 @@ from identification.numerics.spread import CONFIDENCE
 
 NAMES = (*SYSTEM_PARAMETERS, *LOAD_PARAMETERS)
 LEAST_BREAKAWAYS = 4
-"""Breakaways below which a stage is taken to say nothing: the estimator needs some to tell their
-times from Ms.
+"""Least breakaways of a stage with information: the estimator needs several to separate their times
+from Ms.
 """
 _CLEAR = 1e-9
-"""Share of the greatest eigenvalue below which a direction is one that nothing tells."""
+"""Share of the greatest eigenvalue below which a direction counts as not identifiable."""
 
 
 @dataclass(frozen=True)
 class Information:
-    """What a stage says about the nine, each relative to its value, in the order of NAMES; it adds
-    over stages.
+    """Information of a stage on the nine parameters relative to their values, in the order of
+    NAMES; it adds over stages.
 
     Attributes:
         normal: Fisher information, shape (9, 9).
-        power: What the scores' covariance should be by the noise model, shape (9, 9).
-        scatter: What it is from stretch to stretch, shape (9, 9).
+        power: Covariance of the scores by the noise model, shape (9, 9).
+        scatter: Covariance of the scores over motion segments, shape (9, 9).
     """
 
     normal: Array
@@ -56,14 +55,15 @@ class Information:
     scatter: Array
 
     def times(self, factor: float) -> Information:
-        """Return what so many times the stage says."""
+        """Return the information of so many times the stage."""
         return Information(factor * self.normal, factor * self.power, factor * self.scatter)
 
-    def heard(self, weights: Array) -> Information:
-        """Return what counts for an estimate in whose error the scores have these weights, shape
-        (9,).
+    def effective(self, weights: Array) -> Information:
+        """Return the information for an estimate in whose error the scores have these weights,
+        shape (9,).
 
-        Less by as much as their scatter is greater there than the noise model says.
+        It is reduced by the ratio of the scores' scatter to that of the noise model, where that
+        exceeds one.
         """
         ratio = float(weights @ self.scatter @ weights) / max(
             float(weights @ self.power @ weights), 1e-300
@@ -76,8 +76,8 @@ NOTHING = Information(*np.zeros((3, len(NAMES), len(NAMES))))
 
 @dataclass(frozen=True)
 class Pinned:
-    """Relative half widths of the 90 % intervals that an experiment would leave; infinite where it
-    says nothing.
+    """Relative half widths of the 90 % intervals that an experiment leaves; infinite where a
+    parameter is not identifiable.
     """
 
     half_widths: Mapping[str, float]
@@ -94,10 +94,10 @@ class Pinned:
 
 
 def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Information:
-    """Return what one stage says about all nine, by runs that are replicates of one another.
+    """Return the information of one stage, by runs that are replicates of one another.
 
-    Nothing where a run has too few breakaways, or moves so that the estimator could not follow.
-    Relative, so that the matrices are well scaled; static limits count as themselves, not as the
+    It is :data:`NOTHING` where a run has too few breakaways or the filter does not follow it. It is
+    relative, so that the matrices are well scaled; static limits stand for themselves, not as the
     rise above the Coulomb level.
 
     Args:
@@ -115,32 +115,32 @@ def stage_information(stage: PlannedStage, nominals: Sequence[Nominal]) -> Infor
     found = np.zeros((3, len(NAMES), len(NAMES)))
     for run in runs:
         others = [other for other in runs if other is not run]
-        own = np.stack([_told(run, others), *_scores(run)])
+        own = np.stack([_replicate_information(run, others), *_scores(run)])
         found[:, : len(names), : len(names)] += turn.T @ own @ turn / len(runs)
-    return Information(_believable(found[0], found[1]), found[1], found[2])
+    return Information(_bounded(found[0], found[1]), found[1], found[2])
 
 
-def _told(run: Replicate, others: Sequence[Replicate]) -> Array:
-    """Return the information of a run by replicates of it, as far as its stretches are believed,
+def _replicate_information(run: Replicate, others: Sequence[Replicate]) -> Array:
+    """Return the information of a run by replicates of it, with its segments' variance inflation,
     shape (p, p).
     """
     problem, jacobian = run.problem, run.sensitivities
     alike = matching_means(jacobian, instruments(problem, jacobian), problem.matching_count)
-    told = replicate_information(problem, alike, others)
-    return np.asarray(np.sum(told / problem.inflation[:, None, None] ** 2, axis=0))
+    by_segment = replicate_information(problem, alike, others)
+    return np.asarray(np.sum(by_segment / problem.inflation[:, None, None] ** 2, axis=0))
 
 
 def _scores(run: Replicate) -> tuple[Array, Array]:
-    """Return the power that a stage's scores should have, and what they have, breakaway times
-    eliminated, (p, p).
+    """Return the covariance of a stage's scores by the noise model and over its motion segments,
+    breakaway times eliminated, each of shape (p, p).
     """
     jacobian, residual = run.inflated()
     residual = residual * huber_weight(residual, HUBER_THRESHOLD)
-    stretches, owners = jacobian.blocks, jacobian.owners
+    segments, owners = jacobian.blocks, jacobian.owners
     rows = np.column_stack([jacobian.parameters, jacobian.own])
     count = rows.shape[1] - 1
-    power = np.zeros((stretches, count + 1, count + 1))
-    scores = np.zeros((stretches, count + 1))
+    power = np.zeros((segments, count + 1, count + 1))
+    scores = np.zeros((segments, count + 1))
     np.add.at(power, owners, rows[:, :, None] * rows[:, None, :])
     np.add.at(scores, owners, rows * residual[:, None])
     times = power[:, count, count]
@@ -152,22 +152,22 @@ def _scores(run: Replicate) -> tuple[Array, Array]:
     scores = scores[:, :count] - share * scores[:, count:]
     power = power[:, :count, :count] - share[:, :, None] * power[:, count, None, :count]
     scores -= np.mean(scores, axis=0)
-    return np.sum(power, axis=0), scores.T @ scores * stretches / max(stretches - 1, 1)
+    return np.sum(power, axis=0), scores.T @ scores * segments / max(segments - 1, 1)
 
 
-def _believable(told: Array, power: Array) -> Array:
-    """Return information by replicates, as far as it lies between none and that of a stage's own
+def _bounded(information: Array, power: Array) -> Array:
+    """Return information by replicates, clipped between none and that of a stage's own
     sensitivities.
 
-    Products of two noises have neither bound: where few stretches come again, chance makes them
-    negative, or far more than the stage itself would say.
+    Products of two noises have neither bound: with few matching half cycles chance makes them
+    negative, or far greater than the stage's own information.
     """
     scale = np.sqrt(np.maximum(np.diag(power), 1e-300))
     values, vectors = np.linalg.eigh(power / np.outer(scale, scale))
     clear = values > _CLEAR * np.max(values)
     root = vectors[:, clear] * np.sqrt(values[clear])
     inverse = vectors[:, clear] / np.sqrt(values[clear])
-    shares, ways = np.linalg.eigh(inverse.T @ (told / np.outer(scale, scale)) @ inverse)
+    shares, ways = np.linalg.eigh(inverse.T @ (information / np.outer(scale, scale)) @ inverse)
     half = root @ ways
     return np.asarray((half * np.clip(shares, 0.0, 1.0)) @ half.T * np.outer(scale, scale))
 
@@ -175,11 +175,11 @@ def _believable(told: Array, power: Array) -> Array:
 def likelihood_slope(problem: Problem) -> float:
     """Return how steep the likelihood is at a problem's start.
 
-    Where noise decides what the shaft does next, the filter, linear about its prediction, errs with
-    a mean: values other than those simulated are then likelier by far, and what such a stage says
-    is wrong. Steepness is that of the log likelihood in the parameters, squared, in the metric of
-    their information and over their number: chi-squared and about 1 where only noise makes it. The
-    inertia does not count, as it is not estimated by likelihood.
+    Where noise decides what the joint does next, the errors of the filter, which is linear about
+    its prediction, have a mean. Values other than those simulated are then far likelier, and the
+    information of such a stage is wrong. Steepness is the squared slope of the log likelihood in
+    the parameters, in the metric of their information, over their number: chi-squared, about 1
+    under noise alone. The inertia does not count, as it is not estimated by likelihood.
     """
     x, count = problem.origin(), len(problem.free)
     errors, deviations = problem.predictions(x)
@@ -194,7 +194,7 @@ def likelihood_slope(problem: Problem) -> float:
 
 
 def _squared(score: Array, known: Array, places: Sequence[int]) -> float:
-    """Return the size of some unknowns' scores in the metric of what is known of them."""
+    """Return the squared norm of some unknowns' scores in the metric of their information."""
     part = score[list(places)]
     return float(part @ np.linalg.pinv(known[np.ix_(places, places)], hermitian=True) @ part)
 
@@ -227,17 +227,17 @@ def weights_of_scores(informations: Sequence[Information], target: str, loaded: 
     return out
 
 
-def heard(informations: Sequence[Information], target: str, loaded: bool) -> list[Information]:
-    """Return what of several stages' information counts for the estimate of one parameter from all
-    of them.
+def effective(informations: Sequence[Information], target: str, loaded: bool) -> list[Information]:
+    """Return the effective information of several stages on one parameter, estimated from all of
+    them.
     """
     weights = weights_of_scores(informations, target, loaded)
-    return [i.heard(weights) for i in informations]
+    return [i.effective(weights) for i in informations]
 
 
 def pinned(informations: Sequence[Information], loaded: bool) -> Pinned:
-    """Return how tightly stages together pin each parameter: the nine, or five where none of them
-    is ``loaded``.
+    """Return the intervals that stages together leave: of all nine parameters, or of five where
+    none of them is ``loaded``.
     """
     names = NAMES if loaded else SYSTEM_PARAMETERS
     total = np.sum([i.normal for i in informations], axis=0)[: len(names), : len(names)]

@@ -1,5 +1,5 @@
-"""The search for sines, ramps and weights, and for their shares of the time, that pin one parameter
-best together.
+"""Search for sines, ramps and weights, and for their shares of the time, that together minimise the
+interval of one parameter.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from identification.design.pinning import (
     NOTHING,
     Information,
     Pinned,
-    heard,
+    effective,
     pinned,
     stage_information,
 )
@@ -33,27 +33,27 @@ DESIGNS = 8
 PARTS = 7
 """Stages of a design, at most."""
 _LONGER = 1.3
-"""Time over that for which the filter was seen to follow an excitation, at which it is seen to
+"""Duration over that for which the filter was tested on an excitation, above which it is tested
 again.
 """
 _OTHER_NOISES = (1000, 1001)
-"""With which it is, beside those by which excitations are judged: one in six may lose the shaft."""
+"""Seeds of further noises for that test: the filter may diverge with one noise in six."""
 _SUPPORT = 12
-"""Excitations with the greatest shares, of which a design's are chosen."""
+"""Excitations with the greatest shares, from which those of a design are chosen."""
 LEAST_S = 3.0
 """Least duration of a proposed stage."""
 _FOLLOWING_MARGIN = 0.5
-"""The same for the following error, which rests on the assumed drive loop."""
+"""Share of the limit of the following error, which depends on the assumed drive loop."""
 _STARTING_ACCELERATION = 0.5
-"""The same of one unloaded sine at least, rad/s^2, about what Figure 10 has: with less the inertia
-is not found.
+"""Least acceleration of one unloaded sine, rad/s^2, about that of Figure 10: with less the equation
+error does not find the inertia.
 """
 
 
 @dataclass(eq=False)
 class Candidate:
-    """An excitation on a short stage, its information per second, and for how long the filter
-    follows it, s.
+    """An excitation on a short stage, its information per second, and the duration for which the
+    filter was seen to follow it, s.
     """
 
     part: Part
@@ -70,10 +70,10 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Design:
-    """Stages that together take the whole time, and what their information promises."""
+    """Stages that together take the whole time, and the intervals by their information."""
 
     parts: tuple[Part, ...]
-    promised: Pinned
+    predicted: Pinned
 
 
 def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
@@ -81,13 +81,15 @@ def planned(frame: Frame, excitation: Excitation) -> PlannedStage:
     return PlannedStage(frame.render(excitation), excitation.weight)
 
 
-def promised(
+def predicted(
     frames: Sequence[Frame], parts: Sequence[Part], nominals: Sequence[Nominal], target: str
 ) -> Pinned:
-    """Return what stages that stand as they are pin, by their information."""
-    told = [stage_information(planned(frames[p.frame], p.excitation), nominals) for p in parts]
+    """Return the intervals that fixed stages leave, by their information."""
+    informations = [
+        stage_information(planned(frames[p.frame], p.excitation), nominals) for p in parts
+    ]
     loaded = any(f.loaded for f in frames)
-    return pinned(heard(told, target, loaded), loaded)
+    return pinned(effective(informations, target, loaded), loaded)
 
 
 def halved(
@@ -95,8 +97,8 @@ def halved(
 ) -> Design:
     """Return a design in half of the time, beside the present excitation in the other half.
 
-    The present one leads the searches of an identification into the right basin where a design
-    alone does not.
+    With the present excitation the searches of an identification reach the right basin where a
+    design alone does not lead there.
     """
     parts, left = [], 0.0
     for number, frame in enumerate(frames):
@@ -108,7 +110,7 @@ def halved(
             if room >= excitation.shortest:
                 parts.append(Part(number, excitation.lasting(room)))
                 left = room - parts[-1].excitation.seconds
-    return Design(tuple(parts), promised(frames, parts, nominals, target))
+    return Design(tuple(parts), predicted(frames, parts, nominals, target))
 
 
 @dataclass
@@ -121,7 +123,9 @@ class Search:
     rng: np.random.Generator
     target: str
     now: float
-    """The target's relative half width as it is: what no other parameter's should exceed."""
+    """The target's relative half width by the present excitation, which no other parameter's should
+    exceed.
+    """
     pool: list[Candidate] = field(default_factory=list)
     count: int = 0
 
@@ -134,7 +138,7 @@ class Search:
         )
 
     def add(self, part: Part) -> None:
-        """Judge an excitation on a short stage and keep it where it says anything."""
+        """Judge an excitation on a short stage and keep it where it has information."""
         rate = self._rate(part)
         if rate is not None:
             self.pool.append(Candidate(part, rate))
@@ -169,8 +173,8 @@ class Search:
         ]
 
     def designs(self) -> list[Design]:
-        """Return the best design, and those without one of its longest excitations, the most
-        promising first.
+        """Return the best design, and those without one of its longest excitations, the one with
+        the least merit value first.
         """
         best = self._design(list(self.pool))
         if best is None:
@@ -179,7 +183,7 @@ class Search:
         for candidate in self._longest(best[1])[: DESIGNS - 1]:
             without = self._design([c for c in self.pool if c is not candidate])
             found += [without] if without is not None else []
-        ranked = sorted((design for design, _ in found), key=lambda d: self.merit(d.promised))
+        ranked = sorted((design for design, _ in found), key=lambda d: self.merit(d.predicted))
         return ranked
 
     def _longest(self, chosen: Sequence[Candidate]) -> list[Candidate]:
@@ -194,7 +198,7 @@ class Search:
         """
         while self._complete(pool):
             designs = [(self._timed(chosen), chosen) for chosen in self._fewer(pool)]
-            design, chosen = min(designs, key=lambda d: self.merit(d[0].promised))
+            design, chosen = min(designs, key=lambda d: self.merit(d[0].predicted))
             lost = [
                 c
                 for c in chosen
@@ -206,8 +210,8 @@ class Search:
         return None
 
     def _followed(self, candidate: Candidate, part: Part) -> bool:
-        """Return whether the filter follows an excitation for the time it has, with noises it was
-        not judged by.
+        """Return whether the filter follows an excitation for its whole time, with noises other
+        than those it was judged by.
         """
         seconds = part.excitation.seconds
         if seconds > _LONGER * candidate.followed_s:
@@ -235,7 +239,7 @@ class Search:
         """Return whether an unloaded stage leaves the fall of friction fast enough for
         identification to start from.
 
-        Within it the equation error takes the acceleration for friction, and where there is little
+        On the falling branch the equation error takes acceleration for friction, and with little
         acceleration it finds no inertia.
         """
         if not candidate.part.excitation.tones:
@@ -258,11 +262,11 @@ class Search:
         return self._shared(pool)[0]
 
     def _fewer(self, pool: Sequence[Candidate]) -> list[list[Candidate]]:
-        """Return ever fewer that do nearly as well as the whole pool: those are left out in turn
-        that are missed least.
+        """Return smaller and smaller selections of a pool; each step leaves out the excitation
+        that costs least merit.
 
-        From as many as a design may have to as few as make one. Each gets its least time, whatever
-        its share.
+        Selections go from as many stages as a design may have to as few as make one. Each
+        excitation gets its least time, whatever its share.
         """
         ranked = [pool[k] for k in np.argsort(-self._shares(pool), kind="stable")]
         chosen = ranked[:_SUPPORT]
@@ -288,8 +292,8 @@ class Search:
         """Return the merit of sharing the whole time among these, pauses aside."""
         total = self._total
         shares, counts = self._shared(chosen, self._least(chosen))
-        told = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
-        return self.merit(pinned(told, any(f.loaded for f in self.frames)))
+        parts = [i.times(float(share) * total) for share, i in zip(shares, counts, strict=True)]
+        return self.merit(pinned(parts, any(f.loaded for f in self.frames)))
 
     def _least(self, chosen: Sequence[Candidate]) -> Array:
         """Return the least share of the time of each as one stage of several, its pause included,
@@ -321,8 +325,8 @@ class Search:
         )
 
     def _rate(self, part: Part) -> Information | None:
-        """Return an excitation's information per second; None where it breaks a limit or says
-        nothing.
+        """Return an excitation's information per second; None where it breaks a limit or has
+        none.
         """
         b, period = self.bounds, self.nominals[0].sensors.period
         stage = planned(self.frames[part.frame], part.excitation)
@@ -332,12 +336,12 @@ class Search:
         if reach > 0.5 * MARGIN * (b.angle_max - b.angle_min) or fastest > MARGIN * b.speed:
             return None
         self.count += 1
-        if not all(self._bears(stage, nominal) for nominal in self.nominals):
+        if not all(self._within_limits(stage, nominal) for nominal in self.nominals):
             return None
         found = stage_information(stage, self.nominals)
         return None if found is NOTHING else found.times(1.0 / (len(stage.command) * period))
 
-    def _bears(self, stage: PlannedStage, nominal: Nominal) -> bool:
+    def _within_limits(self, stage: PlannedStage, nominal: Nominal) -> bool:
         """Return whether a drive stays within the limits, by a margin."""
         b, response = self.bounds, stage_response(stage, nominal)
         return (

@@ -1,9 +1,8 @@
-"""How much of the time each of many excitations should get, so that one parameter is pinned best.
+"""Shares of the time among many excitations that minimise the variance of one parameter.
 
 Informations add and grow with time, so the variance of a parameter is convex in the shares of time.
 The multiplicative algorithm (Silvey, Titterington and Torsney, Commun. Statist. A 7 (1978) 1379)
-needs no step length and leaves few excitations with a share: those whose weaknesses complement one
-another.
+needs no step length and leaves few excitations with a share: those that complement one another.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ def best_shares(
 
     Args:
         rates: Information of each per second.
-        target: The parameter to be pinned.
+        target: The parameter whose variance is minimised.
         loaded: Whether the load's four are unknown as well.
         least: Shares that they get in any case, shape (n,), of sum 1 at most; None where they get
             none.
@@ -53,18 +52,18 @@ def best_shares(
 
 
 def shared(
-    told: Sequence[Information], target: str, loaded: bool, least: Array | None = None
+    informations: Sequence[Information], target: str, loaded: bool, least: Array | None = None
 ) -> tuple[Array, list[Information]]:
-    """Return the best shares of excitations, shape (n,), and what counts of each for the target
-    with these.
+    """Return the best shares of excitations, shape (n,), and the effective information of each on
+    the target at these shares.
 
-    How scores scatter depends on what weights they have in the target's estimate, and those on the
-    shares: in turn.
+    The effective information depends on the weights of the scores in the target's estimate, and
+    these on the shares; so the two are computed in turn.
     """
-    counts = list(told)
+    counts = list(informations)
     for _ in range(_TURNS):
         shares = best_shares(counts, target, loaded, least)
         total = [i.times(float(share)) for i, share in zip(counts, shares, strict=True)]
         weights = weights_of_scores(total, target, loaded)
-        counts = [i.heard(weights) for i in told]
+        counts = [i.effective(weights) for i in informations]
     return best_shares(counts, target, loaded, least), counts

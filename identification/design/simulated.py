@@ -1,5 +1,5 @@
-"""A planned experiment simulated on the nominal model: what the bench would do and log, and the fit
-at its values.
+"""A planned experiment simulated on the nominal model: motion, log, and the fit at the simulated
+values.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from identification.simulate.servo_loop import Loop, Response, respond, usual_lo
 
 NOISE_SEED = 0
 ASSUMED, SEEN = (0.75, 1.35), (0.96, 1.04)
-"""Drives, beside the nominal one, that a proposal must bear: their velocity gain over its, where
-that one is assumed, and where recordings showed it.
+"""Velocity gains of further drives that a proposal must suit, over the nominal one's: where that is
+assumed, and where recordings show it.
 """
 
 
 @dataclass(frozen=True)
 class Sensors:
-    """What the bench logs.
+    """Sampling, quantisation and noise of the bench's log.
 
     Attributes:
         period: Of the log, s.
@@ -83,7 +83,7 @@ class Nominal:
 
 
 def with_drives(nominal: Nominal) -> tuple[Nominal, ...]:
-    """Return a model with its own drive, a softer and a stiffer one: a proposal has to bear all of
+    """Return a model with its own drive, a softer and a stiffer one; a proposal has to suit all of
     them.
     """
     beside = ASSUMED if nominal.loop is None else SEEN
@@ -98,7 +98,7 @@ def stage_response(
     rng: np.random.Generator | None = None,
     share: float = 1.0,
 ) -> Response:
-    """Return what the nominal bench does in one stage.
+    """Return the nominal bench's response to one stage.
 
     Args:
         stage: What is commanded, under which weight.
@@ -118,12 +118,12 @@ def stage_response(
 def recorded(
     number: int, stage: PlannedStage, nominal: Nominal, rng: np.random.Generator
 ) -> Recording:
-    """Return what the bench would log: half of the noise's power in the torque itself, half in its
-    measurement.
+    """Return the log of a stage, with half of the noise's power in the torque itself and half in
+    its measurement.
 
-    How a drive shares it depends on its current loop, which is not known; both ends have been seen.
-    The drive's own channels are there as well: without them the default method does not see its
-    loop and leaves out what rests on it.
+    How a drive shares it depends on its current loop, which is not known. The drive's own channels
+    are logged as well: without them the default method cannot find the loop and omits the bias
+    correction, which needs it.
     """
     sensors, bench = nominal.sensors, nominal.bench
     response = stage_response(stage, nominal, rng, math.sqrt(0.5))
@@ -152,15 +152,15 @@ def at_the_truth(
     noise: int,
     whole: bool = True,
 ) -> Replicate | None:
-    """Return a run of some stages and the fit at the values simulated; None where the filter does
+    """Return a run of some stages and the fit at the simulated values; None where the filter does
     not follow.
 
     Args:
         stages: What is commanded, under which weights.
         nominal: The model.
         names: Of the parameters that would be fitted.
-        noise: Which one it is simulated with.
-        whole: Whether the noise's level is sought, as in a whole experiment, or taken as it is.
+        noise: Seed of the noise.
+        whole: Whether the noise's level is estimated, as in a whole experiment, or the nominal one.
     """
     rng = np.random.default_rng(noise)
     motions = [motion(recorded(k, s, nominal, rng)) for k, s in enumerate(stages)]

@@ -23,14 +23,14 @@ from identification.numerics.spread import Spread
 from identification.recording import Dataset, RecordingError
 
 
-def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
-    """Return the relative half widths that the default method arrives at on a simulated run of the
+def attained(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Generator) -> Pinned:
+    """Return the relative half widths that the default method attains on a simulated run of the
     nominal bench.
 
-    Where a value is further from the simulated one than its half width, that distance: the interval
-    is too narrow, or of a wrong basin. Infinite where it does not identify a parameter, and
-    throughout where it refuses the prediction errors, as what it would then fall back on is not
-    what was planned.
+    Where a value is farther from the simulated one than its half width, the distance replaces it:
+    the interval is too narrow, or of a wrong basin. It is infinite for parameters that are not
+    identifiable, and for all where the refined values are refused, since the design was made for
+    these.
     """
     names = NAMES if any(s.weight > 0.0 for s in stages) else SYSTEM_PARAMETERS
     nothing = Pinned(dict.fromkeys(names, math.inf))
@@ -51,12 +51,12 @@ def rehearse(stages: Sequence[PlannedStage], nominal: Nominal, rng: np.random.Ge
 
 
 def expected(stages: Sequence[PlannedStage], nominals: Sequence[Nominal]) -> tuple[Pinned, float]:
-    """Return the relative half widths that the joint fit would state if it ended at the values
-    simulated.
+    """Return the relative half widths that the joint fit would state at the simulated values, and
+    the steepness of the likelihood there.
 
-    And how much steeper the likelihood is there than noise makes it, 1 or more: by about so many of
-    its deviations the fit would end elsewhere. Medians over the runs; infinite throughout where the
-    filter does not follow in one.
+    Steepness is over that of noise alone, 1 or more; the fit would end about so many standard
+    deviations away. Both are medians over the runs, and infinite where the filter does not follow
+    one of them.
 
     Args:
         stages: The design.

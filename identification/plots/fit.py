@@ -85,8 +85,7 @@ def stribeck(result: Identification, moments: Mapping[str, float | None]) -> Fig
         if curve is not None:
             axis.plot(*curve, color=BLACK, linewidth=1.1, label=label)
         else:
-            # Some of the curve's parameters are not known by themselves; what they explain together
-            # is.
+            # Some parameters of the curve are not identifiable by themselves, but their sum is.
             model = np.concatenate([_model_friction(t)[moving(t)] for t in traces])
             axis.plot(speeds[few], model[few], ".", color=BLACK, markersize=1.5, label=label)
         label = None

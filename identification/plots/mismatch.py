@@ -96,7 +96,7 @@ def trace(one: ResidualTrace, noise_floor: float | None) -> Figure:
 
 
 def curve(missing: Curve) -> Figure:
-    """What is missing, over the coordinate that explains most of it."""
+    """Unmodelled torque over the coordinate that explains most of it."""
     along, unit = _shown_unit(missing.unit)
     factor, residual_unit = _shown_unit(missing.residual_unit)
     made, (axis,) = figure(1, width=7.0, height=3.2)

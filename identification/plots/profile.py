@@ -1,6 +1,4 @@
-"""Figures of how sure an estimate is: likelihood profiles, and where the starts of a search
-ended.
-"""
+"""Figures of uncertainty: likelihood profiles, and the ends of a search's starts."""
 
 from __future__ import annotations
 

@@ -1,6 +1,4 @@
-"""Figures of a blind proof: how often an effect of some strength is found, and what it is taken
-for.
-"""
+"""Figures of a blind proof: rates of detection by strength, and confusion of effects."""
 
 from __future__ import annotations
 
@@ -37,10 +35,10 @@ def power_curve(labels: Sequence[str], curves: Mapping[str, Sequence[Band]]) -> 
 
 
 def confusion_matrix(table: Mapping[str, Mapping[str, int]]) -> Figure:
-    """What each effect was called, as shares of its row.
+    """Confusion of injected and identified effects, as shares of a row.
 
     Args:
-        table: True name -> name given -> how often.
+        table: Injected effect -> first identified effect -> count.
     """
     given = sorted(
         {name for row in table.values() for name in row}, key=lambda name: (name not in table, name)

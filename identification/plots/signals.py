@@ -1,4 +1,4 @@
-"""Figures of one recording: what it did, how well the fit explains it."""
+"""Figures of one recording: its signals, and the residual of the fit."""
 
 from __future__ import annotations
 
@@ -68,8 +68,7 @@ def response(trace: Trace, recording: Recording, unit: str) -> Figure:
 
 
 def residual(trace: Trace, motion: str, unit: str) -> Figure:
-    """What the model leaves over: against time, against velocity, and how it is spread; moving
-    samples only.
+    """Residual of the model against time and velocity, and its histogram; moving samples only.
 
     Args:
         trace: The recording as fitted.

@@ -1,4 +1,4 @@
-"""What all figures share: size, colours, thinning, saving."""
+"""Shared by all figures: size, colours, thinning, saving."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ BLUE, ORANGE, GREEN, VERMILION, PURPLE, SKY = (
 )
 BLACK, GREY = "#222222", "#8A8A8A"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
-"""Okabe and Ito's palette, told apart by colour-blind readers too."""
+"""Okabe and Ito's palette, which colour-blind readers can distinguish."""
 MAX_POINTS = 5000
 
 
@@ -95,7 +95,7 @@ def continuing(time: Array) -> NDArray[np.bool_]:
 
 
 def legend_above(axis: Axes, columns: int) -> Legend | None:
-    """Add a legend above the axes, where it hides no data; none where nothing has a name."""
+    """Add a legend above the axes, where it covers no data; none without labels."""
     if not axis.get_legend_handles_labels()[0]:
         return None
     return axis.legend(

@@ -1,1 +1,1 @@
-"""Forward simulation of what was fitted: controller, drive and a joint with set-valued friction."""
+"""Forward simulation of a fitted model: controller, drive and a joint with set-valued friction."""

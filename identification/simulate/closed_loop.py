@@ -1,4 +1,4 @@
-"""What a fitted model does in the loop its recording was made in."""
+"""Response of a fitted model in the loop of its recording."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from identification.recording import Controller, Recording, RecordingError
 from identification.simulate import closed_loop_kernel as kernel
 
 STEP_S = 2.5e-4
-"""Greatest integration step: the error it leaves is far below what recordings show
-(tests/identification).
+"""Greatest integration step; its error is far below the noise of recordings.
 """
 
 OPEN_LOOP = np.array([0.0, 0.0, math.inf, 1.0, 0.0])
@@ -43,12 +42,12 @@ class Response:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What acts on the loop, shape (n,).
+    """Inputs of the loop, shape (n,).
 
     Attributes:
         time: s, increasing.
         command: rad.
-        scale: What multiplies the controller's output: the supply voltage where that is a duty,
+        scale: Factor of the controller's output: the supply voltage where that is a duty,
         else 1.
         added: Added to that product, in the output's unit.
         moment: F_P L1, N m.
@@ -66,7 +65,7 @@ def body_of(values: Mapping[str, float], recording: Recording, alpha: float) -> 
     pendulum on it.
 
     Raises:
-        RecordingError: There is no inertia to move.
+        RecordingError: The inertia is zero.
     """
     body = pack(values, alpha)
     if recording.pendulum is not None:
@@ -112,7 +111,7 @@ def loop_of(controller: Controller, recording: Recording) -> Array:
 
 
 def inputs_of(recording: Recording) -> Inputs:
-    """Return what acted on the loop while a recording was made.
+    """Return the inputs of the loop of a recording.
 
     Raises:
         RecordingError: It has no controller or no command, or a duty and no supply voltage.
@@ -150,7 +149,7 @@ def simulate(
     Args:
         body: Of :func:`body_of`.
         loop: Of :func:`loop_of`, or :data:`OPEN_LOOP`.
-        inputs: What acts on it.
+        inputs: Of the loop.
         angle: At the first time stamp, rad.
         velocity: At the first time stamp, rad/s.
         step: Greatest integration step, s.
@@ -174,8 +173,7 @@ def replay(
     """Simulate a recording from its own command and first angle, at rest, with the fitted
     ``values``.
 
-    Nothing measured later than the first sample enters but the command, the supply voltage and the
-    declared loads.
+    After the first sample only the command, the supply voltage and the declared loads enter.
 
     Raises:
         RecordingError: Something the simulation needs is missing.

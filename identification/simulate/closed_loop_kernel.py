@@ -2,8 +2,8 @@
 
 J domega/dt = tau - F(omega), with the friction F of eq. 9 and 13. Speed by the trapezoidal rule,
 implicit in friction and solved by Newton; the controller acts on the angle in the middle of the
-step. A joint that would pass through zero stops there, and stays as long as the torque on it is
-within the static limit.
+step. A joint whose speed would pass through zero stops there, and stays at rest while the torque on
+it is within the static limit.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def closed_loop(
     Args:
         time: s, shape (n,), increasing, not necessarily evenly.
         command: rad, shape (n,); linear between samples.
-        scale: What multiplies the controller's output, shape (n,): supply voltage, or 1; held from
+        scale: Factor of the controller's output, shape (n,): supply voltage, or 1; held from
         sample to sample.
         added: Added to that product, shape (n,); held.
         moment: F_P L1, N m, shape (n,); held.

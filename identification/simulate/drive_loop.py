@@ -26,7 +26,7 @@ _DELAYS_S = tuple(2e-4 * k for k in range(8))
 """Delay between the joint's motion and the loop's response."""
 _MISFIT = 0.15
 """Greatest rms of the regression's residual, over that of the torque's changes, at which the loop
-is known.
+is accepted.
 """
 _GAINS = 3
 
@@ -54,11 +54,11 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
         float(gains[1] / gains[0]),
         float(gains[2] / gains[0]),
     )
-    # Kp and Ki enter alike; where noise leaves them no real values, equal ones come nearest.
+    # Kp and Ki enter symmetrically; where noise makes them complex, equal ones are nearest.
     half = 0.5 * total
     apart = math.sqrt(max(half * half - product, 0.0))
     usual = usual_loop(1.0, torque_limit, count)
-    # Of the delay, what the filter on the speed does not explain is the torque's own.
+    # The part of the delay that the speed filter does not explain is the torque's lag.
     lag = max(
         _least(_DELAYS_S, [m for _, m in fits], best) - 1.0 / (2.0 * math.pi * usual.filter_Hz), 0.0
     )
@@ -66,8 +66,8 @@ def drive_loop(recordings: Sequence[Recording], torque_limit: float, count: floa
 
 
 def _least(places: Sequence[float], misfits: Sequence[float], best: int) -> float:
-    """Return where a parabola through the least of evenly spaced misfits, squared, and its
-    neighbours is least.
+    """Return the minimum of a parabola through the least of evenly spaced squared misfits and its
+    neighbours.
     """
     if not 0 < best < len(places) - 1:
         return places[best]
@@ -84,7 +84,7 @@ def _fit(recordings: Sequence[Recording], late: int, delay: float) -> tuple[Arra
     Args:
         recordings: At least one.
         late: Cycles by which the command reaches the loop late.
-        delay: Of what the loop makes of the shaft's motion, s.
+        delay: Between the joint's motion and the loop's response, s.
     """
     rows, torques = [], []
     for number, recording in enumerate(recordings):

@@ -15,7 +15,8 @@ from identification.signals import resample, smooth
 from identification.simulate.closed_loop import Response
 
 FRICTION_PARAMETERS = ("Mc", "Ms", "sigma_2", "mu_c", "mu_s", "mu_2", "mu_gc", "mu_gs")
-"""What scales with the friction as a whole; Stribeck speeds, inertia and offset stay."""
+"""Parameters that scale with the friction as a whole; Stribeck speeds, inertia and offset do not.
+"""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def compare(prepared: Prepared, response: Response) -> Sums:
 
 
 def simulated_torque(prepared: Prepared, response: Response) -> Array:
-    """Return the simulated drive torque as the fit would have seen it, N m, at
+    """Return the simulated drive torque after the filter of the fit, N m, at
     ``prepared.time``.
     """
     recording = prepared.recording
@@ -98,7 +99,7 @@ def simulated_torque(prepared: Prepared, response: Response) -> Array:
 
 
 def with_friction(values: Mapping[str, float], share: float) -> dict[str, float]:
-    """Return the values with all friction times ``share``: what an error has to be seen beside."""
+    """Return the values with all friction times ``share``, as a scale for the error."""
     return {
         name: value * (share if name in FRICTION_PARAMETERS else 1.0)
         for name, value in values.items()

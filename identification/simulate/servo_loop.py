@@ -2,7 +2,7 @@
 time.
 
 It simulates planned experiments, and the replicates by which the bias of an estimate is measured
-(M33 to M36). It shares nothing with the simulated bench.
+(M33 to M36). It shares no code with the simulated bench.
 """
 
 from __future__ import annotations

@@ -30,16 +30,16 @@ LOADED = ("mu_c", "mu_2")
 RISES = STRIBECK_TERMS[:2]
 """Kinetic level, static level and Stribeck speed of eq. 9 and 12."""
 CATCH_UP_SHARE = 0.1
-"""Of the speed limit: where damping balances the most that stiffness may add."""
+"""Share of the speed limit at which damping balances the greatest torque of the stiffness."""
 
 
 @dataclass(frozen=True)
 class Feedforward:
-    """What is known of a bench, to compute torque from.
+    """Identified parameters of a bench, from which torque is computed.
 
     Attributes:
-        values: Parameter name to value, SI; those of the load may be missing. A rise that is open
-        is none.
+        values: Parameter name to value, SI; those of the load may be missing. A rise that the
+            identification leaves open is zero.
         alpha: Stribeck exponent.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
         source: The result file.
@@ -56,7 +56,7 @@ class Feedforward:
 
     @property
     def remark(self) -> str | None:
-        """What the operator is to know of it."""
+        """Message to the operator."""
         if not self.left_open:
             return None
         return (
@@ -79,13 +79,13 @@ class Offsets:
     """Torque offsets of one stage, one a cycle, shape (n,) each.
 
     Attributes:
-        torque: What the commanded motion takes, N m.
-        stiffness: Torque per angle error, N m/rad; fades out where nothing is commanded to move.
+        torque: Torque of the commanded motion, N m.
+        stiffness: Torque per angle error, N m/rad; fades out where the command rests.
         damping: Torque per speed error, N m s/rad; fades out likewise.
         angle: Commanded joint angle that belongs to the sample before the cycle, rad.
         speed: Commanded joint speed that belongs to the speed measured last before the cycle,
         rad/s.
-        reach: Greatest magnitude of what stiffness adds, N m.
+        reach: Greatest torque of the stiffness, N m.
         limit: Greatest magnitude that is sent, N m.
     """
 
@@ -118,8 +118,8 @@ class Compensator:
         """Return the torque offset to send next, N m, within its limit.
 
         Args:
-            sample: Of the cycle before; None in the first. What is not fresh adds nothing, and
-                damping needs a fresh one before it as well.
+            sample: Of the cycle before; None in the first. A sample that is not fresh gives no
+                feedback, and damping needs a fresh one before it as well.
         """
         torque, stiffness, damping, commanded, speed = next(self._rows)
         angle = (
@@ -170,7 +170,7 @@ def require_torque_offset(bench: Document[Bench]) -> None:
     """Refuse a bench whose drive cannot add a torque that is sent once a cycle.
 
     Raises:
-        InputError: Says why, with the place in the bench file.
+        InputError: With the reason and the place in the bench file.
     """
     value = bench.value
     if isinstance(value.servo, DbcServoSection):
@@ -200,10 +200,10 @@ def stage_offsets(
     torque_limit: float,
     speed_limit: float,
 ) -> Offsets:
-    """Compute the torque offsets of a stage from what it will command, shape (n,).
+    """Compute the torque offsets of a stage from its commands, shape (n,).
 
     Args:
-        model: What is known of the bench.
+        model: Identified parameters of the bench.
         targets: Joint angles, rad, one a cycle; each is reached one cycle after it is sent.
         weight_kg: Mass on the lever.
         cycle_s: Control cycle, s.

@@ -13,8 +13,8 @@ from rig.planning.limits import Limits
 LONGEST_RAMP_SHARE = 0.25
 """Share of the pass that each of its ramps may take."""
 GROWTH = 2.0
-"""From one pass to the next, where the joint has not moved: a soft drive winds up by degrees before
-friction yields.
+"""Factor of the amplitude from one pass to the next, where the joint has not moved: a soft drive
+deflects by degrees before friction yields.
 """
 
 
@@ -58,7 +58,7 @@ def _plan_pass(
     section: StageSection, low: FirstPass, amplitude: float, limits: Limits, cycle_s: float
 ) -> PlannedPass:
     """Compute one pass: the same tones about the same centre, smaller and shorter; a ramp at its
-    speed, not as far.
+    speed over a shorter travel.
     """
     if section.ramp is not None:
         ramp = section.ramp.model_copy(
@@ -99,9 +99,8 @@ def _peak_speed(targets: Array, cycle_s: float) -> float:
 def _tighter(limits: Limits, share: float) -> Limits:
     """Cut the limits.
 
-    Static friction does not shrink with the amplitude, so those on torque are cut half as much.
-
-    So is the following error, by which a soft drive winds up against it.
+    Static friction does not shrink with the amplitude, so those on torque are cut half as much. So
+    is the following error, which measures torque on a soft drive.
     """
     torque_share = 0.5 * (1.0 + share)
     return dataclasses.replace(
@@ -114,9 +113,7 @@ def _tighter(limits: Limits, share: float) -> Limits:
 
 
 def _around(targets: Array, limits: Limits) -> Limits:
-    """Let the joint go no further than the pass itself does, and the following error it may
-    have.
-    """
+    """Limit the joint to the range of the pass, widened by the allowed following error."""
     slack = limits.following_error
     return dataclasses.replace(
         limits,

@@ -1,10 +1,9 @@
 """From a flow command to the valve's angle: the closed loop of Fig. 5 and 11 around the position
 servo.
 
-A flow asks for the pressure at which the propellant gives it (eq. 2), and a PI controller turns the
-valve until the chamber has it. Where the valve is, is the gas generator's answer as much as the
-controller's: pressure and area load the valve (eq. 10), the load holds it back, and that shows in
-the pressure.
+A flow corresponds to the pressure at which the propellant gives it (eq. 2); a PI controller turns
+the valve until the chamber has that pressure. The valve and the gas generator act on each other:
+pressure and area load the valve (eq. 10), and friction under that load delays the valve.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from rig.common.sample import Sample
 from rig.config.flow import Array, FlowController
 
 _LEAST_PRESSURE_PA = 1e3
-"""Readings below are taken for this, so that a dead transmitter opens no logarithm of zero."""
+"""Least pressure of the control law, Pa, so that a dead transmitter gives no logarithm of zero."""
 _ANGLES = 20001
 
 
@@ -48,7 +47,7 @@ class FlowLaw:
 
 @dataclass(frozen=True)
 class LawState:
-    """What the controller remembers: filtered pressure (Pa), integral and angle (rad)."""
+    """State of the controller: filtered pressure (Pa), integral and angle (rad)."""
 
     pressure: float
     integral: float
@@ -73,7 +72,7 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
 
     Args:
         law: The controller.
-        state: What it left behind.
+        state: After the cycle before.
         wanted: Pressure command p_c, Pa.
         reading: Measured pressure, Pa.
     """
@@ -89,13 +88,13 @@ def control(law: FlowLaw, state: LawState, wanted: float, reading: float) -> Law
 
 
 class Regulator:
-    """The controller in the control cycle: gives a target, sees the sample that comes of it, gives
-    the next.
+    """The controller in the control cycle: gives a target, takes the resulting sample, gives the
+    next target.
 
     Args:
         law: The controller.
         pressures: Pressure command of each cycle, Pa.
-        angle: Where the valve is, rad.
+        angle: Of the valve at the start, rad.
     """
 
     def __init__(self, law: FlowLaw, pressures: Sequence[float], angle: float) -> None:
@@ -124,8 +123,8 @@ def pressure_for(flow: Array, g: GasGenerator) -> Array:
 
 
 def angle_for(flow: Array, g: GasGenerator) -> Array:
-    """Return the valve angle at which a flow (kg/s) is steady, eq. 3, rad; that of the nearest
-    throat there is.
+    """Return the valve angle at which a flow (kg/s) is steady, eq. 3, rad; outside the valve's
+    range that of the nearest throat.
     """
     angles = np.linspace(0.0, g.valve.clearing_angle, _ANGLES)
     areas = throat_area(angles, g.valve)

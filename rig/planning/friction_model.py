@@ -20,19 +20,19 @@ from rig.runs.run_file import read_record, recorded_bench
 NOMINAL_ALPHA = 2.0
 """Stribeck exponent of the paper."""
 RUNS = Path("runs")
-"""Where runs, and the identifications beside them, are unless a place is given."""
+"""Default folder of runs and of the identifications beside them."""
 
 
 @dataclass(frozen=True)
 class FrictionModel:
-    """What is known of a bench's friction and inertia.
+    """Known friction and inertia of a bench.
 
     Attributes:
         values: The nine parameters, SI, at the joint.
         alpha: Stribeck exponent.
         moment_arm_m: L1.
         moment_per_kg: Contact moment of one kilogram on the lever, N m.
-        source: Where the values come from, in words.
+        source: Origin of the values, as text.
         measured: Whether they come from an identification.
     """
 
@@ -47,12 +47,13 @@ class FrictionModel:
 def friction_model(
     bench: BenchConstants, named: Path | None = None, runs: Path = RUNS
 ) -> FrictionModel:
-    """Return the best that is known of a bench.
+    """Return the best known friction of a bench.
 
     Args:
         bench: Its constants.
         named: Result of ``rig identify --json`` to use.
-        runs: Where to look otherwise for the newest one of a bench with the same constants.
+        runs: Folder that is searched otherwise for the newest result of a bench with the same
+            constants.
 
     Raises:
         InputError: ``named`` cannot be read, or is no such result.
@@ -64,7 +65,7 @@ def friction_model(
             if recorded_bench(read_record(path.parent)) == bench:
                 return _identified(path, bench)
         except InputError:
-            continue  # a folder that is no whole run says nothing of this bench
+            continue  # an incomplete run does not describe this bench
     words = (
         f"the paper's friction and the inertia {NOMINAL['J']:g} kg m^2 of the packaged benches, "
         f"as nothing was "
@@ -84,7 +85,7 @@ def of_another_bench(path: Path, bench: BenchConstants) -> str | None:
     try:
         recorded = recorded_bench(read_record(path.parent))
     except InputError:
-        return None  # not beside a run: nothing is known of its bench
+        return None  # not beside a run: its bench is unknown
     if recorded == bench:
         return None
     differing = [
@@ -116,10 +117,10 @@ def _newest_first(runs: Path) -> list[Path]:
 def _identified(path: Path, bench: BenchConstants) -> FrictionModel:
     raw = read_identification(path)
     try:
-        told = {name: raw["parameters"].get(name, {}).get("value") for name in NOMINAL}
+        values = {name: raw["parameters"].get(name, {}).get("value") for name in NOMINAL}
         known = {
             name: float(value)
-            for name, value in told.items()
+            for name, value in values.items()
             if value is not None and math.isfinite(value)
         }
         alpha = float(raw["alpha"])

@@ -1,5 +1,5 @@
-"""Hot firings planned: the flow that a controller follows, what is expected of the gas generator,
-and its limits.
+"""Hot firings planned: the flow that a controller follows, the expected state of the gas
+generator, and its limits.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class FlowPlan:
     Attributes:
         law: The controller.
         pressures: Pressure command of each cycle, Pa, shape (n,).
-        angles: Where the valve should come to be, rad, shape (n,).
+        angles: Expected valve angles, rad, shape (n,).
     """
 
     law: FlowLaw
@@ -39,7 +39,7 @@ class FlowPlan:
 
 
 def believed(bench: Bench) -> GasGenerator | None:
-    """Return what the bench file says of the gas generator, or None."""
+    """Return the nominal gas generator of the bench file, or None."""
     section = bench.gas_generator
     return None if section is None else section.generator(bench.machine.moment_arm_m)
 
@@ -86,7 +86,7 @@ def _steady(targets: Array, generator: GasGenerator) -> Array:
 def hot_objections(
     section: StageSection, targets: Array, bench: Bench
 ) -> Iterator[tuple[tuple[str | int, ...], str, object]]:
-    """Yield key, message and value of everything a hot firing asks for and may not have."""
+    """Yield key, message and value of everything that a hot firing requests beyond the limits."""
     if section.stage != "hot_fire":
         return
     generator, limit_MPa = believed(bench), bench.limits.pressure_MPa
@@ -147,9 +147,7 @@ def gas_limits(bench: Bench) -> GasLimits | None:
 
 
 def hot_fire_words(stage: str, simulated: bool) -> str:
-    """Return what the operator is told before a hot firing, whose prompt asks for an empty
-    lever.
-    """
+    """Return the message before a hot firing, whose prompt asks for an empty lever."""
     lights = (
         "is lit by this program"
         if simulated

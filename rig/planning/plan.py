@@ -1,4 +1,4 @@
-"""From bench and sequence to what will be run: every target computed, every limit checked, before
+"""The plan of a run from bench and sequence: every target computed and every limit checked before
 anything moves.
 """
 
@@ -53,7 +53,7 @@ class PlannedStage:
 
     ``first_passes`` go before it, in order, until one has moved the joint. ``offsets`` are torques
     that the drive adds during the excitation, None where it adds none. With a ``flow`` a controller
-    moves the valve, and ``targets`` are where it should come to be. ``contact_force_N`` is the
+    moves the valve, and ``targets`` are the expected angles. ``contact_force_N`` is the
     greatest.
     """
 
@@ -85,7 +85,7 @@ class Plan:
         servo_limits: The same, as the drive is to hold them.
         approach_speed: Peak speed of moves to a start angle, rad/s.
         cycle_ns: Control cycle, ns.
-        feedforward: What the stages' torque offsets were computed from; None where there are none.
+        feedforward: Source of the stages' torque offsets; None where there are none.
     """
 
     name: str
@@ -121,15 +121,15 @@ def make_plan(
     """Compute all targets and check them against the bench.
 
     Args:
-        sequence: What to do.
-        bench: On which bench.
+        sequence: The sequence.
+        bench: The bench.
         first_pass: Whether to make a first pass at low amplitude; None to do as the sequence says.
-        feedforward: What is known of the bench, for torque that the drive adds during the
+        feedforward: Identified parameters of the bench, for torque that the drive adds during the
             excitations; None for none.
 
     Raises:
-        InputError: A stage asks for more than the bench allows, or a limit is looser than the
-            bench's; lists all. Or the drive cannot add torque, or too little is known of the bench
+        InputError: A stage exceeds what the bench allows, or a limit is looser than the bench's;
+            lists all. Or the drive cannot add torque, or the identification lacks parameters
             for it.
     """
     if feedforward is not None:
@@ -223,7 +223,7 @@ def _plan_stage(
         / bench.cycle_s,
         peak_angle_rad=float(targets[np.argmax(np.abs(targets))]) if len(targets) else 0.0,
         time_limit_s=0.0,
-        # What a hot firing presses with is measured, and its friction says nothing of a mass.
+        # The load of a hot firing is measured, and its friction does not depend on a mass.
         first_passes=()
         if low is None or section.stage == "hot_fire"
         else plan_passes(section, low, limits, bench.cycle_s),
@@ -255,7 +255,7 @@ _Objection = tuple[tuple[str | int, ...], str, object]
 def _objections(
     section: StageSection, stage: PlannedStage, limits: Limits, bench: Bench
 ) -> Iterator[_Objection]:
-    """Yield key, message and value of everything a stage asks for and may not have."""
+    """Yield key, message and value of everything that a stage requests beyond the limits."""
     if len(stage.targets) < 2:
         yield (
             ("duration_s",),

@@ -96,7 +96,7 @@ def _peaks(
 def moves_to_start(stage: PlannedStage, plan: Plan) -> list[Array]:
     """Return the joint angles of each move to the start of a part of a stage, rad.
 
-    The first is from 0. A part that begins where the joint is has none.
+    The first is from 0. A part that starts at the present angle has none.
     """
     parts = [first.targets for first in stage.first_passes[:1]] + [stage.targets] * stage.repeats
     moves, here = [], 0.0
@@ -116,13 +116,13 @@ def peak_torque(angle: Array, cycle_s: float, moments: Array, model: FrictionMod
     """Return the greatest torque at the joint while it follows commanded angles, N m.
 
     It breaks away from rest against the static friction, and follows against friction, working load
-    and inertia (eq. 15). What feedback adds, as where the joint sticks and slips, is not predicted.
+    and inertia (eq. 15). Torque of the feedback, as under stick-slip, is not predicted.
 
     Args:
         angle: Commanded joint angles, rad, one a cycle, shape (n,), at least two.
         cycle_s: Control cycle, s.
         moments: Contact moment F_P L1 at each angle, N m, shape (n,).
-        model: What is known of the bench.
+        model: Friction and inertia of the bench.
     """
     speed = np.diff(angle) / cycle_s
     moments = moments[1:]

@@ -18,12 +18,12 @@ from rig.config.sequence import Array
 NEEDED = ("Mc", "Ms", "omega_sf", "sigma_2", "mu_c", "mu_s", "omega_sL", "mu_2")
 _SIGMA_OF_90 = 1.6449
 LARGEST_ALPHA = 100.0
-"""Stribeck exponent above which no result of an identification has it."""
+"""Greatest Stribeck exponent of a valid result."""
 
 
 @dataclass(frozen=True)
 class Reference:
-    """What a bench's friction is known to be.
+    """Known friction of a bench.
 
     Attributes:
         values: Parameter name to value, SI units.

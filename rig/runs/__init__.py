@@ -1,3 +1,1 @@
-"""The run folder: its record, its recording, how it is read back, recovered, resumed and
-exported.
-"""
+"""The run folder: its record and recording; reading, recovery, resumption and export."""

@@ -1,10 +1,9 @@
-"""One time base out of two clocks: a joint encoder that samples by its own, beside a drive that
-samples by its.
+"""One time base for a drive and a joint encoder that sample by clocks of their own.
 
-Latched by one SYNC the two agree but for drift of their stamps, which moves no sample. An encoder
-that runs free is some part of a period old whenever the drive's sample is taken, more or less as
-their clocks beat. A delay tau turns friction's slope into inertia, tau dF/domega: half a
-millisecond near the Stribeck speed is a quarter of the whole. Pure functions of arrays.
+Latched by one SYNC the two agree but for drift of their stamps, which moves no sample. Samples of a
+free-running encoder are up to a period older than the drive's, by an age that varies with the beat
+of the clocks. A delay tau turns friction's slope into inertia, tau dF/domega: half a millisecond
+near the Stribeck speed is a quarter of the whole. Pure functions of arrays.
 """
 
 from __future__ import annotations
@@ -17,12 +16,14 @@ from identification.recording import Array
 from identification.signals import quantum
 
 AGREE = 0.02
-"""Age of the encoder's samples, in periods, up to which they are as old as the drive's."""
+"""Age of the encoder's samples, in periods, up to which they count as simultaneous with the
+drive's.
+"""
 _SHARE = 0.01
 """Share of samples that may be older, as single late stamps are."""
 _BLOCKS = 500
 _LEAST = 5.0
-"""Percentile of a block that counts as its least age: single stamps before their time do not."""
+"""Percentile of a block that counts as its least age, so that single early stamps do not count."""
 _FILLED = 3
 """Samples of the encoder in a row, overwritten before the drive's next, that are interpolated."""
 
@@ -30,10 +31,10 @@ _FILLED = 3
 def taken_at(reference: Array, stamps: Array) -> Array:
     """Return when each sample of another clock was taken, in the reference's time, s, shape (n,).
 
-    A sample is taken before it is logged, by as little as nothing where the clocks have just
-    beaten. So the line from one clock to the other is the highest that leaves next to no sample in
-    the future: the edge of the lower convex hull under their mean (Moon, Skelly and Towsley,
-    INFOCOM 1999, 227). What is always lost on the way stays unknown.
+    A sample is taken before it is logged, by almost no time at some phase of the beat. So the line
+    from one clock to the other is the highest one with almost no sample in the future: the edge of
+    the lower convex hull under their mean (Moon, Skelly and Towsley, INFOCOM 1999, 227). A constant
+    delay is not observable.
 
     Args:
         reference: The drive's time of each row, s, rising, shape (n,).
@@ -64,11 +65,11 @@ def _turns_down(a: tuple[float, float], b: tuple[float, float], c: tuple[float, 
 def aligned(
     channels: Mapping[str, Array], stamps: Array, averaged: frozenset[str], gear_ratio: float
 ) -> tuple[dict[str, Array], str]:
-    """Return the channels on one time base, and what was done in words; unchanged where the clocks
-    agree.
+    """Return the channels on one time base, and a note on the correction; unchanged where the
+    clocks agree.
 
-    The finer encoder keeps its samples as counted. Where that is the joint's, everything else is
-    brought onto its instants; channels that are means stay means, over its period.
+    The finer encoder keeps its counts. Where that is the joint's, all other channels are
+    interpolated to its instants; channels that are means stay means, over its period.
 
     Args:
         channels: ``time`` by the drive's clock and ``angle`` among them.
@@ -107,8 +108,8 @@ def aligned(
 
 
 def _without_holes(taken: Array, angle: Array) -> tuple[Array, Array, int]:
-    """Return an encoder's samples with short holes filled by interpolated counts, and how many
-    those are.
+    """Return an encoder's samples with short gaps filled by interpolated counts, and the number of
+    filled ones.
     """
     steps = np.diff(taken)
     missing = np.round(steps / float(np.median(steps))).astype(np.int64) - 1

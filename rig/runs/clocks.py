@@ -10,7 +10,7 @@ import numpy as np
 from identification.recording import Array
 
 LEAST_DRIFT_PPM = 1.0
-"""Drift that is told; a crystal is good for 20 to 100."""
+"""Least drift that is reported, ppm; crystals have 20 to 100."""
 LATE_PERIODS = 1.0
 """Periods after which an answer is late."""
 
@@ -35,14 +35,14 @@ def drift_ppm(reference: Array, other: Array) -> float | None:
 
 
 def describe(time: Array, host: Array, drive: Array, encoder: Array) -> list[str]:
-    """Say what is found of gaps, late answers and drifting clocks; nothing where all is well.
+    """Return messages on gaps, late answers and drifting clocks; empty without any.
 
     Where drive and encoder latch at the same SYNC, a drift between their clocks moves no sample;
-    where the encoder runs free, :mod:`rig.runs.alignment` takes it out.
+    where the encoder runs free, :mod:`rig.runs.alignment` corrects it.
 
     Args:
         time: Start of each cycle, s, shape (n,).
-        host: When its answer had been collected, s, shape (n,).
+        host: Time at which its answer had been collected, s, shape (n,).
         drive: The drive's own stamps, s, shape (n,).
         encoder: The joint encoder's own stamps, s, shape (n,).
     """

@@ -1,4 +1,4 @@
-"""What a sequencer tells of a run while it goes on."""
+"""Interface through which a sequencer records the progress of a run."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ class Journal(Protocol):
         ...
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
-        """The run is over, and the drive was left like this.
+        """The run is over, and the drive was left in this state.
 
         Raises:
-            StorageError: It cannot be written down.
+            StorageError: It cannot be written.
         """
         ...
 

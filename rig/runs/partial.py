@@ -1,4 +1,4 @@
-"""What results say of recordings whose run stopped before they were finished (``--partial``)."""
+"""Notes of results on recordings whose run stopped before they were finished (``--partial``)."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def partial_warnings(dataset: Dataset) -> tuple[str, ...]:
 
 
 def without_partial(dataset: Dataset) -> str:
-    """Return what an error adds where an unfinished recording may be its cause and finished ones
-    are there too.
+    """Return the remedy of an error that an unfinished recording may cause where finished ones
+    exist too.
     """
     finished = any(not recording.partial for recording in dataset.recordings)
     return (

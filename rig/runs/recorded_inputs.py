@@ -1,4 +1,4 @@
-"""The input files of a run, as ``run.json`` names them, found again."""
+"""Input files of a run, found by their entries in ``run.json``."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rig.common.text import stored_path, valid
 
 
 def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
-    """Return how ``run.json`` names an input file: by its absolute path, as a run may go on from
-    another folder.
+    """Return an input file's path for ``run.json``: absolute, as a run may go on from another
+    folder.
     """
     return {"file": valid(os.path.abspath(path)), "sha256": sha256}
 
@@ -21,9 +21,9 @@ def input_entry(path: str | os.PathLike[str], sha256: str) -> dict[str, str]:
 def recorded_input(folder: Path, entry: Mapping[str, str]) -> Path:
     """Return where an input file of a run is now; it may be missing.
 
-    Older programs kept the path as it was typed. Where it does not lead to the file of that time
-    from here, it is followed from the folders above the run, one of which the run was most likely
-    started in.
+    Older run files hold the path as it was typed. Where it does not lead to the file from the
+    current folder, it is followed from the folders above the run, one of which the run was most
+    likely started in.
 
     Args:
         folder: The run folder.

@@ -35,7 +35,7 @@ class Recorder:
 
     Log times are nanoseconds since the start of the run, so equal runs give equal bytes.
 
-    They never go back: what comes from a clock that was set back keeps the latest time before it.
+    They never decrease: messages from a clock that was set back get the latest time before it.
 
     Args:
         stream: A buffered binary stream; closed by :meth:`close`.
@@ -56,7 +56,7 @@ class Recorder:
     def sample(self, time_ns: int, sample: Sample, frames: list[RawFrame]) -> None:
         """Record one cycle.
 
-        What is older than 0.1 s of run time is with the operating system on return.
+        Messages older than 0.1 s of run time have been handed to the operating system on return.
 
         Raises:
             StorageError: It cannot be written (disk full).
@@ -140,9 +140,7 @@ class Recorder:
 
     @contextmanager
     def _writing(self) -> Iterator[None]:
-        """Write no more after the first failure: what follows a torn record could not be read
-        anyway.
-        """
+        """Write no more after the first failure: a reader cannot read records behind a torn one."""
         if self._broken:
             raise _broken_before()
         try:
@@ -155,7 +153,7 @@ class Recorder:
         """Write the index and close; safe to call twice.
 
         Raises:
-            StorageError: The end could not be written; ``rig recover`` mends such a file.
+            StorageError: The end could not be written; ``rig recover`` repairs such a file.
         """
         if self._stream.closed:
             return

@@ -1,4 +1,4 @@
-"""Mends a run whose writer died: a clean recording from what is readable, and ``run.json``
+"""Repairs a run whose writer died: a clean recording of all readable records, and ``run.json``
 completed from it.
 """
 
@@ -30,14 +30,14 @@ _MEDIA = {".json": "application/json", ".yaml": "application/yaml"}
 
 @dataclass(frozen=True)
 class Recovery:
-    """What was done.
+    """Result of a recovery.
 
     Attributes:
-        damage: What was wrong with each file that was damaged, beginning with its name.
-        samples: How many samples there are now.
-        record: ``run.json`` as it stands now.
+        damage: Message on each damaged file, beginning with its name.
+        samples: Number of samples after it.
+        record: ``run.json`` after it.
         changed: Whether anything was written.
-        taken_over: Who had left the folder locked, in words; None for nobody.
+        taken_over: Program that had left the folder locked; None for none.
     """
 
     damage: tuple[str, ...]
@@ -52,7 +52,7 @@ def recover(folder: Path, purpose: str = "rig recover") -> Recovery:
 
     Args:
         folder: The run.
-        purpose: The command that does it, as whoever finds the folder in use is told.
+        purpose: The command, for the message to others that find the folder in use.
 
     Raises:
         InputError: There is no readable recording, or an earlier recovery is in the way.
@@ -92,7 +92,7 @@ def mend(folder: Path) -> Recovery:
 
 
 def damaged_name(file: str) -> str:
-    """Return under what name the damaged form of a file is kept."""
+    """Return the name under which the damaged file is preserved."""
     return f"{Path(file).stem}.damaged{Path(file).suffix}"
 
 
@@ -105,7 +105,7 @@ def _never_begun(path: Path) -> bool:
 
 
 def _mend(path: Path, log: Log) -> None:
-    """Put a clean recording in the place of a damaged one."""
+    """Replace a damaged recording by a clean one."""
     damaged = path.with_name(damaged_name(path.name))
     if damaged.exists():
         raise InputError(f"{damaged}: is there from an earlier recovery; move it away first")
@@ -170,7 +170,7 @@ def _copy(log: Log, recorder: Recorder) -> None:
 
 
 def _complete(record: RunRecord, logs: Sequence[Log]) -> None:
-    """Work out from events and samples which excitations were finished, and how the run ended."""
+    """Determine from events and samples which excitations were finished, and how the run ended."""
     record.segments = []
     for number, log in enumerate(logs, start=1):
         _add_segments(record, number, log)

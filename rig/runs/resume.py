@@ -1,4 +1,4 @@
-"""A run that stopped, made ready to go on at its first unfinished stage."""
+"""Resumption of a stopped run at its first unfinished stage."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _ATTACHED = {BENCH_ATTACHMENT, SEQUENCE_ATTACHMENT}
 
 @dataclass(frozen=True)
 class Resumption:
-    """What a run goes on with.
+    """Inputs of a resumed run.
 
     Attributes:
         record: ``run.json``, completed.
         bench: The same bench file as before.
         sequence: The same sequence file as before.
         stage: Index of the stage to go on with.
-        mended: What was wrong with recordings whose writer died, in words.
+        mended: Messages on recordings whose writer died.
         died: Whether the writer of the last one did, so that the drive stopped by its own watch.
     """
 
@@ -41,9 +41,9 @@ class Resumption:
 
 
 def prepare(folder: Path) -> Resumption:
-    """Mend a run if its writer died, and find where it goes on.
+    """Repair a run if its writer died, and find the stage to go on with.
 
-    What its unfinished stage left behind is discarded.
+    Recordings of the unfinished stage are discarded.
 
     The caller holds the folder, until the run has ended again.
 
@@ -93,7 +93,7 @@ def _unchanged(folder: Path, record: RunRecord, name: str) -> Path:
 
 
 def stopped_words(record: RunRecord) -> str:
-    """Return how the run stood, in a sentence."""
+    """Return the state of the run as a sentence."""
     done = sum(stage.state == "done" for stage in record.stages)
     return (
         f"{record.name}: {done} of {len(record.stages)} stages done; {record.state}: "

@@ -1,4 +1,4 @@
-"""The run folder: ``run.json`` kept true at every moment, and the recordings read back for
+"""The run folder: ``run.json``, which is up to date at every moment, and the recordings for
 identification.
 """
 
@@ -34,7 +34,7 @@ class RunFolder:
 
     Args:
         path: The folder.
-        record: What is to be in ``run.json``.
+        record: Content of ``run.json``.
     """
 
     def __init__(self, path: Path, record: RunRecord) -> None:
@@ -47,10 +47,10 @@ class RunFolder:
         return self.path / self.record.parts[-1].file
 
     def save(self) -> None:
-        """Replace ``run.json`` as a whole, so that no reader ever sees half of it.
+        """Replace ``run.json`` as a whole, so that no reader sees a part of it.
 
         Raises:
-            StorageError: It cannot be written; the last version is kept.
+            StorageError: It cannot be written; the last version stays.
         """
         try:
             write_json(self.path / RUN_FILE, dataclasses.asdict(self.record))
@@ -62,14 +62,14 @@ class RunFolder:
             raise StorageError(text) from error
 
     def ended(self, state: str, message: str, de_energised: bool) -> None:
-        """Write the ending down the moment it is known."""
+        """Write the end of the run as soon as it is known."""
         record = self.record
         record.state, record.message, record.de_energised = state, message, de_energised
         record.stage_ended(state)
         self.save()
 
     def stage_started(self, index: int) -> None:
-        """Note that a stage begins; what it left behind before is not used any more."""
+        """Note that a stage begins; its earlier recordings are not used any more."""
         discard(self.record, index)
         self.record.stages[index].state = "running"
         self.save()
@@ -104,7 +104,7 @@ class RunFolder:
 
 
 def discard(record: RunRecord, stage: int) -> None:
-    """Mark what a stage left behind so far as not to be used."""
+    """Mark the stage's earlier recordings as not to be used."""
     for segment in record.segments:
         if segment.stage_index == stage:
             segment.kept = False
@@ -121,7 +121,7 @@ def part_file(number: int) -> str:
 
 
 def bench_constants(bench: Bench) -> BenchConstants:
-    """Return what an identification needs to know of a bench."""
+    """Return the constants of a bench that an identification needs."""
     m, generator = bench.machine, bench.gas_generator
     return BenchConstants(
         motion="rotary",
@@ -142,7 +142,7 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
     Args:
         path: The folder.
-        purpose: The command that makes it, as whoever finds it in use is told.
+        purpose: The command, for the message to others that find the folder in use.
 
     Raises:
         InputError: It exists and is not empty, or cannot be made.
@@ -155,7 +155,7 @@ def create_folder(path: Path, purpose: str) -> Lock:
         raise InputError(f"{path}: cannot be used as a run folder: {error.strerror}") from error
     lock = hold_folder(path, purpose)
     try:
-        # Looked at under the lock, so that of two programs only one can find it empty.
+        # Checked under the lock, so that only one of two programs can find it empty.
         require_unused(path)
     except BaseException:
         lock.release()
@@ -164,8 +164,7 @@ def create_folder(path: Path, purpose: str) -> Lock:
 
 
 def require_unused(path: Path) -> None:
-    """Check that a folder is not there, or that there is nothing in it but for the lock; makes
-    nothing.
+    """Check that a folder does not exist or holds nothing but the lock.
 
     Raises:
         InputError: It is not empty, or cannot be looked into.
@@ -185,8 +184,8 @@ def require_unused(path: Path) -> None:
 def load_run(folder: Path, *, partial: bool = False) -> Dataset:
     """Read a run folder for identification: one recording per finished excitation.
 
-    Samples whose answer was incomplete are left out, and the recording says so. Of a stage that was
-    done more than once, the last counts.
+    Samples whose answer was incomplete are left out, with a note in the recording. Of a stage that
+    was done more than once, the last counts.
 
     Args:
         folder: The run folder.

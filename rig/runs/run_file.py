@@ -50,7 +50,7 @@ _MUST_HOLD = {
     "devices": {"name", "serial_number", "revision", "software_version"},
     "timing": set(Timing().record()),
 }
-"""Keys that the records must have which are kept as they come."""
+"""Required keys of records that are stored unchanged."""
 
 
 def read_record(folder: Path) -> RunRecord:
@@ -133,7 +133,7 @@ def recorded_bench(record: RunRecord) -> BenchConstants:
 
 
 def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
-    """Yield what no type tells: constants left out, and what refers to nothing."""
+    """Yield errors beyond types: missing constants and dangling references."""
     missing = _BENCH - set(record.bench)
     for name in sorted(missing):
         yield ("bench", name), "missing; every constant must be stated, as there is no safe default"
@@ -183,7 +183,7 @@ def _contradictions(record: RunRecord) -> Iterator[tuple[Loc, str]]:
 
 
 def _lacking(item: Any, kind: str, loc: Loc) -> Iterator[tuple[Loc, str]]:
-    """Yield the keys that a record kept as it came does not have."""
+    """Yield the missing keys of a record that is stored unchanged."""
     if not isinstance(item, Mapping):
         yield loc, "must be a mapping"
         return

@@ -172,7 +172,7 @@ class RunRecord:
         weights: Weight checks: stage, confirmed and measured mass, verdict, message.
         warnings: What the operator was warned of.
         state: `running`, or how the run ended: `done`, `tripped`, `stopped`, `failed`, `crashed`.
-        message: How it ended, in words.
+        message: How it ended.
         trip: The limit that was broken: check, value, limit, unit, time.
         de_energised: Whether the drive was read back as de-energised.
         drive_state: State that the drive was read back in, in the words of CiA 402; None where
@@ -214,10 +214,9 @@ class RunRecord:
     schema: str = SCHEMA
 
     def stage_ended(self, state: str) -> None:
-        """Note how the run ended on the stage that was going on, if any: ``state`` is that of the
-        run.
+        """Set the state of the stage that was going on, if any; ``state`` is that of the run.
 
-        A stage that still goes on where the run says that it is done has failed.
+        A stage that is still going on when the run is done has failed.
         """
         for stage in self.stages:
             if stage.state == "running":
@@ -249,10 +248,10 @@ class Weighing:
     Attributes:
         stage: Name of the stage.
         confirmed_kg: What the operator says is on the lever.
-        verdict: What friction says to that.
+        verdict: Verdict by friction.
         measured_kg: The mass that the friction fits; None where it could not be measured.
-        sigma_kg: Its standard error, as far as the yardstick's own goes.
-        message: In words, with what to do.
+        sigma_kg: Its standard error, without that of the reference's model.
+        message: Text with the remedy.
     """
 
     stage: str

@@ -19,7 +19,7 @@ from rig.runs.run_record import SegmentRecord
 
 STAMPS = ("time", "host_time", "device_time", "encoder_time", "fresh")
 LEFT_OUT = ("velocity", "voltage", "supply_voltage", "temperature")
-"""Channels that an identification does without."""
+"""Channels that an identification does not need."""
 CHANNELS = (
     "command",
     "motor_angle",
@@ -35,8 +35,8 @@ MOST_SAMPLES = 5_000_000
 GiB without.
 """
 _MOST_PER_BYTE = 4
-"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json that says
-more is wrong.
+"""Samples that a byte of a recording can hold at most, as LZ4 packs 255 to 1; a run.json with more
+is wrong.
 """
 
 Samples = dict[str, Array]
@@ -63,7 +63,7 @@ def by_segment(
             wanted = sorted({name for names in fields.values() for name in names})
             return _gather(sample_blocks(path, ["segment", *wanted]), fields, expected), None
         except (DamageError, OSError):
-            pass  # read_log says what is wrong, in full
+            pass  # read_log reports the damage in full
     log = read_log(path)
     return _gather([log.samples], fields, expected), log.damage
 

@@ -1,7 +1,6 @@
 """The truth behind a simulated bench, for the tables of a demonstration.
 
-Only code that prints uses this, after the estimators are done; the dataset that they are given
-holds nothing of it.
+Only code that prints uses this, after the estimators are done; their dataset does not contain it.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ JOINT_FIELDS = {
     "omega_sL": "omega_sL_rad_s",
     "mu_2": "mu_2_s_rad",
 }
-"""Name of the estimators to that of the simulated joint."""
+"""Estimator's parameter name to that of the simulated joint."""
 
 
 def true_parameters(machine: Machine) -> dict[str, float]:
@@ -38,12 +37,11 @@ def true_parameters(machine: Machine) -> dict[str, float]:
 
 
 def truth_of(source: Path) -> dict[str, float] | None:
-    """Return the true parameters of a run on the simulated bench, or None where they are not to be
-    known.
+    """Return the true parameters of a run on the simulated bench, or None where they are
+    unavailable.
 
-    The run does not hold them. They come from the bench file that it was made with, if that is
-    still where it was, or packaged under the same name, and unchanged by its SHA-256. A bench that
-    hides effects keeps its truth to itself.
+    The run does not contain them. They come from its bench file, if that still exists or is
+    packaged under the same name, with the same SHA-256. A bench with injected effects gives none.
 
     Raises:
         InputError: ``run.json`` is damaged.

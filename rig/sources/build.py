@@ -28,7 +28,7 @@ limit.
 def build(
     file: Path, section: RecordingSection, bench: Bench, document: Document[Campaign], index: int
 ) -> list[Recording]:
-    """Read one file, bring it to SI, mend what may be mended.
+    """Read one file, convert it to SI, and make the allowed corrections.
 
     Args:
         file: The recording.
@@ -38,7 +38,7 @@ def build(
         index: Position of the entry in ``recordings``.
 
     Returns:
-        One recording per stretch without gaps; every correction is in its notes.
+        One recording per piece without gaps; every correction is in its notes.
 
     Raises:
         InputError: A column is missing, or the data cannot be used; names file and row.
@@ -115,7 +115,7 @@ def _read_channels(
 
 
 def _find(table: Table, column: str | int) -> int | str:
-    """Return a column's index, or what is wrong in words."""
+    """Return a column's index, or an error message."""
     if isinstance(column, int):
         count = len(table.names)
         return (
@@ -218,7 +218,7 @@ def _at(table: Table, error: UnusableError, channel: str) -> str:
 
 
 def _cut(whole: Recording, timing: Timing, stamps: Array | None) -> list[Recording]:
-    """Return one recording per stretch, numbered from 1 where there are several, each on one
+    """Return one recording per piece, numbered from 1 where there are several, each on one
     clock.
     """
     n = len(whole.time)

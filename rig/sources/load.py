@@ -58,11 +58,10 @@ def load_source(path: Path, *, partial: bool = False) -> Dataset:
 
 
 def _require_visible(path: Path) -> None:
-    """Refuse what there is no way to look at: a folder that may not be searched is not one without
-    a run.
+    """Refuse a source that cannot be read: a folder without permission is not one without a run.
 
     Raises:
-        InputError: Says why.
+        InputError: With the reason.
     """
     try:
         (path / "run.json").stat()

@@ -1,8 +1,6 @@
-"""Can the channels of a recording be what they are said to be, and do they agree with each other?
+"""Plausibility of a recording's channels: sizes, and signs against each other.
 
-Signs above all.
-
-Pure functions of arrays; each returns words for an error or a note, or nothing.
+Pure functions of arrays; each returns the text of an error or a note, or nothing.
 """
 
 from __future__ import annotations
@@ -19,17 +17,16 @@ BLOCK_S = 0.02
 sign.
 """
 OPPOSED = -0.3
-"""Correlation of torque and velocity while moving below which the torque drives against the
-motion.
+"""Correlation of torque and velocity in motion below which the signs count as opposite.
 """
 LARGEST, SMALLEST = 1e12, 1e-12
-"""No channel reaches the one in SI units; drive and motion, where there are any, exceed the
-other.
+"""Greatest plausible size of a channel in SI units, and the least of drive and motion where there
+are any.
 """
 _MOVING = frozenset({"torque", "current", "voltage", "angle", "motor_angle", "velocity"})
 UNRELATED = 0.5
-"""Mean square step over twice the variance of a position above which neighbouring samples have
-nothing in common (1 for rows in random order and for mere noise; a sine has less up to a sixth of
+"""Mean square step over twice the variance of a position above which neighbouring samples count
+as unrelated (1 for rows in random order and for mere noise; a sine has less up to a sixth of
 the sample rate).
 """
 STILL_LEVELS = 8
@@ -37,7 +34,7 @@ STILL_LEVELS = 8
 order it is the same recording.
 """
 LARGE_CURRENT_A, LARGE_VOLTAGE_V = 500.0, 2000.0
-"""Peaks from which it is asked whether the channel is in thousandths."""
+"""Peaks above which a note suggests that the channel is in thousandths."""
 RATIO_TOLERANCE = 0.05
 """Deviation of the measured from the declared gear ratio that is noted."""
 
@@ -129,7 +126,7 @@ def unit_hints(
 
 
 def gear_finding(motor_angle: Array, angle: Array, gear_ratio: float) -> tuple[str, bool] | None:
-    """Compare motor and joint angle; return (words, whether it is an error) where they disagree."""
+    """Compare motor and joint angle; return (text, whether it is an error) where they disagree."""
     motor, joint = _finite(motor_angle, angle)
     motor, joint = motor - motor.mean(), joint - joint.mean()
     energy = float(joint @ joint)
@@ -160,7 +157,7 @@ def _block_mean(values: Array, block: int) -> Array:
 
 
 def _correlation(a: Array, b: Array, velocity: Array) -> float:
-    """Return sum(a b) / sqrt(sum a^2 sum b^2) over the blocks that move; 0 where nothing does."""
+    """Return sum(a b) / sqrt(sum a^2 sum b^2) over the blocks in motion; 0 without any."""
     a, b, velocity = _finite(a, b, velocity)
     if not velocity.size:
         return 0.0

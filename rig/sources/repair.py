@@ -1,6 +1,6 @@
-"""Time stamps and missing samples: what is mended with a note, and what is refused.
+"""Time stamps and missing samples: corrections with a note, and refusals.
 
-Pure functions of arrays. Rows count from 0; whoever reports them turns them into a place in a file.
+Pure functions of arrays. Rows count from 0; callers convert them to a place in a file.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ MISSING_RUN = 5
 GAP_PERIODS = 5.0
 """A step longer than this many median periods splits the recording."""
 MIN_SAMPLES = 50
-"""Shortest stretch worth keeping."""
+"""Least samples of a piece without gaps."""
 UNEVEN_SHARE = 0.05
 """Spread of the sample period, 5 to 95 %, above which it is noted, as a share of the median."""
 SLOW_PERIOD_S = 0.5
-"""Median sample period from which it is asked whether time is in seconds."""
+"""Median sample period above which a note asks whether time is in seconds."""
 
 Mask = NDArray[np.bool_]
 
@@ -35,7 +35,7 @@ class UnusableError(Exception):
     """The data cannot be used.
 
     Attributes:
-        row: The first bad row, or None where it is the whole.
+        row: The first bad row, or None for the whole recording.
     """
 
     def __init__(self, message: str, row: int | None = None) -> None:
@@ -45,12 +45,12 @@ class UnusableError(Exception):
 
 @dataclass(frozen=True)
 class Timing:
-    """What to keep of a time base.
+    """Rows of a time base that remain.
 
     Attributes:
-        keep: Mask of rows with a new time stamp, shape (n,); None where all are kept.
-        pieces: (start, stop) of each stretch without a gap, in kept rows.
-        notes: What was corrected, in words.
+        keep: Mask of rows with a new time stamp, shape (n,); None where all remain.
+        pieces: (start, stop) of each piece without a gap, in the remaining rows.
+        notes: Message on each correction.
     """
 
     keep: Mask | None
@@ -59,7 +59,7 @@ class Timing:
 
 
 def examine_time(time: Array) -> Timing:
-    """Check time stamps and find what to drop and where to split.
+    """Check time stamps and find rows to drop and places to split.
 
     Args:
         time: Time stamps, s, shape (n,).
@@ -152,7 +152,7 @@ def fill_missing(values: Array, time: Array, legitimate: Mask | None = None) -> 
     Args:
         values: Samples, NaN or infinite where missing, shape (n,).
         time: Time stamps, s, shape (n,), not decreasing.
-        legitimate: Rows where a missing sample is right and stays NaN (power stage off), shape
+        legitimate: Rows where a missing sample is valid and stays NaN (power stage off), shape
             (n,).
 
     Returns:

@@ -1,4 +1,4 @@
-"""What every reader offers: named columns of numbers, and where a row sits in the file."""
+"""Interface of every reader: named columns of numbers, and the place of a row in the file."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Table(ABC):
     Attributes:
         path: The file.
         names: Column names in file order; an empty string for a column without a name.
-        notes: What the user should know about how it was read.
+        notes: Messages to the user about the reading.
     """
 
     path: Path
@@ -28,14 +28,14 @@ class Table(ABC):
 
     @abstractmethod
     def read(self, columns: Sequence[int]) -> list[Array]:
-        """Read columns by index, each of shape (n,); what is empty in the file is NaN.
+        """Read columns by index, each of shape (n,); empty cells are NaN.
 
         Raises:
             InputError: A value is not a number, or the file is damaged; names file, row and column.
         """
 
     def place(self, row: int) -> str:
-        """Say where row ``row`` (from 0) of what :meth:`read` returned sits in the file."""
+        """Return the place in the file of row ``row`` (from 0) of the result of :meth:`read`."""
         return f"{self.path}: row {row + 1}"
 
 
@@ -57,7 +57,7 @@ def format_of(path: Path) -> str:
 
 
 def damaged(path: Path, error: Exception, remedy: str) -> InputError:
-    """Word what a library said about a file it could not read."""
+    """Return a message from a library's error on a file that it could not read."""
     said = str(error).strip().splitlines()
     return InputError(
         f"{path}: cannot be read ({said[0] if said else type(error).__name__}); {remedy}"

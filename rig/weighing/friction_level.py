@@ -1,7 +1,7 @@
-"""How much friction a motion met, by speed: the work done over the way gone.
+"""Friction of a motion by speed: work over distance.
 
-Work, not torque at an instant: current noise averages out, no acceleration has to be computed, and
-what the inertia takes while the joint speeds up it gives back while it slows down.
+Work is used instead of torque at an instant: current noise averages out, no acceleration has to be
+computed, and the inertia returns while the joint slows down what it took while it sped up.
 """
 
 from __future__ import annotations
@@ -17,12 +17,11 @@ EDGES = np.geomspace(2e-3, 4.0, 67)
 bin.
 """
 SPEED_WINDOW_S = 0.006
-"""The speed is that over this time: shorter than the jumps of a loaded joint that sticks and slips
-(some 20 ms).
+"""Time over which the speed is taken, s: shorter than the slips of a loaded joint (about 20 ms).
 """
 SLOWEST_SHARE = 0.2
-"""Speeds below this share of the greatest are left out: friction changes steeply there, and the
-steps of the encoder show.
+"""Least speed used, as a share of the greatest: at lower ones friction is steep and encoder
+quantisation large.
 """
 FEWEST_SAMPLES = 100
 
@@ -34,7 +33,7 @@ class FrictionLevel:
     Attributes:
         speed: Mean speed in each bin, rad/s, shape (66,); 0 where nothing was measured.
         torque: Mean friction torque there, N m, shape (66,).
-        path: Way gone there, rad, shape (66,); the weight of the bin.
+        path: Distance moved there, rad, shape (66,); the weight of the bin.
     """
 
     speed: Array
@@ -51,7 +50,7 @@ def friction_level(angle: Array, torque: Array, period_s: float) -> FrictionLeve
         period_s: s.
 
     Returns:
-        The level, or None where there is too little motion to tell.
+        The level, or None where there is too little motion.
     """
     half = max(1, round(0.5 * SPEED_WINDOW_S / period_s))
     if len(angle) < 2 * half + FEWEST_SAMPLES:

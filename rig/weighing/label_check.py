@@ -25,8 +25,8 @@ def off_label(dataset: Dataset, reference: Reference | None = None) -> list[Weig
 
 
 def comparable(dataset: Dataset, reference: Reference | None = None) -> bool:
-    """Whether there is anything to judge by: a reference, or three stages of two masses or more,
-    two of them loaded.
+    """Whether masses can be judged: by a reference, or by three stages of two masses or more, two
+    of them loaded.
     """
     masses = [recording.weight_mass for recording in dataset.recordings if not recording.hot_fire]
     return reference is not None or (

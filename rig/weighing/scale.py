@@ -15,7 +15,7 @@ from rig.weighing.weight_check import LoadedLevel, weigh
 
 
 class Scale:
-    """Remembers what every stage of a run showed at low amplitude.
+    """Friction levels of the stages of a run at low amplitude.
 
     Args:
         reference: An accepted identification of the bench, or None.
@@ -26,8 +26,8 @@ class Scale:
         self._seen: dict[str, LoadedLevel] = {}
 
     def weigh(self, stage: PlannedStage, level: FrictionLevel | None) -> Weighing:
-        """Check the weight of a stage by the friction of its first pass; only right or unchecked
-        ones are kept.
+        """Check the weight of a stage by the friction of its first pass; only right and unchecked
+        levels are stored.
         """
         if level is None:
             text = (
@@ -46,7 +46,7 @@ class Scale:
 
 
 def measured_level(samples: Sequence[Sample], plan: Plan) -> FrictionLevel | None:
-    """Return the friction that the samples of a pass show, or None where the joint hardly moved."""
+    """Return the friction level of the samples of a pass, or None where the joint hardly moved."""
     angle = np.array([sample.angle for sample in samples])
     current = np.array([sample.current for sample in samples])
     return friction_level(angle, current * plan.limits.torque_per_ampere, plan.cycle_s)

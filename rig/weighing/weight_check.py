@@ -1,8 +1,8 @@
-"""Is the mass on the lever the one that was confirmed? Friction tells.
+"""Check of the confirmed mass on the lever by the measured friction.
 
-Two yardsticks: an accepted identification of the bench, or what stages of other masses measured on
-the same day, which lie on a straight line at each speed (eq. 13: the working load is proportional
-to the contact force).
+The reference is an accepted identification of the bench, or stages of other masses of the same run,
+which lie on a straight line at each speed (eq. 13: the working load is proportional to the contact
+force).
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from rig.runs.run_record import Verdict, Weighing
 from rig.weighing.friction_level import FrictionLevel
 
 TOLERANCE = 0.075
-"""Share of the confirmed mass by which the measured one may differ: half of the 15 % that must be
-found.
+"""Share of the confirmed mass by which the measured one may differ: half of the least wrong mass to
+be found, 15 %.
 """
 EMPTY_TOLERANCE_KG = 1.0
 """Mass that an empty lever may seem to carry."""
@@ -30,8 +30,8 @@ UNCERTAINTY_SHARE = 0.4
 
 _LEAST_FREEDOM = 0.5
 SIGMAS = 2.0
-"""Standard errors beyond the tolerance at which a finished stage contradicts the others: a doubt
-costs a whole run.
+"""Standard errors beyond the tolerance at which a finished stage contradicts the others; a false
+alarm costs a whole run.
 """
 
 
@@ -52,7 +52,7 @@ def tolerance_kg(weight_kg: float) -> float:
 def weigh(
     item: LoadedLevel, reference: Reference | None, earlier: Sequence[LoadedLevel]
 ) -> Weighing:
-    """Compare a stage's friction with its confirmed mass, by the best yardstick there is."""
+    """Compare a stage's friction with its confirmed mass, by the best reference available."""
     if reference is not None:
         return _against_reference(item, reference)
     if len({other.weight_kg for other in earlier}) < 2:
@@ -77,9 +77,9 @@ def weigh(
 def suspects(items: Sequence[LoadedLevel], reference: Reference | None) -> list[Weighing]:
     """Find the stages of a finished run whose mass is not their label.
 
-    With a reference each stage is weighed by itself. Without one, a stage is named if the others
-    agree among themselves without it; where that holds for several, the data cannot tell which of
-    them it is, and all are named.
+    With a reference each stage is judged by itself. Without one, a stage is reported if the others
+    agree among themselves without it; where that holds for several, the data do not decide between
+    them, and all are reported.
 
     Returns:
         Those that are, or may be, wrong.
@@ -127,7 +127,7 @@ def _consistent(items: Sequence[LoadedLevel]) -> bool:
     """Whether every loaded stage agrees with the line through the others; true where there is no
     line.
 
-    One that is measured too loosely to tell agrees with anything.
+    A stage with too large a standard error agrees with any line.
     """
     for item in items:
         others = [other for other in items if other is not item]
@@ -149,17 +149,17 @@ def _against_reference(item: LoadedLevel, reference: Reference) -> Weighing:
 
 
 def _mass(level: FrictionLevel, reference: Reference) -> float:
-    """Return the mass whose friction does the measured work."""
+    """Return the mass whose friction gives the measured work."""
     seen = level.path > 0.0
     speed, path = level.speed[seen], level.path[seen]
     excess = float(np.sum(path * (level.torque[seen] - reference.unloaded(speed))))
     return excess / float(np.sum(path * reference.per_kg(speed)))
 
 
-def _judge(item: LoadedLevel, mass: float, sigma: float, yardstick: str) -> Weighing:
+def _judge(item: LoadedLevel, mass: float, sigma: float, reference: str) -> Weighing:
     allowed = tolerance_kg(item.weight_kg)
     found = (
-        f"stage {item.stage}: by {yardstick} its friction is that of {mass:.3g} kg; "
+        f"stage {item.stage}: by {reference} its friction is that of {mass:.3g} kg; "
         f"{item.weight_kg:g} kg were confirmed, and {allowed:.2g} kg of difference is the limit"
     )
     if not sigma <= UNCERTAINTY_SHARE * allowed:
@@ -178,16 +178,15 @@ def _judge(item: LoadedLevel, mass: float, sigma: float, yardstick: str) -> Weig
 
 
 def _from_line(level: FrictionLevel, others: Iterable[LoadedLevel]) -> tuple[float, float] | None:
-    """Return the mass at which the straight lines through other stages' levels do the measured
-    work, and its error.
+    """Return the mass at which the straight lines through other stages' levels give the measured
+    work, and its standard error.
 
-    None where there are no such lines. The standard error is that of the scatter from speed to
-    speed, where what the inertia takes at one is given back at another, and where friction is
-    steep.
+    None where there are no such lines. The standard error is by the scatter over speeds, which
+    contains the inertia's exchange of work between speeds and the steepness of friction.
 
-    One line a speed bin, least squares over the stages that have it. Bins count by the way that all
-    of them went there: what one hardly went through at the end of its range is not known, however
-    far another went.
+    There is one line a speed bin, by least squares over the stages with that bin. The weight of a
+    bin is the reciprocal of the sum of the stages' reciprocal distances there, so that the stage
+    with the shortest distance dominates.
     """
     stages = list(others)
     masses = np.array([other.weight_kg for other in stages])

@@ -13,7 +13,7 @@ import pytest
 from identification.design import pinning, search
 from identification.design import propose as proposing
 from identification.design import shares as sharing
-from identification.design import simulated_trial as rehearsing
+from identification.design import simulated_trial as trials
 from identification.design.draws import Draws
 from identification.design.excitation import Bounds, Excitation, Frame, Part, Ramps
 from identification.design.pinning import (
@@ -25,7 +25,7 @@ from identification.design.pinning import (
     stage_information,
 )
 from identification.design.propose import propose
-from identification.design.search import Candidate, Design, Search, halved, planned, promised
+from identification.design.search import Candidate, Design, Search, halved, planned, predicted
 from identification.design.shares import best_shares, shared
 from identification.design.simulated import (
     Nominal,
@@ -35,7 +35,7 @@ from identification.design.simulated import (
     stage_response,
     with_drives,
 )
-from identification.design.simulated_trial import expected, rehearse
+from identification.design.simulated_trial import attained, expected
 from identification.model.nominal import NOMINAL
 from identification.recording import Array, Bench
 from identification.result import Parameter
@@ -128,16 +128,16 @@ def test_one_breakaway_says_nothing() -> None:
     assert all(math.isinf(w) for w in pinned([NOTHING], loaded=False).half_widths.values())
 
 
-def test_the_rehearsal_repeats_and_knows_what_it_cannot_do() -> None:
+def test_a_simulated_trial_repeats_and_is_infinite_without_motion() -> None:
     stages = [figure10(0.0, 10.0)]
-    one, two = (rehearse(stages, nominal(), np.random.default_rng(3)) for _ in range(2))
+    one, two = (attained(stages, nominal(), np.random.default_rng(3)) for _ in range(2))
     assert one == two
     assert 0.0 < one.worst < 0.2
-    still = rehearse([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
+    still = attained([PlannedStage(np.zeros(4000), 0.0)], nominal(), np.random.default_rng(0))
     assert math.isinf(still.worst)
 
 
-def test_a_rehearsal_logs_what_shows_the_drive_s_loop() -> None:
+def test_a_simulated_trial_logs_the_channels_of_the_drive_loop() -> None:
     """Without it the default method leaves out the likelihood's bias, and designs that bear it well
     are turned down.
     """
@@ -151,7 +151,7 @@ def test_a_rehearsal_logs_what_shows_the_drive_s_loop() -> None:
     )
 
 
-def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interval(
+def test_an_error_beyond_the_interval_replaces_its_half_width(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     found = {
@@ -160,13 +160,13 @@ def test_a_rehearsal_counts_what_it_is_off_by_where_that_is_more_than_its_interv
         if n in NAMES[:5]
     }
     found["J"] = Parameter("J", "", 1.25 * NOMINAL["J"], 1.24 * NOMINAL["J"], 1.26 * NOMINAL["J"])
-    monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=found))
-    widths = rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).half_widths
+    monkeypatch.setattr(trials, "identify", lambda _: SimpleNamespace(parameters=found))
+    widths = attained([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).half_widths
     assert widths["Mc"] == pytest.approx(0.01)
     assert widths["J"] == pytest.approx(0.2)
     refused = {n: replace(p, floor=None) for n, p in found.items()}
-    monkeypatch.setattr(rehearsing, "identify", lambda _: SimpleNamespace(parameters=refused))
-    assert math.isinf(rehearse([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).worst)
+    monkeypatch.setattr(trials, "identify", lambda _: SimpleNamespace(parameters=refused))
+    assert math.isinf(attained([figure10(0.0, 1.0)], nominal(), np.random.default_rng(0)).worst)
 
 
 def test_a_coarse_encoder_of_the_drive_comes_back_as_torque() -> None:
@@ -216,11 +216,11 @@ def test_information_is_believed_between_none_and_a_stages_own() -> None:
     """
     found = information(figure10(30.6), nominal(noise=0.3 * NOISE))
     scale = np.sqrt(np.diag(found.power))
-    told, own = (m / np.outer(scale, scale) for m in (found.normal, found.power))
-    assert np.min(np.linalg.eigvalsh(told)) > -1e-9
-    assert np.min(np.linalg.eigvalsh(own - told)) > -1e-9
+    common, own = (m / np.outer(scale, scale) for m in (found.normal, found.power))
+    assert np.min(np.linalg.eigvalsh(common)) > -1e-9
+    assert np.min(np.linalg.eigvalsh(own - common)) > -1e-9
     within = 0.5 * own
-    assert pinning._believable(within, own) == pytest.approx(within)
+    assert pinning._bounded(within, own) == pytest.approx(within)
 
 
 def rates(*diagonals: tuple[float, ...]) -> list[Information]:
@@ -244,13 +244,13 @@ def test_shares_are_those_of_neyman() -> None:
 
 
 def test_what_each_gets_in_any_case_counts_toward_its_share() -> None:
-    told = rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0))
-    free = best_shares(told, "J", loaded=False)
-    assert best_shares(told, "J", loaded=False, least=np.array([0.1, 0.2])) == pytest.approx(
+    known = rates((1.0, 1.0, 1.0, 1.0, 1e-9), (1e-9, 1e-9, 1e-9, 1e-9, 4.0))
+    free = best_shares(known, "J", loaded=False)
+    assert best_shares(known, "J", loaded=False, least=np.array([0.1, 0.2])) == pytest.approx(
         free, rel=1e-3
     )
     bound = float(free[0]) + 0.2
-    held = best_shares(told, "J", loaded=False, least=np.array([bound, 0.0]))
+    held = best_shares(known, "J", loaded=False, least=np.array([bound, 0.0]))
     assert held == pytest.approx([bound, 1.0 - bound], rel=1e-2)
 
 
@@ -273,7 +273,7 @@ def test_a_stage_whose_scores_scatter_more_counts_less() -> None:
     assert counts[1].normal == pytest.approx(0.25 * one.normal)
     assert share[0] > 0.99
     quiet = replace(other, scatter=0.25 * other.power)
-    assert quiet.heard(np.ones(9)).normal == pytest.approx(
+    assert quiet.effective(np.ones(9)).normal == pytest.approx(
         quiet.normal
     )  # chance makes it scatter less
 
@@ -342,7 +342,7 @@ def test_a_proposal_keeps_the_limits_and_the_time_and_is_no_worse(
         assert out.peak_speed < 1.5
         assert out.peak_torque < 60.0
     monkeypatch.setattr(
-        proposing, "rehearse", lambda *_: found.pinned
+        proposing, "attained", lambda *_: found.pinned
     )  # takes most of the time, and repeats
     again = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert again.stages == found.stages
@@ -385,7 +385,7 @@ def test_where_no_draw_is_one_to_start_from_the_present_excitation_is(
 
     monkeypatch.setattr(Search, "designs", drawn_up)
     monkeypatch.setattr(
-        proposing, "rehearse", lambda *_: Pinned(dict.fromkeys(NAMES[:5], math.inf))
+        proposing, "attained", lambda *_: Pinned(dict.fromkeys(NAMES[:5], math.inf))
     )
     stages = frames((0.0,))
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
@@ -401,11 +401,11 @@ def test_where_a_design_alone_is_not_identified_the_present_sine_stays_beside_it
     stages = frames((0.0,))
     slow = planned(stages[0], stages[0].present.lasting(6.0)).command
 
-    def rehearsed(own: list[PlannedStage], *_: object) -> Pinned:
-        told = any(np.array_equal(s.command, slow) for s in own)
-        return Pinned(dict.fromkeys(NAMES[:5], 1e-6 if told else math.inf))
+    def by_speed(own: list[PlannedStage], *_: object) -> Pinned:
+        slowly = any(np.array_equal(s.command, slow) for s in own)
+        return Pinned(dict.fromkeys(NAMES[:5], 1e-6 if slowly else math.inf))
 
-    monkeypatch.setattr(proposing, "rehearse", rehearsed)
+    monkeypatch.setattr(proposing, "attained", by_speed)
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, (5.0, 10.0))
     found = propose(stages, nominal(), bounds, np.random.default_rng(1), weakest="J")
     assert found.stages[0] == Part(0, stages[0].present.lasting(6.0))
@@ -432,13 +432,13 @@ SPEEDS = (0.05, 0.06, 0.07, 4.0 * NOMINAL["omega_sf"])
 
 def pool() -> tuple[Search, list[Candidate]]:
     bounds = Bounds(-0.5, 0.5, 1.5, 60.0, 0.03, 20.0, ())
-    told = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
+    known = rates(*((1e4, 1e4, 1e4, 1e4, 1e4),) * 3, (1.0, 1.0, 1.0, 1.0, 1.0))
     found = Search(
         frames((0.0,)), with_drives(nominal()), bounds, np.random.default_rng(0), "omega_sf", 1.0
     )
     return found, [
         Candidate(Part(0, Excitation(((speed / PACE, 0.8),), 0.0, 5.0)), rate)
-        for speed, rate in zip(SPEEDS, told, strict=True)
+        for speed, rate in zip(SPEEDS, known, strict=True)
     ]
 
 
@@ -514,9 +514,9 @@ def test_ramps_just_beyond_the_fall_of_friction_tell_more_of_it_than_sines() -> 
     assert of_ramps > 2.0 * of_sine
 
 
-def test_what_is_promised_is_the_information_of_the_stages() -> None:
+def test_the_predicted_intervals_are_those_of_the_stages_information() -> None:
     stages = frames((0.0,))
-    found = promised(stages, [Part(0, stages[0].present)], with_drives(nominal()), "Mc")
+    found = predicted(stages, [Part(0, stages[0].present)], with_drives(nominal()), "Mc")
     assert set(found.half_widths) == set(NAMES[:5])
     assert found.worst < 0.2
 
@@ -529,7 +529,7 @@ def test_what_is_expected_is_near_what_the_whole_method_states() -> None:
     stages = [figure10(0.0, 12.0)]
     (there, steepness), whole = (
         expected(stages, [nominal()] * 3),
-        rehearse(stages, nominal(), np.random.default_rng(2)),
+        attained(stages, nominal(), np.random.default_rng(2)),
     )
     assert 1.0 <= steepness < 2.0
     for name, width in whole.half_widths.items():

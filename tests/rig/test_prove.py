@@ -108,7 +108,7 @@ def test_rates_count_what_the_constants_cannot_absorb_beside_what_is_strong() ->
     assert (found["top1"]["n"], found["top1"]["of"]) == (1, 2)
     assert (found["top1_left"]["n"], found["top1_left"]["of"]) == (1, 1)
     assert found["absorbed"] == [1]
-    assert scored("one", NOTHING, backlash=GAP)["left"] is None, "unknown without a twin"
+    assert scored("one", NOTHING, backlash=GAP)["left"] is None, "unknown without a reference"
 
 
 def test_a_share_of_the_torque_is_one_in_the_current() -> None:

@@ -21,7 +21,7 @@ from rig.results.prove.folder import write
 from rig.results.prove.generate import as_recorded
 from rig.results.prove.score import STRONG
 from rig.results.prove.seal import seal, unseal
-from rig.results.prove.simulate import SETTLE_S, campaign, strength, twin_of
+from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
 from rig.results.prove.sizes import OUTSIDE_SIZES, SIZES
 from rig.runs.truth import true_parameters
 from rig.sources import load_source
@@ -157,7 +157,7 @@ def test_strength_tells_a_strong_effect_from_a_weak_one() -> None:
     def current(torque_Nm: float) -> float:
         hides = {"asymmetric_coulomb": {"torque_Nm": torque_Nm}}
         hiding = rig._replace(machine=replace(rig.machine, effects=hides))
-        return strength(campaign(hiding, plan), twin_of(hiding, plan))["current"]
+        return strength(campaign(hiding, plan), reference_of(hiding, plan))["current"]
 
     assert current(0.0) == 0.0
     assert current(2.0) > 3.0 * current(0.02)
@@ -171,12 +171,12 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
         for e in (experiments()[0], experiments()[3], experiments()[-1])
     ]
     rig = rig._replace(pauses_s=rig.pauses_s[:3])
-    floor = floors(rig.machine, twin_of(rig, plan))
+    floor = floors(rig.machine, reference_of(rig, plan))
 
     def shown(hides: dict[str, dict[str, float]]) -> tuple[float, float]:
         hiding = campaign(rig._replace(machine=replace(rig.machine, effects=hides)), plan)
         left = left_over(floors(rig.machine, hiding), floor)
-        return strength(hiding, twin_of(rig, plan))["current"], left["torque"]
+        return strength(hiding, reference_of(rig, plan))["current"], left["torque"]
 
     asymmetry = shown({"asymmetric_coulomb": {"torque_Nm": 1.0}})
     loss = shown({"transmission_efficiency": {"efficiency": 0.85}})
@@ -185,7 +185,7 @@ def test_a_loss_that_the_constants_absorb_is_told_from_one_that_stays() -> None:
     assert loss[1] < 1.5
     by_name = {e.name: e for e in experiments()}
     plan[1] = by_name["m"]._replace(command=by_name["m"].command[:8000])
-    floor = floors(rig.machine, twin_of(rig, plan))
+    floor = floors(rig.machine, reference_of(rig, plan))
     assert shown({"transmission_efficiency": {"efficiency": 0.85}})[1] > STRONG, (
         "a weight that drives the motor back"
     )

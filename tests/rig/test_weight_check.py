@@ -133,7 +133,7 @@ def test_a_first_run_cannot_be_checked() -> None:
 
 
 @pytest.mark.parametrize("masses", [(0.0, 10.0), (10.0, 20.0), (0.0, 10.0, 20.0)])
-def test_stages_of_two_masses_are_a_yardstick(masses: Sequence[float]) -> None:
+def test_stages_of_two_masses_are_a_reference(masses: Sequence[float]) -> None:
     earlier = [item(f"s{mass:g}", mass) for mass in masses]
     assert weigh(item("new", 30.0), None, earlier).verdict is Verdict.RIGHT
     found = weigh(item("new", 30.0, 25.0), None, earlier)

@@ -1,1 +1,1 @@
-"""The blind proof: rigs with concealed physics, sealed, diagnosed, unsealed and scored."""
+"""The blind proof: trials with injected effects, sealed, diagnosed, unsealed and scored."""

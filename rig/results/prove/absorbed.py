@@ -1,9 +1,10 @@
-"""How much of what a rig hides is left once the nominal constants are fitted again, over the noise.
+"""Remaining strength of an injected effect: what a new fit of the nominal constants leaves of it,
+over the noise.
 
-Strength says how much an effect changes a channel; but a gear's loss where friction is all the load
-makes every constant larger by one factor, and nothing else. What no method could see is known from
-here: the nominal model is fitted to the rig's recordings and to those of its twin that hides
-nothing, and what the former leaves is held against the latter.
+Strength is the change of a channel by the effect. An effect may be collinear with the nominal
+model: a gear's loss where friction is all the load makes every constant larger by one factor. So
+the nominal model is fitted to the trial's recordings and to those of its reference simulation
+without the effect, and the residuals are compared.
 """
 
 from __future__ import annotations
@@ -24,11 +25,11 @@ from rig.results.prove.simulate import Recorded
 from rig.sources import load_source
 
 FLOOR_SUFFIX = ".floor.json"
-"""Of the file beside a sealed truth that holds its twin's noise floors."""
+"""Suffix of the file beside a sealed truth with the noise floors of its reference simulation."""
 
 
 def residual_rms(joint: Joint) -> dict[str, float]:
-    """Return what a fit leaves in each equation, in the equation's unit."""
+    """Return the residual of a fit in each equation, in the equation's unit."""
     out = {}
     for equation in joint.equations:
         rows = joint.residual[joint.stack.part(equation.name)]
@@ -36,27 +37,27 @@ def residual_rms(joint: Joint) -> dict[str, float]:
     return out
 
 
-def floors(machine: Machine, twin: list[Recorded]) -> dict[str, float]:
-    """Return what the nominal model leaves of a twin that hides nothing; nothing where it cannot be
-    fitted.
+def floors(machine: Machine, reference: list[Recorded]) -> dict[str, float]:
+    """Return the nominal model's residual of a reference simulation without effects; empty where it
+    cannot be fitted.
 
     Raises:
         OSError: It cannot be written.
     """
     with TemporaryDirectory() as folder:
-        dataset = load_source(write(Path(folder), machine, twin, packed=False))
+        dataset = load_source(write(Path(folder), machine, reference, packed=False))
     fitted = dataset.part("fit")
     try:
         _, joint = begun(dataset, common_bandwidth(fitted))
     except RecordingError:
         return {}
-    # No less than the noise of a row: rounding errors may fall together where little moves.
+    # At least the noise of a row: rounding errors may coincide where little moves.
     sigma = {e.name: e.sigma for e in joint.equations}
     return {name: max(rms, sigma[name]) for name, rms in residual_rms(joint).items()}
 
 
 def left_over(left: Mapping[str, float], floor: Mapping[str, float]) -> dict[str, float]:
-    """Return by equation what is left beyond the noise, over the noise."""
+    """Return the remaining strength by equation: the residual beyond the noise, over the noise."""
     return {
         name: math.sqrt(max(left[name] ** 2 - floor[name] ** 2, 0.0)) / floor[name]
         for name in left

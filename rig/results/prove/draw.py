@@ -1,4 +1,4 @@
-"""One blind rig drawn at random: true constants, noise, and what it hides."""
+"""One blind trial drawn at random: true constants, noise and injected effects."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SPREAD = 0.4
 """Nominal constants lie within this share of the practical bench's."""
 NOISE_SPREAD = (0.5, 1.5)
 SHARES: Mapping[Kind, float] = {"one": 300.0, "nothing": 200.0, "two": 60.0, "outside": 40.0}
-"""How many rigs of each kind a full proof has; other sizes keep the proportions."""
+"""Trials of each kind in a full proof; other sizes have the same proportions."""
 
 _NEEDS_GRAVITY = frozenset({"load_dependent_friction"})
 _NEEDS_LEVER = frozenset(
@@ -33,22 +33,24 @@ _NEEDS_LEVER = frozenset(
     }
 )
 _GRAVITY_SHARE = 0.1
-"""Of the rigs that could have either load; so that the kind of load tells nothing."""
+"""Share of trials with a weight on the joint where either load is possible, so that the kind of
+load carries no information.
+"""
 
 Effects = dict[str, dict[str, float]]
 Assigned = tuple[Kind, tuple[str, ...]]
-"""Kind of a rig and the names of what it hides."""
+"""Kind of a trial and the names of its effects."""
 
 
 class Rig(NamedTuple):
-    """One rig as drawn.
+    """One trial as drawn.
 
     Attributes:
-        kind: How many effects, and of which sort.
+        kind: Number of effects, and whether the catalogue has them.
         machine: The simulated machine with them.
         pauses_s: Time without power before each recording.
         seed: Of its noise.
-        gravity: Its load is a weight fixed to the joint, and there is no lever.
+        gravity: Whether the load is a weight fixed to the joint, without a lever.
     """
 
     kind: Kind
@@ -59,9 +61,10 @@ class Rig(NamedTuple):
 
 
 def assignment(rigs: int, seed: int) -> list[Assigned]:
-    """Return kind and effect names of each rig, in an order that tells nothing.
+    """Return kind and effect names of each trial, in random order.
 
-    Single effects go round the whole catalogue, and those outside it round theirs; pairs are drawn.
+    Single effects are drawn in turn from the whole catalogue, and those outside it in turn from
+    theirs; pairs are drawn at random.
     """
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs)
@@ -85,7 +88,7 @@ def _pair(names: list[str], rng: np.random.Generator) -> tuple[str, str]:
 
 
 def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, int]:
-    """Return how many rigs there are of each kind (largest remainders)."""
+    """Return the number of trials of each kind (largest remainders)."""
     total = sum(shares.values())
     exact = {kind: rigs * share / total for kind, share in shares.items()}
     counts = {kind: math.floor(value) for kind, value in exact.items()}
@@ -96,7 +99,7 @@ def apportion(rigs: int, shares: Mapping[Kind, float] = SHARES) -> dict[Kind, in
 
 
 def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]:
-    """Return names in rounds of random order, so that none comes twice more than another."""
+    """Return names in rounds of random order, so that their counts differ by at most one."""
     order: list[str] = []
     while len(order) < count:
         order += [names[k] for k in rng.permutation(len(names))]
@@ -104,12 +107,12 @@ def in_turn(names: list[str], count: int, rng: np.random.Generator) -> list[str]
 
 
 def draw(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> Rig:
-    """Draw one rig.
+    """Draw one trial.
 
     Args:
         kind: Its kind.
-        names: Effects to hide.
-        seed: Entropy; the same gives the same rig.
+        names: Effects to inject.
+        seed: Entropy; the same gives the same trial.
     """
     rng = np.random.default_rng(list(seed))
     machine = _nominal(rng)

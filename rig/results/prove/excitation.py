@@ -1,10 +1,10 @@
-"""The experiments of a blind rig: thirteen recordings that together split the catalogue's
-look-alikes.
+"""The experiments of a blind trial: thirteen recordings that together separate similar effects of
+the catalogue.
 
-Wide and small, slow and fast, at four weights; ramps from creeping to quick; rests from 0.1 to 8 s;
-loops below breakaway; one experiment twice, for the noise floor; and one with a weight on the joint
-itself, which drives the motor back: where friction is all the load, the constants take up what the
-gear loses. Those to validate repeat none of the others.
+They are wide and small, slow and fast, at four weights; ramps from slow to fast; rests from 0.1 to
+8 s; loops below breakaway; one experiment twice, for the noise floor; and one with a weight on the
+joint itself, which drives the motor back: where friction is all the load, the gear's loss is
+collinear with the constants. Recordings to validate repeat none of the others.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ WIDE = np.deg2rad(28.0)
 
 
 class FixedWeight(NamedTuple):
-    """A weight that turns with the joint, and says so: torque -m g l sin(theta - zero)."""
+    """A declared weight that turns with the joint: torque -m g l sin(theta - zero)."""
 
     mass_kg: float
     length_m: float
@@ -46,7 +46,7 @@ class Experiment(NamedTuple):
         role: As in the campaign file.
         weight_kg: On the lever.
         command: Joint angle sent in each cycle, rad, shape (n,).
-        fixed: On the joint; on a bench without lever in every recording.
+        fixed: Weight on the joint; on a bench without lever in every recording.
     """
 
     name: str
@@ -72,7 +72,7 @@ def ramps(span_deg: float, speeds_rad_s: Sequence[float]) -> Array:
     is over.
 
     Slow speeds cover what they can of the span in their share of the time. Corners are rounded over
-    0.12 s, which keeps the torque of the fastest within what the drive has.
+    0.12 s, which keeps the torque of the fastest within the drive's limit.
     """
     span = np.deg2rad(span_deg)
     share_s = (DURATION_S - 2.0 * _RAMP_S) / len(speeds_rad_s)
@@ -178,8 +178,8 @@ _PLAN: tuple[tuple[str, Literal["fit", "validate"], float, Callable[[], Array]],
 _DRIVEN_BACK = Experiment(
     "m", "fit", 0.0, tones((10.0, 0.25, 0.0), (3.0, 0.6, 0.5)), FixedWeight(15.0, 0.1, -np.pi / 2.0)
 )
-"""Heavier than most friction, and standing out level: it pulls one way and by the same throughout,
-whatever an encoder that is off says of its angle.
+"""Heavier than most friction, and level: its torque keeps its sign and hardly depends on an error
+of the angle.
 """
 
 
@@ -189,7 +189,7 @@ _FIXED = {
     20.0: FixedWeight(15.0, 0.1, 0.8),
     30.6: FixedWeight(15.0, 0.1, -1.4),
 }
-"""What is fixed to the joint instead of a weight on the lever."""
+"""Weight fixed to the joint instead of a weight on the lever."""
 
 
 @cache

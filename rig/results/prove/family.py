@@ -1,6 +1,4 @@
-"""The two proofs: rigs that hide something in their motion, and rigs that hide something in their
-gas generator.
-"""
+"""The two proofs: trials with effects in the motion, and with effects in the gas generator."""
 
 from __future__ import annotations
 
@@ -17,13 +15,13 @@ Seed = Sequence[int]
 
 
 class Family(NamedTuple):
-    """How rigs of one kind come to be.
+    """Functions that make the trials of one proof.
 
     Attributes:
-        assignment: (rigs, seed) to what each hides.
-        seal: (folder, number, what it hides, seed) to the sealed rig.
-        simulate: (sealed rig, what it hides, seed) to how strong that shows by channel, its
-            campaign written.
+        assignment: (number of trials, seed) to kind and effects of each.
+        seal: (folder, number, kind and effects, seed) to the sealed trial.
+        simulate: (sealed trial, kind and effects, seed) to the strength by channel; it writes the
+            campaign.
     """
 
     assignment: Callable[[int, int], list[Assigned]]

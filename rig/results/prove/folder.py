@@ -1,5 +1,5 @@
-"""A blind rig on disk: a campaign file and its recordings, with nothing in them that tells what is
-hidden.
+"""A blind trial on disk: a campaign file and its recordings, without any trace of the injected
+effects.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ AVERAGED = ("current", "voltage")
 def write(
     folder: Path, machine: Machine, recorded: Sequence[Recorded], packed: bool = True
 ) -> Path:
-    """Write a campaign for the contract's reader; return the campaign file.
+    """Write a campaign; return the campaign file.
 
     Time runs through the whole campaign, so that each recording's first time stamp is its start in
     it.
 
     Args:
-        folder: Where.
-        machine: Whose constants an engineer knows.
+        folder: Of the campaign.
+        machine: The plant, of which the nominal constants are written.
         recorded: Its recordings.
-        packed: Compress them, for those that are to be kept; it takes as long as half of their
+        packed: Whether to compress recordings that stay; it takes half as long as their
             simulation.
 
     Raises:

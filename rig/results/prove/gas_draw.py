@@ -1,4 +1,4 @@
-"""One blind gas rig drawn at random: true constants, noise, and what it hides."""
+"""One blind gas trial drawn at random: true constants, noise and injected effect."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class GasRig(NamedTuple):
     """One rig as drawn.
 
     Attributes:
-        kind: Whether it hides something, and of which sort.
+        kind: Kind of trial: no effect, one of the catalogue, or one outside it.
         machine: The simulated machine with it.
         volumes_m3: Free volume of each burn.
         angle_zero_rad: True valve angle less that recorded.
@@ -74,7 +74,7 @@ class GasRig(NamedTuple):
 
 
 def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
-    """Return kind and effect of each rig, in an order that tells nothing; effects go round."""
+    """Return kind and effect of each trial, in random order; effects are drawn in turn."""
     rng = np.random.default_rng([seed, 0])
     counts = apportion(rigs, GAS_SHARES)
     drawn: list[Assigned] = [("nothing", ())] * counts["nothing"]
@@ -86,12 +86,12 @@ def gas_assignment(rigs: int, seed: int) -> list[Assigned]:
 
 
 def draw_gas(kind: Kind, names: Sequence[str], seed: Sequence[int]) -> GasRig:
-    """Draw one rig.
+    """Draw one trial.
 
     Args:
         kind: Its kind.
-        names: Effects to hide.
-        seed: Entropy; the same gives the same rig.
+        names: Effects to inject.
+        seed: Entropy; the same gives the same trial.
     """
     rng = np.random.default_rng(list(seed))
     base = Machine()

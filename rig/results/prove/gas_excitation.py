@@ -1,5 +1,5 @@
-"""The burns of a blind gas rig: six to fit and two set aside, that between them split the
-catalogue's look-alikes.
+"""The burns of a blind gas trial: six to fit and two set aside, which together separate similar
+effects of the catalogue.
 
 Pauses at many throats, early and late in a burn; steps between the least and the greatest; sines
 and sweeps through the chamber's own time. The burns to validate repeat none of the others.
@@ -45,7 +45,7 @@ def steps(levels_deg: Sequence[float]) -> Array:
 
 
 def sweep(centre_deg: float, amplitude_deg: float, first_Hz: float, last_Hz: float) -> Array:
-    """Return a sine whose frequency rises evenly, around an angle that it is led to and from."""
+    """Return a sine whose frequency rises evenly, around an angle with ramps to and from it."""
     t = np.arange(round(BURN_S / CYCLE_S)) * CYCLE_S
     phase = 2.0 * np.pi * (first_Hz * t + 0.5 * (last_Hz - first_Hz) * t**2 / BURN_S)
     window = raised_cosine(t, 1.0)

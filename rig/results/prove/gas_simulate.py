@@ -1,5 +1,5 @@
-"""A blind gas rig: its truth sealed, its burns simulated and written, and how strong what it hides
-is.
+"""A blind gas trial: its truth sealed, its burns simulated and written, and the strength of its
+effect.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from rig.results.prove.gas_excitation import gas_experiments
 from rig.results.prove.generate import Sealed, seal_truth
 
 CHANNELS = ("time", "command", "angle", "pressure")
-"""What an engineer of such a bench has; the drive's current would tell the same of the gas, through
+"""Channels that a diagnosis of the gas uses; the drive's current shows the gas only through
 friction.
 """
 
 
 def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) -> Sealed:
-    """Draw a rig, write down and seal what it hides; nothing is simulated yet.
+    """Draw a trial, write and seal its truth; nothing is simulated yet.
 
     Raises:
         OSError: It cannot be written.
@@ -63,8 +63,7 @@ def seal_gas(out: Path, number: int, assigned: Assigned, seed: Sequence[int]) ->
 
 
 def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict[str, float]:
-    """Simulate a rig, write its campaign, and return how strong what it hides shows in the
-    pressure.
+    """Simulate a trial, write its campaign, and return the strength of its effect in the pressure.
 
     Raises:
         OSError: It cannot be written.
@@ -74,8 +73,10 @@ def simulate_gas(where: Sealed, assigned: Assigned, seed: Sequence[int]) -> dict
     write(where.campaign, burns)
     if not rig.machine.effects:
         return {}
-    twin = campaign(rig._replace(machine=replace(rig.machine, effects={})))
-    changes = np.concatenate([a.pressure - b.pressure for a, b in zip(burns, twin, strict=True)])
+    reference = campaign(rig._replace(machine=replace(rig.machine, effects={})))
+    changes = np.concatenate(
+        [a.pressure - b.pressure for a, b in zip(burns, reference, strict=True)]
+    )
     return {"pressure": float(np.sqrt(np.mean(changes**2))) / rig.machine.gas.transmitter.noise_Pa}
 
 
@@ -103,7 +104,7 @@ def campaign(rig: GasRig) -> list[Samples]:
 
 
 def write(file: Path, burns: Sequence[Samples]) -> None:
-    """Write a campaign for the contract's reader; it says of the gas generator what the paper does.
+    """Write a campaign with the paper's constants of the gas generator.
 
     Raises:
         OSError: It cannot be written.
@@ -117,7 +118,7 @@ def write(file: Path, burns: Sequence[Samples]) -> None:
 
 
 def description() -> dict[str, Any]:
-    """Return the campaign file's content, the same for every rig."""
+    """Return the campaign file's content, the same for every trial."""
     return {
         "campaign": 1,
         "bench": {"moment_arm": Machine().joint.moment_arm_m, "gas_generator": {}},

@@ -1,9 +1,9 @@
-"""Blind rigs from nothing: drawn and sealed, then simulated and written.
+"""Blind trials: drawn and sealed, then simulated and written.
 
     python -m rig.results.prove.generate OUT --rigs 12 --seed 1
 
-leaves ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json`` with how strong
-its effects show.
+writes ``OUT/rig-0001/campaign.yaml`` and, apart from it, ``OUT/sealed/0001.json`` with the truth
+and the strength of its effects.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from rig.results.prove.draw import Kind, Rig, assignment, draw
 from rig.results.prove.excitation import experiments
 from rig.results.prove.folder import CAMPAIGN_FILE, write
 from rig.results.prove.seal import seal
-from rig.results.prove.simulate import SETTLE_S, campaign, strength, twin_of
+from rig.results.prove.simulate import SETTLE_S, campaign, reference_of, strength
 from rig.runs.truth import true_parameters
 
 
 class Sealed(NamedTuple):
-    """One rig whose truth is sealed.
+    """One trial whose truth is sealed.
 
     Attributes:
         number: From 1.
@@ -44,7 +44,7 @@ class Sealed(NamedTuple):
 
 
 def place(out: Path, number: int, digest: str = "") -> Sealed:
-    """Return where a rig of this number is, or will be."""
+    """Return the files of the trial of this number."""
     return Sealed(
         number,
         out / f"rig-{number:04d}" / CAMPAIGN_FILE,
@@ -54,7 +54,7 @@ def place(out: Path, number: int, digest: str = "") -> Sealed:
 
 
 def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
-    """Write down and seal what a rig hides; nothing is simulated yet.
+    """Write and seal the truth of a trial; nothing is simulated yet.
 
     Raises:
         OSError: It cannot be written.
@@ -72,9 +72,9 @@ def seal_rig(out: Path, number: int, rig: Rig) -> Sealed:
 
 
 def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
-    """Write down and seal the truth of one rig.
+    """Write and seal the truth of one trial.
 
-    The salt of the seal is no part of what a seed repeats: the truth must not be guessed from the
+    The salt of the seal does not follow from the seed: the truth must not be guessed from the
     digest.
 
     Raises:
@@ -86,10 +86,9 @@ def seal_truth(out: Path, number: int, truth: Mapping[str, Any]) -> Sealed:
 
 
 def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
-    """Simulate a rig, write its campaign, and return how strong what it hides shows in each
-    channel.
+    """Simulate a trial, write its campaign, and return the strength of its effects in each channel.
 
-    Beside the truth go the noise floors of its twin that hides nothing.
+    The noise floors of its reference simulation are written beside the truth.
 
     Raises:
         OSError: It cannot be written.
@@ -99,13 +98,13 @@ def simulate_rig(where: Sealed, rig: Rig) -> dict[str, float]:
     write(where.campaign.parent, rig.machine, recorded)
     if not rig.machine.effects:
         return {}
-    twin = twin_of(rig, plan)
-    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, twin))
-    return strength(recorded, twin)
+    reference = reference_of(rig, plan)
+    write_json(where.truth.with_suffix(FLOOR_SUFFIX), floors(rig.machine, reference))
+    return strength(recorded, reference)
 
 
 def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
-    """Return what is hidden as a recording shows it, whose time begins after the machine has
+    """Return the injected effects in the time of a recording, which begins after the machine has
     settled under power.
 
     The catalogue counts a slip's time, and the decay of a swing, from the recording's start.
@@ -125,10 +124,10 @@ def as_recorded(effects: Mapping[str, Mapping[str, float]]) -> dict[str, dict[st
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the draws."
 )
 @click.option(
-    "--only", multiple=True, help="Hide these effects in every rig, instead of drawing them."
+    "--only", multiple=True, help="Inject these effects in every trial, instead of drawing them."
 )
 def main(out: Path, rigs: int, seed: int, only: Sequence[str]) -> None:
-    """Generate blind rigs into OUT, without diagnosing them."""
+    """Generate blind trials into OUT, without diagnosing them."""
     drawn: list[tuple[Kind, tuple[str, ...]]] = assignment(rigs, seed)
     if only:
         drawn = [("one" if len(only) == 1 else "two", tuple(only))] * rigs

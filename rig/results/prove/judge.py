@@ -1,5 +1,5 @@
-"""One blind rig judged: by the diagnosis, by the baselines it must beat, and, once its truth is
-open, by the oracle.
+"""One blind trial judged by the diagnosis, by the baseline methods and, once its truth is open, by
+the oracle.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from rig.results.prove.absorbed import residual_rms
 
 
 class Judgement(NamedTuple):
-    """What was said of one rig.
+    """Judgement of one trial.
 
     Attributes:
         diagnosis: The record of ``rig diagnose --json``.
-        baselines: Method to the effects it names, the most important first.
+        baselines: Method to the effects that it selects, the most important first.
         oracle: From the true names to the record of
         :class:`identification.diagnosis.oracle.HeldOut`, or None.
         seconds: Spent on the diagnosis.
         baseline_seconds: Spent on the baselines.
-        left: What the nominal model's fit leaves in each equation, in its unit.
+        left: Residual of the nominal model's fit in each equation, in its unit.
     """
 
     diagnosis: Mapping[str, Any]
@@ -43,11 +43,11 @@ class Judgement(NamedTuple):
 
 
 Judge = Callable[[Path, int], Judgement]
-"""From a campaign file and a seed; the truth is told to nobody but the oracle, afterwards."""
+"""From a campaign file and a seed; only the oracle gets the truth, afterwards."""
 
 
 def judge(source: Path, seed: int) -> Judgement:
-    """Diagnose a campaign, and let the baselines name effects on the same rows.
+    """Diagnose a campaign, and run the baseline methods on the same rows.
 
     Raises:
         InputError: The source cannot be read, or its recordings cannot be diagnosed.
@@ -57,7 +57,7 @@ def judge(source: Path, seed: int) -> Judgement:
     outcome = diagnose_source(source, seed, onlooker=seen.append)
     diagnosed = time.perf_counter()
     if not seen:
-        # A gas generator's equation has neither these baselines nor this oracle.
+        # The equation of the gas generator has no baseline methods and no oracle.
         return Judgement(as_json(outcome), {}, lambda _names: None, diagnosed - began, 0.0)
     first = seen[0]
     declared = outcome.dataset.model.terms

@@ -1,6 +1,4 @@
-"""Whether the diagnosis found the mismatch where the catalogue says that the hidden effect
-shows.
-"""
+"""Whether the diagnosis found the mismatch where the catalogue locates the injected effect."""
 
 from __future__ import annotations
 
@@ -19,7 +17,7 @@ LIKE: Mapping[str, frozenset[str]] = {
     "travel since reversal": frozenset({"time since reversal"}),
     "frequency": frozenset({"acceleration", "time since reversal", "travel since reversal"}),
 }
-"""Coordinate of the catalogue to those that fix it as well on these rigs: speed and torque carry
+"""Coordinate of the catalogue to equivalent ones on these trials: speed and torque carry
 the direction in their sign, torque rises with the load, the machine warms with time, what changes
 with frequency shows where torque turns.
 """
@@ -30,7 +28,7 @@ place.
 
 
 def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[str, Any]:
-    """Score the place that a diagnosis gives for one hidden effect.
+    """Score the place that a diagnosis gives for one injected effect.
 
     Args:
         name: The effect.
@@ -40,8 +38,8 @@ def located(name: str, true: Mapping[str, float], diagnosis: Mapping[str, Any]) 
     Returns:
         ``equation``: whether it is the one in which the effect shows; ``coordinate``: whether it is
         the catalogue's; ``place``: whether it is that or one like it, or for effects of one
-        recording, whether no more than one other is named beside it. All null where the diagnosis
-        found nothing, which the power curve tells.
+        recording, whether at most one other is listed beside it. All null where the diagnosis
+        found nothing, which the power curve shows.
     """
     where = diagnosis["effects"][0]["where"] if diagnosis["effects"] else diagnosis["location"]
     if diagnosis["verdict"] == "nothing_missing" or where is None:

@@ -1,4 +1,4 @@
-"""What ``rig prove`` leaves behind: words, result file, page."""
+"""Output of ``rig prove``: tables, result file, page."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ _RATES = {
     f"named",
     "both_named_beside": f"two effects, each {STRONG:g} or more beside the other: both named",
     "both_named_all": "two effects, any strength: both named",
-    "false_alarms": "nothing hidden: alarms",
-    "outside": "outside the catalogue: said so",
+    "false_alarms": "no injected effect: false alarms",
+    "outside": "outside the catalogue: reported as such",
     "worse_than_baseline": "held-out error worse than the baseline's by more than the noise",
     "intervals": "parameters of effects within their interval",
 }
@@ -45,14 +45,14 @@ _METHODS = {
     "top1_all": "one effect, any strength: named first",
     "both_named": f"two effects, strength {STRONG:g} or more: both named",
     "exact": f"one or two, strength {STRONG:g} or more: all named and nothing else",
-    "false_alarms": "nothing hidden: alarms",
-    "outside_named": "outside the catalogue: given a name",
+    "false_alarms": "no injected effect: false alarms",
+    "outside_named": "outside the catalogue: an effect named",
 }
 _TITLES = {"diagnosis": "diagnosis", "greedy_bic": "greedy, BIC", "sparse": "sparse regression"}
 _PLACES = {
     "equation": "in the equation where the effect shows",
     "coordinate": "over the catalogue's coordinate",
-    "place": "over that or one like it, or in its recording",
+    "place": "over that or an equivalent one, or in its recording",
 }
 
 
@@ -62,7 +62,7 @@ def record(rows: Sequence[Mapping[str, Any]], provenance: Provenance) -> dict[st
 
 
 def rates(result: Mapping[str, Any]) -> Table:
-    """Return the proof's rates, one row each; those of which there are no rigs are left out."""
+    """Return the proof's rates, one row each; those without trials are left out."""
     rows = []
     for key, words in _RATES.items():
         found = result[key]
@@ -71,11 +71,11 @@ def rates(result: Mapping[str, Any]) -> Table:
             rows.append(
                 (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
             )
-    return Table(("what", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+    return Table(("what", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
 def methods(result: Mapping[str, Any]) -> Table:
-    """Return the diagnosis beside the baselines it must beat, on the same rigs."""
+    """Return the diagnosis beside the baseline methods, on the same trials."""
     names = [m for m in _TITLES if m in result["methods"]]
     rows = []
     for key, words in _METHODS.items():
@@ -87,7 +87,9 @@ def methods(result: Mapping[str, Any]) -> Table:
             ]
             rows.append((words, str(cells[0]["of"]), *shares))
     return Table(
-        ("what", "rigs", *(_TITLES[m] for m in names)), tuple(rows), tuple(range(1, 2 + len(names)))
+        ("what", "trials", *(_TITLES[m] for m in names)),
+        tuple(rows),
+        tuple(range(1, 2 + len(names))),
     )
 
 
@@ -101,14 +103,14 @@ def places(result: Mapping[str, Any]) -> Table:
             rows.append(
                 (words, f"{found['n']} of {found['of']}", f"{100 * found['share']:.1f} %", band)
             )
-    return Table(("mismatch located", "rigs", "share", "95 % interval"), tuple(rows), (1, 2, 3))
+    return Table(("mismatch located", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
 def remarks(result: Mapping[str, Any]) -> list[str]:
-    """Return what the rates need said beside them."""
+    """Return remarks on the rates."""
     lines = [
-        f"{result['outside']['named_confidently']} effects outside the catalogue were given a "
-        f"name with confidence."
+        f"{result['outside']['named_confidently']} trials outside the catalogue had an effect "
+        f"named with confidence."
     ]
     for key, words in (
         ("oracle_fraction", "what the true structure gains"),
@@ -119,13 +121,13 @@ def remarks(result: Mapping[str, Any]) -> list[str]:
             lines.append(
                 f"Held-out error: {number(gain['median'], 3)} of the way from the baseline to "
                 f"{words} was gained "
-                f"(median of {gain['of']} rigs)."
+                f"(median of {gain['of']} trials)."
             )
     if result["absorbed"]:
         lines.append(
             f"Of single effects of strength {STRONG:g} or more, {len(result['absorbed'])} leave "
             f"less than that over "
-            f"the noise once the nominal constants are fitted again: rigs "
+            f"the noise once the nominal constants are fitted again: trials "
             f"{', '.join(map(str, result['absorbed']))}."
         )
     if result["most_frequent_class"] is not None:
@@ -139,8 +141,8 @@ def remarks(result: Mapping[str, Any]) -> list[str]:
 def write(
     folder: Path, result: Mapping[str, Any], provenance: Provenance, json_file: Path | None
 ) -> Path:
-    """Write result file, figures and page into ``folder``, and the result once more where asked;
-    return the page.
+    """Write result file, figures and page into ``folder``, and the result to ``json_file`` where
+    given; return the page.
 
     Raises:
         InputError: A place cannot be written.
@@ -153,13 +155,13 @@ def write(
             "pictures": [p for p in pictures if p.name == "power"],
         },
         {"title": "Against the baselines", "table": methods(result), "pictures": []},
-        {"title": "Where it was found", "table": places(result), "pictures": []},
+        {"title": "Location", "table": places(result), "pictures": []},
         {
-            "title": "What was called what",
+            "title": "Confusion",
             "table": _confusion(result),
             "pictures": [p for p in pictures if p.name != "power"],
         },
-        {"title": "Rigs", "table": _rigs(result), "pictures": []},
+        {"title": "Trials", "table": _rigs(result), "pictures": []},
     ]
     try:
         save(pictures, folder)
@@ -168,7 +170,7 @@ def write(
         page = render(
             "prove.html.j2",
             title="The blind proof",
-            subtitle=f"{len(result['rigs'])} rigs, each sealed before its diagnosis",
+            subtitle=f"{len(result['rigs'])} trials, each sealed before its diagnosis",
             notes=remarks(result),
             sections=sections,
             **provenance_tables(provenance),
@@ -195,13 +197,15 @@ def _pictures(result: Mapping[str, Any]) -> list[Picture]:
         for key, words in {
             "detected": "something missing",
             "alias_group": "alias group",
-            "top1": "named",
+            "top1": "named first",
         }.items()
     }
     return [
         Picture.of("power", "Found and named against strength", power_curve(labels, curves)),
         Picture.of(
-            "confusion", "What each effect was called", confusion_matrix(result["confusion"])
+            "confusion",
+            "First effect named for each injected one",
+            confusion_matrix(result["confusion"]),
         ),
     ]
 
@@ -211,7 +215,7 @@ def _confusion(result: Mapping[str, Any]) -> Table:
         (name, ", ".join(f"{given} {times}" for given, times in row.items()))
         for name, row in result["confusion"].items()
     )
-    return Table(("true", "called"), rows, ())
+    return Table(("injected", "named first"), rows, ())
 
 
 def _rigs(result: Mapping[str, Any]) -> Table:
@@ -228,5 +232,7 @@ def _rigs(result: Mapping[str, Any]) -> Table:
         for row in result["rigs"]
     )
     return Table(
-        ("rig", "hidden", "strength", "left", "verdict", "named", "SHA-256"), rows, (0, 2, 3)
+        ("trial", "injected", "strength", "remaining", "verdict", "named", "SHA-256"),
+        rows,
+        (0, 2, 3),
     )

@@ -1,4 +1,4 @@
-"""Work shared out to processes that do not outlive the one that started them."""
+"""Work shared among processes that do not outlive the one that started them."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def each(one: Callable[[Task], Result], todo: Sequence[Task], jobs: int) -> Iter
     """Yield results as they come.
 
     Args:
-        one: The work; with more than one job it must be importable.
-        todo: What to do it on.
+        one: The work on one item; with more than one job it must be importable.
+        todo: The items.
         jobs: Processes; one does the work here.
     """
     if jobs == 1:
@@ -48,8 +48,7 @@ def begin_worker() -> None:
 def follow_parent() -> None:
     """End this worker when its parent ends, by whatever signal.
 
-    A worker that waits for work holds both ends of its queue, so that no end of file would ever
-    tell it.
+    A worker that waits for work holds both ends of its queue, so it never reads an end of file.
     """
     Thread(target=_end_with_parent, name="parent watch", daemon=True).start()
 

@@ -1,4 +1,4 @@
-"""One rig's line of the proof: what it hid beside what the diagnosis said of it."""
+"""One trial's row of the proof: its injected effects and its diagnosis."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from rig.results.prove.judge import Judgement
 from rig.results.prove.located import located
 
 CONFIDENT = 0.9
-"""A name given with more confidence than this to an effect outside the catalogue counts as a gross
+"""Confidence above which an effect identified on a trial outside the catalogue counts as a gross
 error.
 """
 MOST_NAMED = 3
-"""Names of a baseline that count where two effects are hidden: as many as the diagnosis gives at
-most.
+"""Effects of a baseline method that count where two are injected: the most that the diagnosis
+gives.
 """
 WORTH = 0.05
-"""Held-out gain of the oracle over the noise, below which there is nothing to gain."""
+"""Least held-out gain of the oracle over the noise at which gains are compared."""
 FAINT = 1e-12
 VERSION = 5
-"""Of a row, and of the recordings behind it: a proof begun with other ones is not gone on with."""
+"""Version of the rows and recordings: a proof begun with another one is not continued."""
 
 
 def row_of(
@@ -33,20 +33,20 @@ def row_of(
     digest: str,
     floor: Mapping[str, float] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Score one rig's judgement against its truth.
+    """Score one trial's judgement against its truth.
 
     Args:
         truth: As unsealed: ``rig``, ``kind``, ``effects`` and ``parameters``.
         strengths: Channel to rms change over noise.
-        judgement: What was said of it.
+        judgement: Of the trial.
         oracle: Held-out errors with the true structure; None where there is none.
         digest: Of the seal.
-        floor: Equation to what the nominal model leaves of a twin that hides nothing; empty where
+        floor: Equation to the nominal model's residual of the reference simulation; empty where
             that is not known.
 
     Returns:
-        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where the kind of rig gives
-        them no meaning.
+        A row; ``top1``, ``alias``, ``exact`` and ``confident`` are null where they have no
+        meaning for the kind of trial.
     """
     diagnosis = judgement.diagnosis
     names, kind = list(truth["effects"]), truth["kind"]
@@ -92,7 +92,7 @@ def row_of(
 
 
 def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dict[str, Any]:
-    """Score names, each with its alias group behind it, by the same rules for every method."""
+    """Score effects, each with its alias group, by the same rules for every method."""
     alarm = {"alarm": bool(said), "top1": None, "alias": None, "exact": None}
     if kind not in ("one", "two"):
         return alarm
@@ -108,7 +108,7 @@ def _hits(kind: str, names: Sequence[str], said: Sequence[Sequence[str]]) -> dic
 def _parameters(
     true: Mapping[str, Mapping[str, float]], found: Sequence[Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return true and estimated parameters of the effects that were named rightly."""
+    """Return true and estimated parameters of the correctly identified effects."""
     rows: dict[str, Any] = {}
     for effect in found:
         for name, value in true.get(effect["name"], {}).items():
@@ -143,7 +143,7 @@ def _nominal(true: Mapping[str, float], diagnosis: Mapping[str, Any]) -> dict[st
 def _held_out(fit: Mapping[str, Any]) -> dict[str, float | None]:
     """Return held-out errors, and the share of the way to the noise floor that was gained.
 
-    No model fitted to the same data gets below the floor but by chance.
+    A model fitted to the same data falls below the floor only by chance.
     """
     before, after, floor = (
         fit["validate_baseline_rms"],

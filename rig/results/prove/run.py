@@ -1,4 +1,4 @@
-"""The proof, run: seal every rig, show the digests, then diagnose, unseal and score one after
+"""Run of the proof: seal every trial, show the digests, then diagnose, unseal and score one after
 another.
 """
 
@@ -29,14 +29,14 @@ ROWS = "rows"
 
 
 class Proof(NamedTuple):
-    """A proof under way.
+    """State of a proof.
 
     Attributes:
         out: Its folder.
-        source: Where sealed campaigns of someone else are; None where rigs are drawn here.
+        source: Folder of campaigns sealed by someone else; None where trials are drawn here.
         seed: Of draws and diagnosis.
-        seals: Every rig, its truth sealed.
-        family: Of the rigs, out of :data:`rig.results.prove.family.FAMILIES`.
+        seals: Every trial, its truth sealed.
+        family: Of the trials, out of :data:`rig.results.prove.family.FAMILIES`.
     """
 
     out: Path
@@ -46,12 +46,12 @@ class Proof(NamedTuple):
     family: str = MOTION
 
     def row_file(self, number: int) -> Path:
-        """Return where a rig's row is kept."""
+        """Return the file of a trial's row."""
         return self.out / ROWS / f"{number:04d}.json"
 
 
 def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MOTION) -> Proof:
-    """Seal all rigs, or go on with a proof that was begun in this folder with the same settings.
+    """Seal all trials, or continue a proof that was begun in this folder with the same settings.
 
     Raises:
         InputError: The folder holds a proof with other settings, or ``source`` no sealed campaigns.
@@ -80,10 +80,10 @@ def begin(out: Path, rigs: int, seed: int, source: Path | None, family: str = MO
 
 
 def _begun(file: Path, settings: Mapping[str, Any], home: Path) -> tuple[Sealed, ...]:
-    """Return the rigs of a proof that was begun before.
+    """Return the trials of a proof that was begun before.
 
     Raises:
-        InputError: The file is none of this program's, or of a proof with other settings.
+        InputError: The file is not this program's, or belongs to a proof with other settings.
     """
     begun = read_json(file)
     try:
@@ -115,14 +115,14 @@ def _given(source: Path) -> Iterator[Sealed]:
 def work(
     proof: Proof, judge: Judge, jobs: int, keep: bool, progress: Callable[[str, float], None]
 ) -> list[dict[str, Any]]:
-    """Diagnose and score what is not done yet; return all rows in the rigs' order.
+    """Diagnose and score the trials that are not done yet; return all rows in order.
 
     Args:
         proof: As begun.
         judge: Judges a campaign; with more than one job it must be importable.
         jobs: Processes.
-        keep: Keep the recordings of rigs drawn here once they are scored.
-        progress: Told what is done and how much of it.
+        keep: Whether recordings of trials drawn here stay after scoring.
+        progress: Called with the label of a step and the share that is done.
 
     Raises:
         InputError: A truth was changed after it was sealed.
@@ -138,7 +138,7 @@ def work(
 
 
 def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
-    """Take one rig from its seal to its row; return its number.
+    """Diagnose, unseal and score one trial; return its number.
 
     The truth is opened after the judgement.
     """
@@ -169,7 +169,5 @@ def prove_rig(sealed: Sealed, proof: Proof, judge: Judge, keep: bool) -> int:
 
 
 def _diagnosis_seed(seed: int, number: int) -> int:
-    """Return a seed for the diagnosis that the draws, which repeat with theirs, cannot be repeated
-    from.
-    """
+    """Return a seed for the diagnosis from which the draws of the truth cannot be repeated."""
     return int(np.random.SeedSequence([seed, number, 1]).generate_state(1)[0])

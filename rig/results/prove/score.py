@@ -13,11 +13,11 @@ from scipy.stats import beta
 Row = Mapping[str, Any]
 LEVEL = 0.95
 STRONG = 3.0
-"""From this strength on (rms change over noise in the channel that shows it best) an effect has to
-be named.
+"""Least strength (rms change over noise in the channel that shows it best) of an effect that must
+be identified.
 """
 TORQUE = "current"
-"""Channel that shows an effect's share of the torque: the motor's, in motion."""
+"""Channel of an effect's share of the torque: the motor's current, in motion."""
 EDGES = (0.0, 0.3, 1.0, 3.0, 10.0, 30.0, float("inf"))
 
 
@@ -86,18 +86,16 @@ def score(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _beside(row: Row) -> float:
-    """Return what the fainter of two effects leaves beside the other, told by name, over the
-    noise.
-    """
+    """Return the remaining strength of the fainter of two effects, with the other one known."""
     return 0.0 if row["oracle"] is None else float(min(row["oracle"]["beside"].values()))
 
 
 def methods(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return the diagnosis and each baseline, scored by the same rules on the same rigs.
+    """Return the scores of the diagnosis and of each baseline method, on the same trials.
 
-    A baseline's alias group is its name alone. ``outside_named`` counts rigs that hide what is in
-    no catalogue and were given a name all the same; ``exact`` those of the catalogue where no name
-    was wrong and none missing.
+    The alias group of a baseline method's effect is the effect alone. ``outside_named`` counts
+    trials outside the catalogue on which an effect was identified; ``exact`` counts trials of the
+    catalogue with no wrong and no missing effect.
     """
     said = {"diagnosis": [{**row, "named_any": bool(row["named"])} for row in rows]}
     for method in sorted({m for row in rows for m in row["baselines"]}):
@@ -129,7 +127,7 @@ def _method(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
-    """Return how often the mismatch was found where the effect shows, over rigs on which any was
+    """Return how often the mismatch was found where the effect shows, over trials on which any was
     found.
     """
     found = [
@@ -141,15 +139,13 @@ def location(rows: Sequence[Row]) -> dict[str, dict[str, Any]]:
 
 
 def middle(rows: Sequence[Row], key: str) -> dict[str, Any]:
-    """Return the median of what is known of the rows, and of how many it is."""
+    """Return the median of the known values of the rows, and their number."""
     known = [row[key] for row in rows if row[key] is not None]
     return {"median": statistics.median(known) if known else None, "of": len(known)}
 
 
 def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
-    """Return true effect -> what it was called first, or the verdict where nothing was -> how
-    often.
-    """
+    """Return true effect -> first identified effect, or the verdict without one -> count."""
     table: dict[str, Counter[str]] = defaultdict(Counter)
     for row in rows:
         called = row["named"][0]["name"] if row["named"] else row["verdict"]
@@ -158,7 +154,7 @@ def confusion(rows: Sequence[Row]) -> dict[str, dict[str, int]]:
 
 
 def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return detection and naming against strength, one entry per band that has rigs."""
+    """Return detection and identification against strength, one entry per band with trials."""
     bands = []
     for low, high in pairwise(EDGES):
         mine = [row for row in rows if low <= row["strength"] < high]
@@ -170,7 +166,7 @@ def power(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def worse(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return on how many rigs the held-out error rose by more than the noise floor."""
+    """Return on how many trials the held-out error rose by more than the noise floor."""
     known = [
         row
         for row in rows
@@ -184,7 +180,7 @@ def worse(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def most_frequent(rows: Sequence[Row]) -> float | None:
-    """Return how often one would be right by always saying what is most frequent."""
+    """Return how often the most frequent effect would be right on every trial."""
     if not rows:
         return None
     return Counter(row["effects"][0] for row in rows).most_common(1)[0][1] / len(rows)

@@ -1,4 +1,4 @@
-"""The truth of a rig, sealed: written down and its digest shown before anything is diagnosed."""
+"""The truth of a trial, sealed: written, and its digest shown, before anything is diagnosed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def seal(path: Path, truth: Mapping[str, Any], salt: str) -> str:
 
 
 def unseal(path: Path, digest: str) -> dict[str, Any]:
-    """Read a truth back and hold it against the digest that was shown.
+    """Read a truth back and check it against the digest that was shown.
 
     Raises:
         InputError: It is missing, or no longer what was sealed.

@@ -1,4 +1,4 @@
-"""A blind rig's campaign simulated, and how strong what it hides is."""
+"""A blind trial's campaign simulated, and the strength of its effects."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ class Recorded(NamedTuple):
 
 
 def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Simulate all experiments, one after another on one machine that warms, wears and
-    remembers.
+    """Simulate all experiments, one after another on one plant that keeps its temperature, wear and
+    state.
     """
     machine = SimulatedMachine(rig.machine, np.random.default_rng(rig.seed))
     done = []
@@ -51,25 +51,25 @@ def campaign(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
     return done
 
 
-def twin_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
-    """Simulate a rig's twin that hides nothing, driven by the same commands and the same noise."""
+def reference_of(rig: Rig, plan: Sequence[Experiment]) -> list[Recorded]:
+    """Return a trial's reference simulation: without effects, with the same commands and noise."""
     return campaign(rig._replace(machine=replace(rig.machine, effects={})), plan)
 
 
-def strength(hiding: Sequence[Recorded], twin: Sequence[Recorded]) -> dict[str, float]:
-    """Compare a campaign with its twin that hides nothing.
+def strength(injected: Sequence[Recorded], reference: Sequence[Recorded]) -> dict[str, float]:
+    """Compare a campaign with its reference simulation.
 
-    Current and voltage are compared only where both move: what a joint at rest is held with depends
-    on how it came to rest, down to a single encoder count.
+    Current and voltage are compared only where both move: the current that holds a joint at rest
+    depends on how it came to rest, down to a single encoder count.
 
     Returns:
-        For each channel the rms difference over the channel's noise. The noise is what two
-        recordings of one experiment on the twin differ by, over sqrt(2); no less than that of its
-        quantum.
+        For each channel the rms difference over the channel's noise. The noise is the
+        difference of two recordings of one experiment in the reference simulation, over sqrt(2),
+        and at least that of its quantum.
     """
-    first, last = twin[0].samples, twin[-1].samples
+    first, last = reference[0].samples, reference[-1].samples
     assert np.array_equal(first.command, last.command)
-    pairs = [(a.samples, b.samples) for a, b in zip(hiding, twin, strict=True)]
+    pairs = [(a.samples, b.samples) for a, b in zip(injected, reference, strict=True)]
     found = {}
     for name in CHANNELS:
         noise = _rms([_gap(name, first, last)]) / np.sqrt(2.0)
@@ -79,8 +79,8 @@ def strength(hiding: Sequence[Recorded], twin: Sequence[Recorded]) -> dict[str, 
 
 
 def _gap(name: str, a: Samples, b: Samples) -> Array:
-    """Return how two recordings of one experiment differ in a channel, where that says
-    something.
+    """Return the difference of two recordings of one experiment in a channel, where it is
+    comparable.
     """
     difference = np.asarray(getattr(a, name) - getattr(b, name), dtype=np.float64)
     if name not in ("current", "voltage"):

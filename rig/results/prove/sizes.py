@@ -1,4 +1,4 @@
-"""How large a concealed effect is drawn: log-uniform from just above the noise to obvious."""
+"""Size of an injected effect: log-uniform from just above the noise to obvious."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ SIZES: Mapping[str, Mapping[str, Draw]] = {
 }
 """Effect of the catalogue -> parameter -> its draw.
 
-``wrong_weight.mass_kg`` is the share that the label is off by.
+``wrong_weight.mass_kg`` is the relative error of the label.
 """
 
 OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
@@ -139,4 +139,4 @@ OUTSIDE_SIZES: Mapping[str, Mapping[str, Draw]] = {
     "x_wandering_torque": {"torque_Nm": log(0.3, 3.0), "period_s": log(0.5, 6.0)},
     "x_loaded_drag": {"coefficient_s2_rad2": log(0.01, 0.2)},
 }
-"""The same for effects that are in no catalogue."""
+"""The same for effects outside the catalogue."""

@@ -1,4 +1,4 @@
-"""Reads a recording back, whole or damaged: all that is sound, and a word on what is lost."""
+"""Reads a recording back, whole or damaged: all sound records, and a message on the lost ones."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Log:
             :func:`rig.runs.mcap.layout.decode_frames`.
         attachments: Name to content.
         metadata: Name to keys and values.
-        damage: None for a complete file, else where it is damaged, why, and what is lost, in words.
+        damage: None for a complete file, else the place and cause of the damage and the loss.
     """
 
     samples: Mapping[str, NDArray[np.float64]]
@@ -139,7 +139,7 @@ class _Reading:
         )
 
     def damage(self) -> str | None:
-        """Return what is damaged in words, with the number of samples that are left."""
+        """Return a message on the damage, with the number of remaining samples."""
         if not self._damage:
             return None
         times = self.samples()["time"]
@@ -221,7 +221,7 @@ class _Reading:
             self.messages[topic].append(message)
 
     def _compare(self, offset: int) -> None:
-        """Hold what was read against the counts at the end of the file."""
+        """Compare what was read with the counts at the end of the file."""
         try:
             counts = statistics(self._data, offset)
         except DamageError as error:
