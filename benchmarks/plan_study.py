@@ -28,14 +28,14 @@ from identification.estimate.default import identify
 from identification.result import Identification
 from rig.cli import entry as cli
 from rig.common.places import write_json
-from rig.common.result_files import Provenance, identification_record
+from rig.common.result_files import Provenance
 from rig.common.tables import table
 from rig.config.bench import load_bench
 from rig.config.packaged import resolve
 from rig.config.sequence import load_sequence
 from rig.results.design.experiment import plan_experiment
 from rig.results.design.output import excitation_words, write
-from rig.results.uncertainty import uncertainty_record
+from rig.results.identify.record import identification_record, uncertainty_record
 from rig.runs.run import load_run
 from rig.runs.truth import truth_of
 

@@ -190,34 +190,39 @@ def _identify_source(options: _Options, source: Path) -> None:
     # Imported late: --help must not wait for the numerics.
     from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
-    from rig.results.identify.identify import compare_methods, identify_source
-    from rig.results.identify.output import text, write
+    from rig.common.result_files import RESULT_FILE
+    from rig.results.files import PAGE_FILE, write_page, write_record
+    from rig.results.identify.document import identify_document
+    from rig.results.identify.identify import Request, compare_methods, identify_source
+    from rig.results.identify.record import outcome_record
+    from rig.results.terminal import text
     from rig.runs.truth import truth_of
     from rig.terminal.bar import ShareBar
 
     folder = options.out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     require_file(options.json_file, "--json")
+    request = Request(
+        _METHODS[options.method],
+        options.bandwidth,
+        options.seed,
+        options.ladder,
+        options.score,
+        options.profile,
+        options.draws or 0,
+        options.partial,
+    )
     with ShareBar() as bar:
-        outcome = identify_source(
-            source,
-            _METHODS[options.method],
-            options.bandwidth,
-            options.seed,
-            bar,
-            ladder=options.ladder,
-            score=options.score,
-            profile=options.profile,
-            draws=options.draws or 0,
-            take_partial=options.partial,
-        )
+        outcome = identify_source(source, request, bar)
         truth = truth_of(source)
         if options.compared:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
-        report = write(folder, source_name(source), outcome, truth, options.json_file)
-    click.echo(text(outcome, truth))
-    click.echo(f"report: {report}")
+        write_record(outcome_record(outcome), folder / RESULT_FILE, options.json_file)
+        document = identify_document(source_name(source), outcome, truth)
+        write_page(document, folder / PAGE_FILE)
+    click.echo(text(document))
+    click.echo(f"report: {folder / PAGE_FILE}")
 
 
 def _plan(options: _Options, sequence: str) -> None:

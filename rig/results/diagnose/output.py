@@ -9,7 +9,6 @@ from pathlib import Path
 
 from rig.common.errors import InputError
 from rig.common.input_files import source_name
-from rig.common.parameter_table import Table
 from rig.common.places import write_json
 from rig.common.tables import table
 from rig.results.diagnose.diagnose import Outcome, as_json
@@ -22,7 +21,8 @@ from rig.results.diagnose.tables import (
     shift_table,
     where_table,
 )
-from rig.results.identify.output import reading_notes
+from rig.results.document import Table
+from rig.results.sections import reading_notes
 
 RESULT_FILE = "diagnose.json"
 VERDICTS = {

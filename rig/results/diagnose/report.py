@@ -7,7 +7,6 @@ from pathlib import Path
 
 from identification.diagnosis.result import Diagnosis, Fit, ResidualTrace
 from identification.plots import mismatch
-from rig.common.figures import Picture, save
 from rig.common.places import write_text
 from rig.results.diagnose.diagnose import Outcome
 from rig.results.diagnose.tables import (
@@ -18,7 +17,8 @@ from rig.results.diagnose.tables import (
     step_table,
     where_table,
 )
-from rig.results.report import provenance_tables, render
+from rig.results.document import Picture
+from rig.results.report import provenance_tables, render, save
 
 HEADLINES = {
     "nothing_missing": "Nothing is missing",

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from identification.recording import Array
-from rig.common.figures import Picture, save
-from rig.common.parameter_table import Table
 from rig.common.places import write_text
+from rig.results.document import Picture, Table
+from rig.results.report import save
 
 Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
 """Column titles with their units, and the rows under them."""

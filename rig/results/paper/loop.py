@@ -12,13 +12,13 @@ import numpy as np
 from drivers.mock.plant.gas_direct import impacted_area, throat_area
 from identification.plots import regulator
 from identification.recording import Array, Recording
-from rig.common.figures import Picture
 from rig.config.bench import load_bench
 from rig.config.flow import FlowSection
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated
 from rig.planning.flow_control import pressure_for
 from rig.planning.hot_fire import believed
+from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, columns
 from rig.results.paper.machine import true_machine
 

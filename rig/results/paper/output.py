@@ -8,13 +8,14 @@ from typing import Any
 
 from rig.common.errors import InputError
 from rig.common.places import write_json, write_text
-from rig.common.result_files import PAPER_SCHEMA, Provenance
+from rig.common.result_files import Provenance
 from rig.results.paper import tables
 from rig.results.paper.chosen import chosen
 from rig.results.paper.exhibit import Exhibit, write_exhibits
 from rig.results.paper.parameters import Reproduction
 from rig.results.report import provenance_tables, render
 
+PAPER_SCHEMA = "loadrig.paper/1"
 RESULT_FILE = "paper.json"
 PAGE_FILE = "paper.html"
 

@@ -9,13 +9,12 @@ from pathlib import Path
 from identification.plots import regulator
 from identification.recording import Array, Dataset
 from identification.tracking import track, tracking_error
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
 from rig.common.tables import number
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated
 from rig.planning.feedforward import Feedforward
+from rig.results.document import Picture, Table
 from rig.results.paper.exhibit import Exhibit, columns
 
 BENCH, SEQUENCE = "practical", "figure10"

@@ -12,10 +12,9 @@ from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.spread import spread
 from identification.result import Convergence
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
 from rig.common.result_files import finite
 from rig.common.tables import number, percent
+from rig.results.document import Picture, Table
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 from rig.results.paper.parameters import (
     DURATION_S,

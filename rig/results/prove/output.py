@@ -8,13 +8,12 @@ from typing import Any
 
 from identification.plots.proof import confusion_matrix, power_curve
 from rig.common.errors import InputError
-from rig.common.figures import Picture, save
-from rig.common.parameter_table import Table
 from rig.common.places import write_json, write_text
 from rig.common.result_files import Provenance
 from rig.common.tables import number
+from rig.results.document import Picture, Table
 from rig.results.prove.score import STRONG, score
-from rig.results.report import provenance_tables, render
+from rig.results.report import provenance_tables, render, save
 
 PROVE_SCHEMA = "loadrig.prove/2"
 RESULT_FILE = "prove.json"

@@ -8,13 +8,12 @@ from typing import Any
 from identification.plots.simulated import simulated
 from identification.simulate.score import Sums
 from rig.common.errors import InputError
-from rig.common.figures import Picture, save
 from rig.common.input_files import source_name
-from rig.common.parameter_table import Table
 from rig.common.places import write_json, write_text
 from rig.common.tables import number, percent, table
 from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
-from rig.results.report import provenance_tables, render
+from rig.results.document import Picture, Table
+from rig.results.report import provenance_tables, render, save
 from rig.results.simulate.predict import error_record, error_table
 from rig.results.simulate.predict import pictures as prediction_pictures
 from rig.results.simulate.simulate import Case, Simulation

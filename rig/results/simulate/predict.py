@@ -14,9 +14,8 @@ from identification.corrected.score import Predicted, predictions, rms
 from identification.diagnosis.view import views
 from identification.plots.predicted import predicted as drawn
 from identification.recording import Dataset
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
 from rig.common.tables import number
+from rig.results.document import Picture, Table
 
 _SHOWN_PER_ROLE = 3
 _UNITS = {"transmission": "mrad", "voltage": "V"}
