@@ -99,7 +99,6 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig identify: identify.json": frozenset(
         {"corrections", "compared", "ladder", "transfer", "comparison", "partial"}
     ),
-    "rig diagnose: diagnose.json": frozenset({"partial"}),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),

@@ -114,14 +114,14 @@ class Section:
 
 
 @dataclass(frozen=True)
-class Beside:
+class SideBySide:
     """Two sections side by side, where the page is wide enough."""
 
     left: Section
     right: Section
 
 
-Block = Table | Note | Paragraph | Items | Verdict | Picture | Section | Beside
+Block = Table | Note | Paragraph | Items | Verdict | Picture | Section | SideBySide
 
 
 @dataclass(frozen=True)
@@ -152,5 +152,5 @@ def _pictures(blocks: Iterable[Block]) -> Iterator[Picture]:
                 yield block
             case Section():
                 yield from _pictures(block.blocks)
-            case Beside():
+            case SideBySide():
                 yield from _pictures((block.left, block.right))

@@ -7,7 +7,6 @@ from collections.abc import Iterator
 
 from rig.common.tables import table
 from rig.results.document import (
-    Beside,
     Block,
     Document,
     Items,
@@ -15,6 +14,7 @@ from rig.results.document import (
     Paragraph,
     Picture,
     Section,
+    SideBySide,
     Table,
     Verdict,
 )
@@ -47,7 +47,7 @@ def _lines(block: Block) -> Iterator[str]:
                 yield block.title
             for inner in block.blocks:
                 yield from _lines(inner)
-        case Beside():
+        case SideBySide():
             yield from _lines(block.left)
             yield from _lines(block.right)
         case Picture():
