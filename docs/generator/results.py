@@ -54,10 +54,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.record:_step_record",
     ),
     "rig simulate: simulate.json": (
-        "rig.results.simulate.output:record",
-        "rig.results.simulate.output:_case_record",
-        "rig.results.simulate.output:_sums_record",
-        "rig.results.simulate.predict:error_record",
+        "rig.results.simulate.record:simulation_record",
+        "rig.results.simulate.record:_case_record",
+        "rig.results.simulate.record:_sums_record",
+        "rig.results.simulate.record:error_record",
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",
