@@ -72,12 +72,14 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
     ),
     "rig paper: paper.json": ("rig.results.paper.output:record", "rig.results.paper.tables:_entry"),
     "rig prove: prove.json": (
+        "rig.results.prove.score:proof_record",
         "rig.results.prove.score:score",
         "rig.results.prove.score:rate",
         "rig.results.prove.score:_method",
         "rig.results.prove.score:middle",
         "rig.results.prove.score:power",
         "rig.results.prove.row:row_of",
+        "rig.results.prove.row:_named",
         "rig.results.prove.row:_hits",
         "rig.results.prove.row:_parameters",
         "rig.results.prove.row:_nominal",
@@ -102,7 +104,6 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),
-    "rig prove: prove.json": frozenset({"rigs"}),
 }
 """Keys that are not written as literals in these functions."""
 _INTRO = """\
