@@ -70,7 +70,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.effects:effects_record",
         "rig.results.effects:_entry_record",
     ),
-    "rig paper: paper.json": ("rig.results.paper.output:record", "rig.results.paper.tables:_entry"),
+    "rig paper: paper.json": (
+        "rig.results.paper.record:paper_record",
+        "rig.results.paper.record:_entry",
+    ),
     "rig prove: prove.json": (
         "rig.results.prove.score:proof_record",
         "rig.results.prove.score:score",
