@@ -40,8 +40,8 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.identify.record:comparison_record",
     ),
     "rig identify --plan: plan file": (
-        "rig.results.design.output:_record",
-        "rig.results.design.output:_pinned_record",
+        "rig.results.design.record:plan_record",
+        "rig.results.design.record:_pinned_record",
     ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.record:diagnosis_record",

@@ -230,8 +230,12 @@ def _plan(options: _Options, sequence: str) -> None:
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
+    from rig.results.design.document import plan_document
     from rig.results.design.experiment import plan_experiment
-    from rig.results.design.output import text, write
+    from rig.results.design.proposal import PROPOSAL_FILE, proposal_text
+    from rig.results.design.record import RESULT_FILE, plan_record
+    from rig.results.files import write_record, write_texts
+    from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
 
     folder = options.out or Path(f"{Path(sequence).stem}-planned")
@@ -242,6 +246,8 @@ def _plan(options: _Options, sequence: str) -> None:
         experiment = plan_experiment(
             sequence_file, bench_file, options.nominal, options.current_noise, options.seed, bar
         )
-    proposal = write(folder, experiment, bench_file.value.name, options.json_file)
-    click.echo(text(experiment))
-    click.echo(f"proposal: {proposal}")
+    name = bench_file.value.name
+    write_record(plan_record(experiment, name), folder / RESULT_FILE, options.json_file)
+    write_texts({PROPOSAL_FILE: proposal_text(experiment, name)}, folder)
+    click.echo(text(plan_document(experiment)))
+    click.echo(f"proposal: {folder / PROPOSAL_FILE}")
