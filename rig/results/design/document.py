@@ -9,7 +9,7 @@ from identification.design.pinning import Pinned
 from rig.common.tables import number, percent
 from rig.config.sequence import StageSection
 from rig.results.design.experiment import Experiment
-from rig.results.design.proposal import words
+from rig.results.design.proposal import pinned_words
 from rig.results.document import Document, Note, Section, Table
 
 
@@ -25,7 +25,11 @@ def _summary(experiment: Experiment) -> Iterator[Section]:
     head = "90 % interval over the value, half width, from a rehearsal on the nominal model:"
     yield Section("", (Note(head),))
     yield Section("", (_widths(experiment),))
-    lines = (f"{sequence}: {words(now)}", f"{proposed}: {words(then)}", _advice(experiment))
+    lines = (
+        f"{sequence}: {pinned_words(now)}",
+        f"{proposed}: {pinned_words(then)}",
+        _advice(experiment),
+    )
     yield Section("", tuple(map(Note, lines)))
     yield Section("", (_stages(experiment),))
     last = (

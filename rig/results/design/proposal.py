@@ -21,20 +21,22 @@ def proposal_text(experiment: Experiment, bench: str) -> str:
     head = (
         f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
         f"{bench}, "
-        f"seed {experiment.seed}.\n# Nominal: {experiment.nominal_source}.\n# {words(worst)}.\n"
+        f"seed {experiment.seed}.\n# Nominal: {experiment.nominal_source}.\n# {pinned_words(worst)}.\n"
     )
-    return head + yaml.safe_dump(plain(experiment.proposed), sort_keys=False, allow_unicode=True)
+    return head + yaml.safe_dump(
+        plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
+    )
 
 
-def plain(sequence: Sequence) -> dict[str, Any]:
+def plain_sequence(sequence: Sequence) -> dict[str, Any]:
     """Return a sequence as its file states it; what is at its default is left out, but for what a
     reader looks for.
     """
-    plain: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
-    return {"sequence": sequence.sequence, **plain}
+    given: dict[str, Any] = sequence.model_dump(mode="json", exclude_defaults=True)
+    return {"sequence": sequence.sequence, **given}
 
 
-def words(found: Pinned) -> str:
+def pinned_words(found: Pinned) -> str:
     """Say how many parameters are pinned, and which one the least."""
     open_names = [n for n, w in found.half_widths.items() if not math.isfinite(w)]
     if open_names:

@@ -9,7 +9,7 @@ from rig.common.provenance import utc_now, versions
 from rig.common.result_files import finite
 from rig.config.sequence import Sequence
 from rig.results.design.experiment import Experiment
-from rig.results.design.proposal import plain
+from rig.results.design.proposal import plain_sequence
 
 PLAN_SCHEMA = "loadrig.plan/1"
 RESULT_FILE = "plan.json"
@@ -41,7 +41,7 @@ def plan_record(experiment: Experiment, bench: str) -> dict[str, Any]:
 
 def _pinned_record(sequence: Sequence, found: Pinned) -> dict[str, Any]:
     return {
-        "sequence": plain(sequence),
+        "sequence": plain_sequence(sequence),
         "relative_half_widths": {name: finite(width) for name, width in found.half_widths.items()},
         "weakest": found.weakest,
     }
