@@ -371,7 +371,8 @@ def test_a_joint_that_never_moves_on_is_bad_input(
     table = np.column_stack([time, angle, torque])
     np.savetxt(tmp_path / "held.csv", table, "%.7f", ",", header="time,angle,torque", comments="")
     (tmp_path / "held.yaml").write_text(
-        "campaign: 1\nbench: {motion: rotary}\nrecordings:\n  - file: held.csv\n    stage: unloaded\n"
+        "campaign: 1\nbench: {motion: rotary}\nrecordings:\n"
+        "  - file: held.csv\n    stage: unloaded\n"
         "    channels: {time: time, angle: angle, torque: torque}\n"
     )
     assert status(["diagnose", str(tmp_path / "held.yaml"), "--out", str(tmp_path / "out")]) == 2

@@ -17,11 +17,11 @@ PROPOSAL_FILE = "proposal.yaml"
 
 def proposal_text(experiment: Experiment, bench: str) -> str:
     """Return the sequence file of a proposal; a comment says what it was made for."""
-    worst = experiment.proposal.pinned
+    pinned = pinned_words(experiment.proposal.pinned)
     head = (
         f"# Proposed by `rig identify --plan` in place of {experiment.sequence.name}, bench "
-        f"{bench}, "
-        f"seed {experiment.seed}.\n# Nominal: {experiment.nominal_source}.\n# {pinned_words(worst)}.\n"
+        f"{bench}, seed {experiment.seed}.\n"
+        f"# Nominal: {experiment.nominal_source}.\n# {pinned}.\n"
     )
     return head + yaml.safe_dump(
         plain_sequence(experiment.proposed), sort_keys=False, allow_unicode=True
