@@ -28,14 +28,16 @@ from identification.estimate.default import identify
 from identification.result import Identification
 from rig.cli import entry as cli
 from rig.common.places import write_json
-from rig.common.result_files import Provenance, identification_record
+from rig.common.result_files import Provenance
 from rig.common.tables import table
 from rig.config.bench import load_bench
 from rig.config.packaged import resolve
 from rig.config.sequence import load_sequence
+from rig.results.design.document import excitation_words
 from rig.results.design.experiment import plan_experiment
-from rig.results.design.output import excitation_words, write
-from rig.results.uncertainty import uncertainty_record
+from rig.results.design.proposal import PROPOSAL_FILE, proposal_text
+from rig.results.files import write_texts
+from rig.results.identify.record import identification_record, uncertainty_record
 from rig.runs.run import load_run
 from rig.runs.truth import truth_of
 
@@ -122,7 +124,8 @@ def study(seed: int, scratch: Path, runs: int) -> list[str]:
     experiment = plan_experiment(
         sequence, document, nominal, None, seed, lambda _what, _share: None
     )
-    proposal = write(scratch / "plan", experiment, "random", None)
+    write_texts({PROPOSAL_FILE: proposal_text(experiment, "random")}, scratch / "plan")
+    proposal = scratch / "plan" / PROPOSAL_FILE
     second = [
         identified(str(proposal), bench, seed + 1000 + 100 * k, scratch / f"second{k}")
         for k in range(runs)

@@ -28,20 +28,20 @@ _PROVENANCE = "Every result file"
 WRITERS: Mapping[str, tuple[str, ...]] = {
     _PROVENANCE: ("rig.common.result_files:Provenance.record",),
     "rig identify: identify.json": (
-        "rig.common.result_files:identification_record",
-        "rig.common.result_files:parameter_record",
-        "rig.common.result_files:fit_record",
-        "rig.common.result_files:_stage_record",
-        "rig.common.result_files:_history_record",
-        "rig.results.uncertainty:uncertainty_record",
-        "rig.results.identify.ladder:ladder_record",
-        "rig.results.identify.transfer:transfer_record",
-        "rig.results.identify.transfer:_moved_record",
-        "rig.results.comparison_table:comparison_record",
+        "rig.results.identify.record:identification_record",
+        "rig.results.identify.record:parameter_record",
+        "rig.results.identify.record:fit_record",
+        "rig.results.identify.record:_stage_record",
+        "rig.results.identify.record:_history_record",
+        "rig.results.identify.record:uncertainty_record",
+        "rig.results.identify.record:ladder_record",
+        "rig.results.identify.record:transfer_record",
+        "rig.results.identify.record:_moved_record",
+        "rig.results.identify.record:comparison_record",
     ),
     "rig identify --plan: plan file": (
-        "rig.results.design.output:_record",
-        "rig.results.design.output:_pinned_record",
+        "rig.results.design.record:plan_record",
+        "rig.results.design.record:_pinned_record",
     ),
     "rig diagnose: diagnose.json": (
         "rig.results.diagnose.record:diagnosis_record",
@@ -54,10 +54,10 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.diagnose.record:_step_record",
     ),
     "rig simulate: simulate.json": (
-        "rig.results.simulate.output:record",
-        "rig.results.simulate.output:_case_record",
-        "rig.results.simulate.output:_sums_record",
-        "rig.results.simulate.predict:error_record",
+        "rig.results.simulate.record:simulation_record",
+        "rig.results.simulate.record:_case_record",
+        "rig.results.simulate.record:_sums_record",
+        "rig.results.simulate.record:error_record",
     ),
     "rig check --json": (
         "rig.cli.commands.check:examine",
@@ -70,14 +70,19 @@ WRITERS: Mapping[str, tuple[str, ...]] = {
         "rig.results.effects:effects_record",
         "rig.results.effects:_entry_record",
     ),
-    "rig paper: paper.json": ("rig.results.paper.output:record", "rig.results.paper.tables:_entry"),
+    "rig paper: paper.json": (
+        "rig.results.paper.record:paper_record",
+        "rig.results.paper.record:_entry",
+    ),
     "rig prove: prove.json": (
+        "rig.results.prove.score:proof_record",
         "rig.results.prove.score:score",
         "rig.results.prove.score:rate",
         "rig.results.prove.score:_method",
         "rig.results.prove.score:middle",
         "rig.results.prove.score:power",
         "rig.results.prove.row:row_of",
+        "rig.results.prove.row:_named",
         "rig.results.prove.row:_hits",
         "rig.results.prove.row:_parameters",
         "rig.results.prove.row:_nominal",
@@ -99,11 +104,9 @@ _COMPUTED: Mapping[str, frozenset[str]] = {
     "rig identify: identify.json": frozenset(
         {"corrections", "compared", "ladder", "transfer", "comparison", "partial"}
     ),
-    "rig diagnose: diagnose.json": frozenset({"partial"}),
     "rig simulate: simulate.json": frozenset({"fit", "validate"}),
     "rig check --json": frozenset({"servo", "encoder", "pressure", "limits", "difference_rad"}),
     "rig run --faults: faults.json": frozenset({"faults"}),
-    "rig prove: prove.json": frozenset({"rigs"}),
 }
 """Keys that are not written as literals in these functions."""
 _INTRO = """\

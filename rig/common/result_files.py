@@ -1,4 +1,4 @@
-"""Result records as the JSON of the contract."""
+"""What every result file carries, and plain numbers for it."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 from identification.recording import Recording
-from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.provenance import sha256_file, utc_now, versions
 
 IDENTIFY_SCHEMA = "loadrig.identify/1"
 RESULT_FILE = "identify.json"
 """Name of such a result beside the recordings of a run."""
-PAPER_SCHEMA = "loadrig.paper/1"
 
 
 @dataclass(frozen=True)
@@ -73,78 +71,6 @@ class Provenance:
         }
 
 
-def identification_record(result: Identification, provenance: Provenance) -> dict[str, Any]:
-    """Return one identification as the record of ``rig identify --json``."""
-    return {
-        **provenance.record(IDENTIFY_SCHEMA),
-        "method": result.method,
-        "motion": result.motion,
-        "alpha": result.alpha,
-        "friction": result.friction,
-        "fitted": {name: finite(value) for name, value in result.fitted.items()},
-        "parameters": {name: parameter_record(p) for name, p in result.parameters.items()},
-        "fit": fit_record(result.fit),
-        "fit_by_recording": {
-            name: fit_record(fit) for name, fit in result.fits_by_recording.items()
-        },
-        "evaluations": result.evaluations,
-        "stages": [_stage_record(s) for s in result.stages],
-        "convergence": {
-            s.stage: _history_record(s) for s in result.stages if s.cost_history is not None
-        },
-        "warnings": list(result.warnings),
-    }
-
-
-def parameter_record(parameter: Parameter) -> dict[str, Any]:
-    """Return one parameter; ``value`` is null where it is not identifiable, ``floor`` where it was
-    not computed.
-    """
-    return {
-        "value": finite(parameter.value),
-        "low": finite(parameter.low),
-        "high": finite(parameter.high),
-        "unit": parameter.unit,
-        "identifiable": parameter.identifiable,
-        "at_bound": parameter.at_bound,
-        "reason": parameter.reason,
-        "floor": finite(parameter.floor),
-    }
-
-
-def fit_record(fit: Fit) -> dict[str, Any]:
-    """Return one fit; the ``validate`` figures are null where nothing was set aside."""
-    return {
-        "unit": fit.unit,
-        "bandwidth_Hz": finite(fit.bandwidth_Hz),
-        "train_rms": finite(fit.train_rms),
-        "train_relative": finite(fit.train_relative),
-        "validate_rms": finite(fit.validate_rms),
-        "validate_relative": finite(fit.validate_relative),
-    }
-
-
 def finite(value: float | None) -> float | None:
     """Return a plain float, or None for infinities and NaN, which JSON does not have."""
     return float(value) if value is not None and math.isfinite(value) else None
-
-
-def _stage_record(stage: Convergence) -> dict[str, Any]:
-    return {
-        "stage": stage.stage,
-        "method": stage.method,
-        "evaluations": stage.evaluations,
-        "generations": stage.generations,
-        "cost": finite(stage.cost),
-        "cost_unit": stage.cost_unit,
-        "target": finite(stage.target),
-        "reached": stage.reached,
-    }
-
-
-def _history_record(stage: Convergence) -> dict[str, Any]:
-    costs = [] if stage.cost_history is None else [finite(v) for v in stage.cost_history]
-    histories = {
-        name: [finite(v) for v in values] for name, values in stage.parameter_history.items()
-    }
-    return {"cost": costs, "parameters": histories}

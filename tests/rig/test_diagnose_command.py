@@ -19,7 +19,7 @@ from identification.recording import Dataset, RecordingError
 from identification.result import Fit, Identification, Parameter
 from rig.cli.entry import status
 from rig.config.bench import load_bench
-from rig.results.diagnose.diagnose import as_json, diagnose_source
+from rig.results.diagnose.diagnose import diagnose_source
 
 from .diagnoses import AMBIGUOUS, EACH, NAMED
 
@@ -103,7 +103,7 @@ def test_every_verdict_is_printed_written_and_drawn(
 
 def test_the_record_is_the_contracts(campaign: Path, tmp_path: Path, found: Arrange) -> None:
     found(PLAIN)
-    record = as_json(diagnose_source(campaign, 3))
+    record = diagnose_source(campaign, 3).record()
     json.dumps(record, allow_nan=False)
     assert record["schema"] == "loadrig.diagnose/1"
     assert record["seed"] == 3

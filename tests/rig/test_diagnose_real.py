@@ -16,7 +16,7 @@ from identification.diagnosis.diagnose import diagnose
 from identification.diagnosis.result import Diagnosis
 from identification.diagnosis.terms.memory import play
 from identification.recording import Dataset, Recording
-from rig.results.diagnose.diagnose import as_json, diagnose_source
+from rig.results.diagnose.diagnose import diagnose_source
 from rig.sources import load_source
 
 PERIOD_SAMPLES = 6240
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("recordings")
 
 
 def diagnosed(name: str) -> dict[str, Any]:
-    return as_json(diagnose_source(CAMPAIGNS / f"{name}.yaml", 0))
+    return diagnose_source(CAMPAIGNS / f"{name}.yaml", 0).record()
 
 
 def test_asymmetric_viscous_friction_of_emps() -> None:
@@ -122,7 +122,7 @@ def test_how_late_the_servos_samples_are_is_what_the_notes_beside_them_say(tmp_p
     )
     path = tmp_path / "campaign.yaml"
     path.write_text(text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared")))
-    found = as_json(diagnose_source(path, 0, bandwidth_Hz=25.0))
+    found = diagnose_source(path, 0, bandwidth_Hz=25.0).record()
     first = found["effects"][0]
     assert first["alias_group"] == ["time_skew"]
     assert "after the angles" in first["statement"]
@@ -144,7 +144,7 @@ def test_what_explains_too_little_for_a_name_is_told(tmp_path: Path) -> None:
     text = re.sub(r"^ +controller:.*\n", "", text, flags=re.MULTILINE)
     path = tmp_path / "campaign.yaml"
     path.write_text(text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared")))
-    found = as_json(diagnose_source(path, 0, bandwidth_Hz=25.0))
+    found = diagnose_source(path, 0, bandwidth_Hz=25.0).record()
     assert found["verdict"] == "outside_catalogue"
     assert found["effects"] == []
     (line,) = [w for w in found["warnings"] if "too little for a name" in w]
@@ -168,7 +168,7 @@ def test_a_weight_that_was_not_declared_is_found(mass: int, length: int, tmp_pat
     path = tmp_path / "campaign.yaml"
     text = text.replace("../../../shared", str(CAMPAIGNS.parents[2] / "shared"))
     path.write_text(text.replace("m259g_l100mm", f"m{mass}g_l{length:03d}mm"))
-    found = as_json(diagnose_source(path, 0))
+    found = diagnose_source(path, 0).record()
     first = found["effects"][0]
     assert first["name"] == "gravity_imbalance"
     assert set(first["alias_group"]) <= {"gravity_imbalance", "return_spring"}

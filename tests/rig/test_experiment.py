@@ -17,8 +17,8 @@ from identification.design.pinning import Pinned
 from identification.design.propose import Proposal
 from rig.cli.entry import status
 from rig.config.sequence import StageSection, Tone, excitation
+from rig.results.design.document import _advice, excitation_words
 from rig.results.design.experiment import Experiment, _with
-from rig.results.design.output import _advice, excitation_words
 
 SEQUENCE = """\
 sequence: 1

@@ -11,8 +11,9 @@ import pytest
 from identification.model.nominal import NOMINAL
 from rig.config.packaged import resolve
 from rig.planning.feedforward import Feedforward
+from rig.results.files import write_texts
 from rig.results.paper import chosen, loop, ramp, sine, sweep, uniform, valve
-from rig.results.paper.exhibit import Exhibit, columns, write_exhibits
+from rig.results.paper.exhibit import Exhibit, columns, data_files, files_of
 
 
 def numbers(exhibit: Exhibit, name: str | None = None) -> dict[str, np.ndarray]:
@@ -181,8 +182,8 @@ def test_what_was_chosen_is_read_from_where_it_is_set() -> None:
 
 def test_files_are_named_after_their_pictures(tmp_path: Path) -> None:
     made = valve.exhibit()
-    files = write_exhibits([made], tmp_path)
-    assert files == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
+    assert files_of([made]) == {"fig_3": ["figures/fig_3.png", "data/fig_3.csv"]}
+    write_texts(data_files([made]), tmp_path)
     with (tmp_path / "data/fig_3.csv").open(newline="") as lines:
         rows = list(csv.reader(lines))
     assert rows[0] == ["angle_deg", "impacted_area_m2", "throat_area_m2"]

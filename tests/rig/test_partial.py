@@ -224,7 +224,7 @@ def test_an_error_of_a_partial_recording_says_how_to_leave_it_out(
         InputError, match="too short; without --partial finished excitations alone are taken"
     ):
         identify.identify_source(
-            folder.path, ["paper"], None, 0, lambda *_: None, take_partial=True
+            folder.path, identify.Request(["paper"], take_partial=True), lambda *_: None
         )
     with pytest.raises(InputError, match=r"too short$"):
-        identify.identify_source(folder.path, ["paper"], None, 0, lambda *_: None)
+        identify.identify_source(folder.path, identify.Request(["paper"]), lambda *_: None)

@@ -9,8 +9,11 @@ import pytest
 
 from identification.estimate.paper_method.paper import identify_paper
 from identification.recording import Bench, Dataset, Recording
+from identification.result import Identification
 from rig.common.result_files import Provenance
-from rig.results.report import write_report
+from rig.results.files import write_page
+from rig.results.identify.document import identify_document
+from rig.results.identify.identify import Outcome
 
 RATE = 50.0
 
@@ -33,6 +36,19 @@ def dataset() -> Dataset:
     return Dataset((recording("a[1]"), recording("b/c"), recording("late", "validate")))
 
 
+def written(
+    folder: Path,
+    dataset: Dataset,
+    *results: Identification,
+    truth: dict[str, float] | None = None,
+    name: str = "t",
+) -> str:
+    """Write the page of an identification and return it."""
+    outcome = Outcome(dataset, results, Provenance.of(3, dataset.recordings, 0.5))
+    write_page(identify_document(name, outcome, truth), folder / "report.html")
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
 @pytest.fixture(scope="module")
 def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("report")
@@ -40,10 +56,7 @@ def folder(dataset: Dataset, tmp_path_factory: pytest.TempPathFactory) -> Path:
         dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=20
     )
     other = dataclasses.replace(result, method="default", warnings=("mind <the> gap",))
-    provenance = Provenance.of(3, dataset.recordings, 0.5)
-    write_report(
-        path, "Test & bench", dataset, [other, result], provenance, {"Mc": 7.0, "Ms": 12.0}
-    )
+    written(path, dataset, other, result, truth={"Mc": 7.0, "Ms": 12.0}, name="bench & test")
     return path
 
 
@@ -71,7 +84,7 @@ def test_text_is_escaped(folder: Path) -> None:
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert "<b>" not in page
     assert "mind &lt;the&gt; gap" in page
-    assert "<h1>Test &amp; bench</h1>" in page
+    assert "<h1>Identification of bench &amp; test</h1>" in page
 
 
 def test_it_says_what_the_records_say(folder: Path) -> None:
@@ -91,10 +104,7 @@ def test_without_truth_there_is_no_such_column(dataset: Dataset, tmp_path: Path)
     result = identify_paper(
         dataset, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
     )
-    page = write_report(
-        tmp_path, "t", dataset, [result], Provenance.of(0, dataset.recordings, 0.1)
-    ).read_text()
-    assert ">true<" not in page
+    assert ">true<" not in written(tmp_path, dataset, result)
 
 
 def test_many_recordings_are_cut_short_and_said(tmp_path: Path) -> None:
@@ -102,7 +112,4 @@ def test_many_recordings_are_cut_short_and_said(tmp_path: Path) -> None:
     result = identify_paper(
         many, bandwidth_Hz=0.5 * RATE, rng=np.random.default_rng(0), generations=2
     )
-    page = write_report(
-        tmp_path, "t", many, [result], Provenance.of(0, many.recordings, 0.1)
-    ).read_text()
-    assert "2 more recordings" in page
+    assert "2 more recordings" in written(tmp_path, many, result)

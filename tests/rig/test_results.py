@@ -9,7 +9,8 @@ import pytest
 from identification.recording import Bench, Recording
 from identification.result import Convergence, Fit, Identification, Parameter
 from rig.common.places import write_json
-from rig.common.result_files import Provenance, finite, identification_record
+from rig.common.result_files import Provenance, finite
+from rig.results.identify.record import identification_record
 
 
 def result() -> Identification:

@@ -5,8 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from identification.result import Fit, Identification, Parameter
-from rig.common.parameter_table import note, parameter_notes, parameter_table
 from rig.common.tables import interval, number, percent, table
+from rig.results.identify.parameters import note, parameter_notes, parameter_table
 
 CELL = st.text(st.characters(codec="ascii", categories=("L", "N")), min_size=1, max_size=12)
 

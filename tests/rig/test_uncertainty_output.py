@@ -14,12 +14,12 @@ from identification.result import (
     Starts,
     Tradeoff,
 )
-from rig.results.uncertainty import (
+from rig.results.identify.record import uncertainty_record
+from rig.results.identify.uncertainty import (
     bootstrap_table,
     profile_table,
     uncertainty_notes,
     uncertainty_pictures,
-    uncertainty_record,
     uncertainty_tables,
 )
 

@@ -80,10 +80,13 @@ def command(
       rig diagnose runs/hot --gas
     """
     # Imported late: --help must not wait for the numerics.
-    from rig.common.input_files import is_folder
+    from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
-    from rig.results.diagnose.diagnose import diagnose_source
-    from rig.results.diagnose.output import text, write
+    from rig.results.diagnose.diagnose import RESULT_FILE, diagnose_source
+    from rig.results.diagnose.document import diagnose_document
+    from rig.results.diagnose.exports import exports
+    from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
+    from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
 
     folder = out or (
@@ -94,10 +97,15 @@ def command(
     with ShareBar() as bar:
         outcome = diagnose_source(source, seed, bandwidth, bar, refine, gas, partial=partial)
         bar("writing the report", 1.0)
-        report, beside = write(folder, source, outcome, json_file)
-    click.echo(text(outcome))
+        record = outcome.record()
+        write_record(record, folder / RESULT_FILE, json_file)
+        beside = exports(source, outcome, record)
+        write_texts({file.name: file.text for file in beside.files}, folder)
+        document = diagnose_document(source_name(source), outcome, beside)
+        write_page(document, folder / PAGE_FILE)
+    click.echo(text(document))
     for note in beside.notes:
         click.echo(f"note: {note}")
-    for file, use in beside.files:
-        click.echo(f"{folder / file}: {use}")
-    click.echo(f"report: {report}")
+    for file in beside.files:
+        click.echo(f"{folder / file.name}: {file.use}")
+    click.echo(f"report: {folder / PAGE_FILE}")

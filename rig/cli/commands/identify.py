@@ -190,34 +190,39 @@ def _identify_source(options: _Options, source: Path) -> None:
     # Imported late: --help must not wait for the numerics.
     from rig.common.input_files import is_folder, source_name
     from rig.common.places import require_file, require_folder
-    from rig.results.identify.identify import compare_methods, identify_source
-    from rig.results.identify.output import text, write
+    from rig.common.result_files import RESULT_FILE
+    from rig.results.files import PAGE_FILE, write_page, write_record
+    from rig.results.identify.document import identify_document
+    from rig.results.identify.identify import Request, compare_methods, identify_source
+    from rig.results.identify.record import outcome_record
+    from rig.results.terminal import text
     from rig.runs.truth import truth_of
     from rig.terminal.bar import ShareBar
 
     folder = options.out or (source if is_folder(source) else Path(f"{source.stem}-identified"))
     require_folder(folder, "--out")
     require_file(options.json_file, "--json")
+    request = Request(
+        _METHODS[options.method],
+        options.bandwidth,
+        options.seed,
+        options.ladder,
+        options.score,
+        options.profile,
+        options.draws or 0,
+        options.partial,
+    )
     with ShareBar() as bar:
-        outcome = identify_source(
-            source,
-            _METHODS[options.method],
-            options.bandwidth,
-            options.seed,
-            bar,
-            ladder=options.ladder,
-            score=options.score,
-            profile=options.profile,
-            draws=options.draws or 0,
-            take_partial=options.partial,
-        )
+        outcome = identify_source(source, request, bar)
         truth = truth_of(source)
         if options.compared:
             outcome = compare_methods(source, outcome, truth, bar)
         bar("writing the report", 1.0)
-        report = write(folder, source_name(source), outcome, truth, options.json_file)
-    click.echo(text(outcome, truth))
-    click.echo(f"report: {report}")
+        write_record(outcome_record(outcome), folder / RESULT_FILE, options.json_file)
+        document = identify_document(source_name(source), outcome, truth)
+        write_page(document, folder / PAGE_FILE)
+    click.echo(text(document))
+    click.echo(f"report: {folder / PAGE_FILE}")
 
 
 def _plan(options: _Options, sequence: str) -> None:
@@ -225,8 +230,12 @@ def _plan(options: _Options, sequence: str) -> None:
     from rig.common.places import require_file, require_folder
     from rig.config.bench import load_bench
     from rig.config.sequence import load_sequence
+    from rig.results.design.document import plan_document
     from rig.results.design.experiment import plan_experiment
-    from rig.results.design.output import text, write
+    from rig.results.design.proposal import PROPOSAL_FILE, proposal_text
+    from rig.results.design.record import RESULT_FILE, plan_record
+    from rig.results.files import write_record, write_texts
+    from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
 
     folder = options.out or Path(f"{Path(sequence).stem}-planned")
@@ -237,6 +246,8 @@ def _plan(options: _Options, sequence: str) -> None:
         experiment = plan_experiment(
             sequence_file, bench_file, options.nominal, options.current_noise, options.seed, bar
         )
-    proposal = write(folder, experiment, bench_file.value.name, options.json_file)
-    click.echo(text(experiment))
-    click.echo(f"proposal: {proposal}")
+    name = bench_file.value.name
+    write_record(plan_record(experiment, name), folder / RESULT_FILE, options.json_file)
+    write_texts({PROPOSAL_FILE: proposal_text(experiment, name)}, folder)
+    click.echo(text(plan_document(experiment)))
+    click.echo(f"proposal: {folder / PROPOSAL_FILE}")

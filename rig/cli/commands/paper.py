@@ -51,11 +51,14 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
     # Imported late: --help must not wait for the numerics.
     from rig.common.places import require_file, require_folder
     from rig.common.result_files import Provenance
-    from rig.common.tables import table
-    from rig.results.paper.output import write
+    from rig.results.files import write_page, write_record, write_texts
+    from rig.results.paper.document import PAGE_FILE, paper_document
+    from rig.results.paper.exhibit import data_files
     from rig.results.paper.parameters import reproduce
+    from rig.results.paper.record import RESULT_FILE, paper_record
     from rig.results.paper.study import study
-    from rig.results.paper.tables import exhibits, remarks, tables
+    from rig.results.paper.tables import exhibits
+    from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
 
     require_folder(out, "--out")
@@ -68,13 +71,11 @@ def command(seeds: int, seed: int, out: Path, json_file: Path | None) -> None:
             lambda what, share: bar(what, _STUDY_SHARE + (1.0 - _STUDY_SHARE) * share),
         )
         provenance = Provenance.of(seed, found.dataset.recordings, time.perf_counter() - started)
-        report = write(out, found, [*shown, *exhibits(found)], provenance, json_file)
-    for title, cells in tables(found).items():
-        click.echo(f"{title}\n{table(cells.header, cells.rows, cells.right)}\n")
-    for line in remarks(found):
-        click.echo(line)
-    for exhibit in shown:
-        click.echo(f"\n{exhibit.title}")
-        for line in exhibit.found:
-            click.echo(f"  {line}")
-    click.echo(f"report: {report}")
+        of_tables = exhibits(found)
+        every = [*shown, *of_tables]
+        write_record(paper_record(found, every, provenance), out / RESULT_FILE, json_file)
+        write_texts(data_files(every), out)
+        document = paper_document(found, shown, of_tables, provenance)
+        write_page(document, out / PAGE_FILE)
+    click.echo(text(document))
+    click.echo(f"report: {out / PAGE_FILE}")

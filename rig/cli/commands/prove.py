@@ -73,11 +73,13 @@ def command(
     from rig.common.errors import InputError
     from rig.common.places import require_file, require_folder
     from rig.common.result_files import Provenance
-    from rig.common.tables import table
-    from rig.results.prove import output
+    from rig.results.files import PAGE_FILE, write_page, write_record
+    from rig.results.prove.document import prove_document
     from rig.results.prove.family import GAS, MOTION
     from rig.results.prove.judge import judge
     from rig.results.prove.run import PROOF_FILE, begin, work
+    from rig.results.prove.score import RESULT_FILE, proof_record
+    from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
 
     require_folder(out, "--out")
@@ -95,11 +97,9 @@ def command(
             f"{error.filename or out}: cannot be written: {error.strerror}; give --out another "
             f"place"
         ) from error
-    result = output.record(rows, provenance)
-    report = output.write(out, result, provenance, json_file)
-    for cells in (output.rates(result), output.methods(result), output.places(result)):
-        if cells.rows:
-            click.echo(table(cells.header, cells.rows, cells.right) + "\n")
-    for line in output.remarks(result):
-        click.echo(line)
-    click.echo(f"report: {report}")
+    result = proof_record(rows, provenance)
+    write_record(result, out / RESULT_FILE, json_file)
+    document = prove_document(result, provenance)
+    write_page(document, out / PAGE_FILE)
+    click.echo(text(document))
+    click.echo(f"report: {out / PAGE_FILE}")

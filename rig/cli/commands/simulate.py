@@ -58,8 +58,12 @@ def command(
     # Imported late: --help must not wait for the numerics.
     from rig.common.input_files import source_name
     from rig.common.places import require_file, require_folder
-    from rig.results.simulate.output import text, write
-    from rig.results.simulate.simulate import simulate_source
+    from rig.results.files import PAGE_FILE, write_page, write_record, write_texts
+    from rig.results.simulate.bench import as_bench
+    from rig.results.simulate.document import simulate_document
+    from rig.results.simulate.record import simulation_record
+    from rig.results.simulate.simulate import RESULT_FILE, simulate_source
+    from rig.results.terminal import text
     from rig.terminal.bar import ShareBar
 
     folder = out or Path(f"{source_name(source)}-simulated")
@@ -68,6 +72,10 @@ def command(
     with ShareBar() as bar:
         found = simulate_source(source, results, bandwidth, bar)
         bar("writing the report", 1.0)
-        report = write(folder, source, found, json_file)
-    click.echo(text(found))
-    click.echo(f"report: {report}")
+        write_record(simulation_record(found), folder / RESULT_FILE, json_file)
+        bench, said = as_bench(source, found)
+        write_texts(bench, folder)
+        document = simulate_document(source_name(source), found, said)
+        write_page(document, folder / PAGE_FILE)
+    click.echo(text(document))
+    click.echo(f"report: {folder / PAGE_FILE}")

@@ -22,8 +22,9 @@ from rig.config.bench import Bench
 from rig.config.canopen import EncoderSection, ServoSection
 from rig.config.configuration import Document
 from rig.config.sequence import Array, Ramp, Sequence, StageSection, Tone, excitation
+from rig.planning.limits import Limits
 from rig.planning.plan import SAMPLES_PER_PERIOD, bench_limits, make_plan
-from rig.results.design.planned_nominal import believed
+from rig.results.design.planned_nominal import Believed, believed
 from rig.runs.run import bench_constants
 
 NOISE_SHARE = 1e-3
@@ -86,6 +87,39 @@ def plan_experiment(
     """
     started = time.perf_counter()
     limits = make_plan(sequence, bench).limits
+    _require_tones_and_weights(sequence)
+    known = believed(nominal_file)
+    noise = current_noise_A
+    if noise is None and known.torque_noise is not None:
+        noise = known.torque_noise / limits.torque_per_ampere
+    elif noise is None:
+        noise = NOISE_SHARE * bench.value.limits.current_A
+    nominal = _nominal(bench.value, known, limits, noise)
+    bounds = _bounds(bench.value, sequence.value.stages, limits)
+    frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
+    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, known.weakest)
+    stages = _stages(sequence.value.stages, frames, found.stages)
+    proposed = sequence.value.model_copy(
+        update={"name": f"{sequence.value.name}-proposed", "stages": stages}
+    )
+    return Experiment(
+        sequence.value,
+        nominal,
+        known.source,
+        noise,
+        found,
+        proposed,
+        seed,
+        time.perf_counter() - started,
+    )
+
+
+def _require_tones_and_weights(sequence: Document[Sequence]) -> None:
+    """Check that an experiment can be planned from every stage.
+
+    Raises:
+        InputError: One has a ramp or a hot firing.
+    """
     sequence.require(
         (
             ("stages", k, "ramp"),
@@ -102,48 +136,33 @@ def plan_experiment(
         for k, stage in enumerate(sequence.value.stages)
         if stage.stage == "hot_fire"
     )
-    known = believed(nominal_file)
-    noise = current_noise_A
-    if noise is None and known.torque_noise is not None:
-        noise = known.torque_noise / limits.torque_per_ampere
-    elif noise is None:
-        noise = NOISE_SHARE * bench.value.limits.current_A
-    torque = min(
-        limits.torque, bench_limits(bench.value).torque_per_ampere * bench.value.limits.current_A
-    )
-    step = _joint_step(bench.value)
-    nominal = Nominal(
+
+
+def _torque(bench: Bench, limits: Limits) -> float:
+    """Return the torque that neither a limit nor the current allows to exceed, N m at the joint."""
+    return min(limits.torque, bench_limits(bench).torque_per_ampere * bench.limits.current_A)
+
+
+def _nominal(bench: Bench, known: Believed, limits: Limits, noise_A: float) -> Nominal:
+    torque, step = _torque(bench, limits), _joint_step(bench)
+    return Nominal(
         known.values,
-        bench_constants(bench.value),
-        Sensors(bench.value.cycle_s, step, noise * limits.torque_per_ampere),
+        bench_constants(bench),
+        Sensors(bench.cycle_s, step, noise_A * limits.torque_per_ampere),
         torque,
         loop=drive_loop(known.recordings, torque, step),
     )
-    loaded = [s for s in sequence.value.stages if s.stage == "loaded"]
-    bounds = Bounds(
+
+
+def _bounds(bench: Bench, stages: tuple[StageSection, ...], limits: Limits) -> Bounds:
+    return Bounds(
         angle_min=limits.angle_min,
         angle_max=limits.angle_max,
         speed=limits.speed,
-        torque=torque,
+        torque=_torque(bench, limits),
         following=limits.following_error,
-        highest_Hz=min(bench.value.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
-        weights=_weights(bench.value, loaded),
-    )
-    frames = [_frame(stage, bench.value.cycle_s) for stage in sequence.value.stages]
-    found = propose(frames, nominal, bounds, np.random.default_rng(seed), progress, known.weakest)
-    stages = _stages(sequence.value.stages, frames, found.stages)
-    proposed = sequence.value.model_copy(
-        update={"name": f"{sequence.value.name}-proposed", "stages": stages}
-    )
-    return Experiment(
-        sequence.value,
-        nominal,
-        known.source,
-        noise,
-        found,
-        proposed,
-        seed,
-        time.perf_counter() - started,
+        highest_Hz=min(bench.cycle_Hz / SAMPLES_PER_PERIOD, 20.0),
+        weights=_weights(bench, [s for s in stages if s.stage == "loaded"]),
     )
 
 

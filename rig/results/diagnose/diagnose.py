@@ -23,10 +23,11 @@ from rig.common.input_files import is_folder
 from rig.common.result_files import Provenance
 from rig.results.diagnose.model_file import model_of
 from rig.results.diagnose.record import diagnosis_record, effects_record
-from rig.runs.partial import partial_names, partial_warnings, without_partial
+from rig.runs.partial import partial_warnings, without_partial
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
+RESULT_FILE = "diagnose.json"
 EFFORT = frozenset({"torque", "current", "voltage"})
 """Channels any of which tells the drive's torque."""
 REFINED_SAMPLES = 60_000
@@ -46,6 +47,10 @@ class Outcome:
     dataset: Dataset
     diagnosis: Diagnosis
     provenance: Provenance
+
+    def record(self) -> dict[str, Any]:
+        """Return the record of ``rig diagnose --json``."""
+        return diagnosis_record(self.diagnosis, self.dataset, self.provenance)
 
 
 def diagnose_source(
@@ -192,12 +197,3 @@ def settled(found: Diagnosis) -> Diagnosis:
                 f"{coulomb}"
             )
     return dataclasses.replace(found, parameters=parameters, warnings=(*found.warnings, *notes))
-
-
-def as_json(outcome: Outcome) -> dict[str, Any]:
-    """Return the record of ``rig diagnose --json``."""
-    record = diagnosis_record(outcome.diagnosis, outcome.provenance)
-    record["motion"] = outcome.dataset.recordings[0].bench.motion
-    record["partial"] = partial_names(outcome.dataset)
-    record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
-    return record

@@ -5,13 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from identification.diagnosis.result import Curve, Diagnosis, Effect, Estimate, Fit, Location, Step
+from identification.recording import Dataset
 from rig.common.result_files import Provenance, finite
+from rig.runs.partial import partial_names
 
 DIAGNOSE_SCHEMA = "loadrig.diagnose/1"
 
 
-def diagnosis_record(found: Diagnosis, provenance: Provenance) -> dict[str, Any]:
-    """Return one diagnosis as the record of ``rig diagnose --json``.
+def diagnosis_record(found: Diagnosis, dataset: Dataset, provenance: Provenance) -> dict[str, Any]:
+    """Return the diagnosis of a dataset as the record of ``rig diagnose --json``.
 
     Beside the verdict it holds the corrected model whole: ``parameters`` and ``alpha`` with the
     effects' own, and ``curve`` where what is missing has no name.
@@ -33,6 +35,9 @@ def diagnosis_record(found: Diagnosis, provenance: Provenance) -> dict[str, Any]
         "alpha": found.alpha,
         "steps": [_step_record(s) for s in found.steps],
         "warnings": list(found.warnings),
+        "motion": dataset.recordings[0].bench.motion,
+        "partial": partial_names(dataset),
+        "corrections": {r.name: list(r.notes) for r in dataset.recordings if r.notes},
     }
 
 

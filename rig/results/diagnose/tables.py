@@ -6,8 +6,8 @@ import math
 
 from identification.diagnosis.result import Diagnosis, Fit, Location
 from identification.diagnosis.wording import readable
-from rig.common.parameter_table import Table
 from rig.common.tables import number, percent
+from rig.results.document import Table
 
 READABLE = {
     "rad": "deg",

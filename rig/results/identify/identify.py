@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -46,8 +47,8 @@ class Method(Protocol):
 
 METHODS: Mapping[str, Method] = {"default": identify_any_length, "paper": identify_paper}
 """Name on the command line to estimator."""
-
-
+COMPARED_SEEDS = 5
+"""Runs of each search that has chance in it."""
 _FED = (
     "recorded with feed-forward: motion in pulses does not have the friction of its mean speed, "
     "and breakaways are "
@@ -80,90 +81,109 @@ class Outcome:
     comparison: tuple[Contender, ...] = ()
 
 
-def identify_source(
-    source: Path,
-    methods: Sequence[str],
-    bandwidth_Hz: float | None,
-    seed: int,
-    progress: Callable[[str, float], None],
-    *,
-    ladder: bool = False,
-    score: Path | None = None,
-    profile: bool = False,
-    draws: int = 0,
-    take_partial: bool = False,
-) -> Outcome:
-    """Identify a run folder or campaign file.
+@dataclass(frozen=True)
+class Request:
+    """What is asked of an identification.
 
-    Args:
-        source: Run folder or campaign file.
+    Attributes:
         methods: Names out of :data:`METHODS`; each starts from the same seed.
         bandwidth_Hz: Bandwidth of the fit; None leaves it to the recordings.
         seed: Of the random generator.
-        progress: Called with what is being done and the share that is done.
         ladder: Whether to fit and score every rung of the friction models as well.
         score: Another source to score the first result on.
         profile: Whether the default method profiles the likelihood of every parameter.
         draws: Bootstrap draws of the default method, 0 for none.
         take_partial: Whether to take the unfinished excitations of a run as well; the result warns
             of them.
+    """
+
+    methods: Sequence[str] = ("default",)
+    bandwidth_Hz: float | None = None
+    seed: int = 0
+    ladder: bool = False
+    score: Path | None = None
+    profile: bool = False
+    draws: int = 0
+    take_partial: bool = False
+
+
+def identify_source(
+    source: Path, request: Request, progress: Callable[[str, float], None]
+) -> Outcome:
+    """Identify a run folder or campaign file.
+
+    Args:
+        source: Run folder or campaign file.
+        request: Methods, and what is asked for beside them.
+        progress: Called with what is being done and the share that is done.
 
     Raises:
         InputError: A source cannot be read, or its recordings cannot be identified.
     """
     started = time.perf_counter()
     progress("reading", 0.0)
-    dataset = load_source(source, partial=take_partial)
-    other = None if score is None else load_source(score)
-    described_by = source / RUN_FILE if is_folder(source) else source
-    off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
-    if is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs:
-        off = (*off, _FED)
-    off = (*partial_warnings(dataset), *off)
-    results = []
-    for method in methods:
-        begun = time.perf_counter()
-        rng = np.random.default_rng(seed)
-
-        def told(stage: str, share: float, method: str = method) -> None:
-            progress(f"{method}: {stage}", share)
-
-        try:
-            estimate = METHODS[method]
-            if method == "default":
-                estimate = partial(identify_any_length, profile=profile, draws=draws)
-            result = estimate(dataset, bandwidth_Hz=bandwidth_Hz, rng=rng, progress=told)
-        except RecordingError as error:
-            raise InputError(f"{source}: {error}{without_partial(dataset)}") from error
-        warnings = (*result.warnings, *off)
-        results.append(
-            dataclasses.replace(result, seconds=time.perf_counter() - begun, warnings=warnings)
-        )
+    dataset = load_source(source, partial=request.take_partial)
+    other = None if request.score is None else load_source(request.score)
+    warnings = _warnings(source, dataset)
+    with _named(source, without_partial(dataset)):
+        results = [
+            _identified(dataset, method, request, warnings, progress) for method in request.methods
+        ]
     rungs: tuple[Rung, ...] = ()
-    if ladder:
-        try:
-            rungs = climb(
-                dataset,
-                bandwidth_Hz=bandwidth_Hz,
-                rng=np.random.default_rng(seed),
-                progress=progress,
-            )
-        except RecordingError as error:
-            raise InputError(f"{source}: {error}") from error
+    if request.ladder:
+        rng = np.random.default_rng(request.seed)
+        with _named(source):
+            rungs = climb(dataset, bandwidth_Hz=request.bandwidth_Hz, rng=rng, progress=progress)
     carried = None
-    if other is not None:
+    if request.score is not None and other is not None:
         progress("scoring", 0.0)
-        try:
+        with _named(request.score):
             carried = transfer(results[0], dataset, other)
-        except RecordingError as error:
-            raise InputError(f"{score}: {error}") from error
     read = (*dataset.recordings, *(other.recordings if other is not None else ()))
-    provenance = Provenance.of(seed, read, time.perf_counter() - started, described_by)
-    return Outcome(dataset, tuple(results), provenance, rungs, carried, score)
+    described_by = source / RUN_FILE if is_folder(source) else source
+    provenance = Provenance.of(request.seed, read, time.perf_counter() - started, described_by)
+    return Outcome(dataset, tuple(results), provenance, rungs, carried, request.score)
 
 
-COMPARED_SEEDS = 5
-"""Runs of each search that has chance in it."""
+def _identified(
+    dataset: Dataset,
+    method: str,
+    request: Request,
+    warnings: tuple[str, ...],
+    progress: Callable[[str, float], None],
+) -> Identification:
+    """Identify by one method, timed."""
+    begun = time.perf_counter()
+    estimate = METHODS[method]
+    if method == "default":
+        estimate = partial(identify_any_length, profile=request.profile, draws=request.draws)
+    result = estimate(
+        dataset,
+        bandwidth_Hz=request.bandwidth_Hz,
+        rng=np.random.default_rng(request.seed),
+        progress=lambda stage, share: progress(f"{method}: {stage}", share),
+    )
+    return dataclasses.replace(
+        result,
+        seconds=time.perf_counter() - begun,
+        warnings=(*result.warnings, *warnings),
+    )
+
+
+def _warnings(source: Path, dataset: Dataset) -> tuple[str, ...]:
+    """Return what is to be said of the recordings beside every result of theirs."""
+    off = tuple(weighing.message for weighing in off_label(dataset)) if comparable(dataset) else ()
+    fed = is_folder(source) and FEEDFORWARD_INPUT in read_record(source).inputs
+    return (*partial_warnings(dataset), *off, *((_FED,) if fed else ()))
+
+
+@contextmanager
+def _named(source: Path, remedy: str = "") -> Iterator[None]:
+    """Name the source of recordings that cannot be used."""
+    try:
+        yield
+    except RecordingError as error:
+        raise InputError(f"{source}: {error}{remedy}") from error
 
 
 def compare_methods(
@@ -187,12 +207,10 @@ def compare_methods(
     started = time.perf_counter()
     seed = outcome.provenance.seed
     seeds = range(seed, seed + COMPARED_SEEDS)
-    try:
+    with _named(source):
         found = compare(
             outcome.dataset, outcome.results[0], seeds=seeds, truth=truth, progress=progress
         )
-    except RecordingError as error:
-        raise InputError(f"{source}: {error}") from error
     spent = outcome.provenance.seconds + time.perf_counter() - started
     return dataclasses.replace(
         outcome, comparison=found, provenance=dataclasses.replace(outcome.provenance, seconds=spent)

@@ -6,12 +6,9 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from identification.recording import Array
-from rig.common.figures import Picture, save
-from rig.common.parameter_table import Table
-from rig.common.places import write_text
+from rig.results.document import Picture, Table
 
 Rows = tuple[tuple[str, ...], Sequence[Sequence[float | str]]]
 """Column titles with their units, and the rows under them."""
@@ -47,24 +44,26 @@ def columns(**named: Array) -> Rows:
     return tuple(named), list(zip(*(values.tolist() for values in named.values()), strict=True))
 
 
-def write_exhibits(exhibits: Sequence[Exhibit], folder: Path) -> dict[str, list[str]]:
-    """Write every picture and its numbers into ``folder``; return picture name to files, relative
-    to it.
-
-    Raises:
-        OSError: The folder cannot be written.
-    """
-    files = {
-        name: [file]
-        for name, file in save([p for e in exhibits for p in e.pictures], folder).items()
+def data_files(exhibits: Sequence[Exhibit]) -> dict[str, str]:
+    """Return the numbers of every picture as CSV: file, relative to the page, to its text."""
+    return {
+        _data_file(name): _csv(rows)
+        for exhibit in exhibits
+        for name, rows in (exhibit.data or {}).items()
     }
-    target = folder / "data"
-    target.mkdir(parents=True, exist_ok=True)
+
+
+def files_of(exhibits: Sequence[Exhibit]) -> dict[str, list[str]]:
+    """Return picture name to its files, the picture and its numbers, relative to the page."""
+    files = {picture.name: [picture.file] for e in exhibits for picture in e.pictures}
     for exhibit in exhibits:
-        for name, rows in (exhibit.data or {}).items():
-            write_text(target / f"{name}.csv", _csv(rows))
-            files.setdefault(name, []).append(f"data/{name}.csv")
+        for name in exhibit.data or {}:
+            files.setdefault(name, []).append(_data_file(name))
     return files
+
+
+def _data_file(name: str) -> str:
+    return f"data/{name}.csv"
 
 
 def _csv(rows: Rows) -> str:

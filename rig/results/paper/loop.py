@@ -4,6 +4,7 @@ load.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,15 +12,15 @@ import numpy as np
 
 from drivers.mock.plant.gas_direct import impacted_area, throat_area
 from identification.plots import regulator
-from identification.recording import Array, Recording
-from rig.common.figures import Picture
+from identification.recording import Array
 from rig.config.bench import load_bench
 from rig.config.flow import FlowSection
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated
 from rig.planning.flow_control import pressure_for
 from rig.planning.hot_fire import believed
-from rig.results.paper.exhibit import Exhibit, columns
+from rig.results.document import Picture
+from rig.results.paper.exhibit import Exhibit, Rows, columns
 from rig.results.paper.machine import true_machine
 
 BENCH, SEQUENCE, STAGE = "practical_hot", "hotfire", "flow"
@@ -31,10 +32,33 @@ _SMOOTHING_S = (
 _THIN = 10  # of the samples, in the data file
 
 
-def exhibit(scratch: Path, seed: int) -> Exhibit:
-    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
-    and load.
+@dataclass(frozen=True)
+class Firing:
+    """The closed-loop stage of a hot firing; each array of shape (n,).
+
+    Attributes:
+        flow: Its flow command.
+        period: Between samples, s.
+        time: From the start of the stage, s.
+        flows: Commanded, and what pressure and angle let out, kg/s.
+        pressures: Asked for by the flow command, and measured, Pa.
+        angles: Commanded and measured, rad.
+        current: Of the motor, A.
+        force: Contact force, N.
     """
+
+    flow: FlowSection
+    period: float
+    time: Array
+    flows: tuple[Array, Array]
+    pressures: tuple[Array, Array]
+    angles: tuple[Array, Array]
+    current: Array
+    force: Array
+
+
+def fire(scratch: Path, seed: int) -> Firing:
+    """Run the packaged hot firing and return its closed-loop stage."""
     bench, sequence = load_bench(BENCH), load_sequence(SEQUENCE)
     dataset = run_simulated(bench, sequence, seed, scratch / "hotfire")
     recording = next(r for r in dataset.recordings if r.name == STAGE)
@@ -48,8 +72,27 @@ def exhibit(scratch: Path, seed: int) -> Exhibit:
     angle, pressure = recording.channels["angle"], recording.channels["pressure"]
     gas = machine.gas
     outflow = pressure * throat_area(machine, angle) / gas.characteristic_velocity_m_s
-    force = (pressure - gas.back_pressure_Pa) * impacted_area(machine, angle)
-    asked = pressure_for(commanded, generator)
+    return Firing(
+        flow,
+        recording.period,
+        time,
+        (commanded, outflow),
+        (pressure_for(commanded, generator), pressure),
+        (recording.channels["command"], angle),
+        recording.channels["current"],
+        (pressure - gas.back_pressure_Pa) * impacted_area(machine, angle),
+    )
+
+
+def exhibit(scratch: Path, seed: int) -> Exhibit:
+    """Run the packaged hot firing and return its closed-loop stage: flow, pressure, angle, current
+    and load.
+    """
+    found = fire(scratch, seed)
+    caption = (
+        "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of measured "
+        "pressure and angle"
+    )
     return Exhibit(
         "fig_11",
         "Fig. 5 and 11: the closed loop of controller, motor, valve and gas generator",
@@ -60,48 +103,50 @@ def exhibit(scratch: Path, seed: int) -> Exhibit:
             f"{SEQUENCE} on {BENCH}, stage {STAGE}: steps of the flow command through the whole "
             f"simulated chain, "
             "pressure measured by a transmitter.",
-            _settling(flow, time, outflow, recording),
+            _settling(found),
             "The flow first goes the wrong way: a throat that opens lets more out before the "
-            "pressure falls. " + _hunting(flow, time, recording.channels["current"]),
-            f"Contact force {np.min(force):.0f} to {np.max(force):.0f} N, moved by pressure and "
-            f"angle alone; the motor "
+            "pressure falls. " + _hunting(found),
+            f"Contact force {np.min(found.force):.0f} to {np.max(found.force):.0f} N, moved by "
+            f"pressure and angle alone; the motor "
             f"current that holds and moves the valve against its friction reaches "
-            f"{np.max(np.abs(recording.channels['current'])):.1f} A.",
+            f"{np.max(np.abs(found.current)):.1f} A.",
         ),
-        (
-            Picture.of(
-                "fig_11",
-                "Fig. 5 and 11: flow steps in the closed loop; the flow is p A_t / C_r of "
-                "measured pressure and angle",
-                regulator.closed_loop(
-                    time,
-                    {"command": commanded, "flow": outflow},
-                    {"command": 1e-6 * asked, "measured": 1e-6 * pressure},
-                    {"command": recording.channels["command"], "measured": angle},
-                    recording.channels["current"],
-                    force,
-                ),
-            ),
-        ),
-        {
-            "fig_11": columns(
-                time_s=time[::_THIN],
-                flow_command_kg_s=commanded[::_THIN],
-                flow_kg_s=outflow[::_THIN],
-                pressure_command_Pa=asked[::_THIN],
-                pressure_Pa=pressure[::_THIN],
-                angle_command_rad=recording.channels["command"][::_THIN],
-                angle_rad=angle[::_THIN],
-                current_A=recording.channels["current"][::_THIN],
-                contact_force_N=force[::_THIN],
-            )
-        },
+        (Picture.of("fig_11", caption, _figure(found)),),
+        {"fig_11": _data(found)},
     )
 
 
-def _hunting(flow: FlowSection, time: Array, current: Array) -> str:
+def _figure(found: Firing) -> regulator.Figure:
+    asked, pressure = (1e-6 * signal for signal in found.pressures)
+    return regulator.closed_loop(
+        found.time,
+        dict(zip(("command", "flow"), found.flows, strict=True)),
+        {"command": asked, "measured": pressure},
+        dict(zip(("command", "measured"), found.angles, strict=True)),
+        found.current,
+        found.force,
+    )
+
+
+def _data(found: Firing) -> Rows:
+    few = slice(None, None, _THIN)
+    return columns(
+        time_s=found.time[few],
+        flow_command_kg_s=found.flows[0][few],
+        flow_kg_s=found.flows[1][few],
+        pressure_command_Pa=found.pressures[0][few],
+        pressure_Pa=found.pressures[1][few],
+        angle_command_rad=found.angles[0][few],
+        angle_rad=found.angles[1][few],
+        current_A=found.current[few],
+        contact_force_N=found.force[few],
+    )
+
+
+def _hunting(found: Firing) -> str:
     """Say how the current swings at steady flow, before the first step."""
-    before = current[(time >= 1.0) & (time < flow.steps[1].at_s)]
+    time = found.time
+    before = found.current[(time >= 1.0) & (time < found.flow.steps[1].at_s)]
     return (
         f"Before the first step, at steady flow, the current swings from {np.min(before):+.1f} to "
         f"{np.max(before):+.1f} A: integrators of the loop hunting across static friction, one of "
@@ -110,9 +155,10 @@ def _hunting(flow: FlowSection, time: Array, current: Array) -> str:
     )
 
 
-def _settling(flow: FlowSection, time: Array, outflow: Array, recording: Recording) -> str:
+def _settling(found: Firing) -> str:
     """Say how long each step takes to stay within its band."""
-    n = max(1, round(_SMOOTHING_S / recording.period))
+    flow, time, (_, outflow) = found.flow, found.time, found.flows
+    n = max(1, round(_SMOOTHING_S / found.period))
     smooth = np.convolve(
         np.pad(outflow, (n // 2, n - 1 - n // 2), mode="edge"), np.full(n, 1.0 / n), mode="valid"
     )
@@ -124,6 +170,6 @@ def _settling(flow: FlowSection, time: Array, outflow: Array, recording: Recordi
         if off.size and off[-1] + 1 == np.count_nonzero(part):
             took = "not before the next step"
         else:
-            took = f"{(off[-1] + 1) * recording.period if off.size else 0.0:.2f} s"
+            took = f"{(off[-1] + 1) * found.period if off.size else 0.0:.2f} s"
         words.append(f"{before.flow_kg_s:g} to {step.flow_kg_s:g} kg/s {took}")
     return f"Time to stay within {SETTLED:.0%} of the commanded flow: {', '.join(words)}."

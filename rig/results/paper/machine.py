@@ -9,12 +9,12 @@ from pathlib import Path
 
 from drivers.mock.plant.parts.constants import Machine
 from rig.common.places import write_json
-from rig.common.result_files import identification_record
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated
 from rig.planning.feedforward import Feedforward, load_feedforward
-from rig.results.identify.identify import identify_source
+from rig.results.identify.identify import Request, identify_source
+from rig.results.identify.record import identification_record
 from rig.runs.run import bench_constants
 
 
@@ -44,7 +44,7 @@ def identified(
     bench = load_bench(name)
     progress(f"running figure10 on {name}", 0.0)
     run_simulated(bench, load_sequence("figure10"), seed, scratch / f"{name}-run")
-    outcome = identify_source(scratch / f"{name}-run", ["default"], None, seed, progress)
+    outcome = identify_source(scratch / f"{name}-run", Request(seed=seed), progress)
     result = scratch / f"{name}.json"
     write_json(result, identification_record(outcome.results[0], outcome.provenance))
     return load_feedforward(result, bench_constants(bench.value))

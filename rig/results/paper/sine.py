@@ -4,24 +4,28 @@ per cycle.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from identification.plots import regulator
-from identification.recording import Array, Dataset
+from identification.recording import Array, Dataset, Recording
 from identification.tracking import track, tracking_error
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
 from rig.common.tables import number
 from rig.config.bench import load_bench
 from rig.config.sequence import load_sequence
 from rig.control.simulated_run import run_simulated
 from rig.planning.feedforward import Feedforward
-from rig.results.paper.exhibit import Exhibit, columns
+from rig.results.document import Picture, Table
+from rig.results.paper.exhibit import Exhibit, Rows, columns
 
 BENCH, SEQUENCE = "practical", "figure10"
 PERIOD_S = 5.0
 FIRST_S = 2.0
 CYCLES = 2
+_SPAN = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
 _THIN = 10  # of the samples, in the data file
 
 
@@ -36,48 +40,7 @@ def run_sines(scratch: Path, model: Feedforward, seed: int) -> tuple[Dataset, Da
 
 def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
     """Return the tracking error of both cases over two whole cycles, and the energy of one."""
-    span = (FIRST_S, FIRST_S + CYCLES * PERIOD_S)
-    rows, panels = [], []
-    named: dict[str, Array] = {}
-    for before, after in zip(plain.recordings, fed.recordings, strict=True):
-        one, other = track(before, *span), track(after, *span)
-        load = f"{before.contact_force:.0f} N"
-        rows.append(
-            (
-                load,
-                *(number(1e3 * t.rms, 3) for t in (one, other)),
-                number(one.rms / other.rms, 3),
-                *(number(1e3 * t.largest, 3) for t in (one, other)),
-                *(number(t.energy / CYCLES, 4) for t in (one, other)),
-            )
-        )
-        time = before.time - before.time[0]
-        part = (time >= span[0]) & (time < span[1])
-        errors = {
-            "without feed-forward": tracking_error(before)[part],
-            "with it": tracking_error(after)[part],
-        }
-        panels.append((load, time[part], errors))
-        few = slice(None, None, _THIN)
-        named |= {
-            "time_s": time[part][few],
-            f"error_{before.stage}_rad": errors["without feed-forward"][few],
-            f"error_{before.stage}_fed_rad": errors["with it"][few],
-            f"power_{before.stage}_W": (before.channels["voltage"] * before.channels["current"])[
-                part
-            ][few],
-            f"power_{before.stage}_fed_W": (after.channels["voltage"] * after.channels["current"])[
-                part
-            ][few],
-        }
-    header = (
-        "contact force",
-        "error before (mrad rms)",
-        "after",
-        "ratio",
-        "largest (mrad)",
-        "after",
-    )
+    pairs = list(zip(plain.recordings, fed.recordings, strict=True))
     return Exhibit(
         "compensation",
         "Compensation: the sine of Case 1 and 2 before and after feed-forward, and its energy",
@@ -93,9 +56,69 @@ def exhibit(plain: Dataset, fed: Dataset) -> Exhibit:
             Picture.of(
                 "compensation",
                 "Tracking error of the 0.2 Hz sine without and with feed-forward",
-                regulator.errors(panels),
+                regulator.errors([_panel(*pair) for pair in pairs]),
             ),
         ),
-        {"compensation": columns(**named)},
-        Table((*header, "energy per cycle (J)", "after"), tuple(rows), tuple(range(1, 8))),
+        {"compensation": _data(pairs)},
+        _table(pairs),
     )
+
+
+def _load(recording: Recording) -> str:
+    return f"{recording.contact_force:.0f} N"
+
+
+def _part(recording: Recording) -> tuple[Array, NDArray[np.bool_]]:
+    """Return the time from the start of a recording, s, and which samples are of whole cycles."""
+    time = np.asarray(recording.time - recording.time[0])
+    return time, (time >= _SPAN[0]) & (time < _SPAN[1])
+
+
+def _panel(before: Recording, after: Recording) -> tuple[str, Array, dict[str, Array]]:
+    time, part = _part(before)
+    errors = {
+        "without feed-forward": tracking_error(before)[part],
+        "with it": tracking_error(after)[part],
+    }
+    return _load(before), time[part], errors
+
+
+def _data(pairs: Sequence[tuple[Recording, Recording]]) -> Rows:
+    few = slice(None, None, _THIN)
+    named: dict[str, Array] = {}
+    for before, after in pairs:
+        time, part = _part(before)
+        named["time_s"] = time[part][few]
+        both = ((before, before.stage), (after, f"{before.stage}_fed"))
+        for recording, name in both:
+            named[f"error_{name}_rad"] = tracking_error(recording)[part][few]
+        for recording, name in both:
+            power = recording.channels["voltage"] * recording.channels["current"]
+            named[f"power_{name}_W"] = power[part][few]
+    return columns(**named)
+
+
+def _table(pairs: Sequence[tuple[Recording, Recording]]) -> Table:
+    header = (
+        "contact force",
+        "error before (mrad rms)",
+        "after",
+        "ratio",
+        "largest (mrad)",
+        "after",
+        "energy per cycle (J)",
+        "after",
+    )
+    rows = []
+    for before, after in pairs:
+        one, other = track(before, *_SPAN), track(after, *_SPAN)
+        rows.append(
+            (
+                _load(before),
+                *(number(1e3 * t.rms, 3) for t in (one, other)),
+                number(one.rms / other.rms, 3),
+                *(number(1e3 * t.largest, 3) for t in (one, other)),
+                *(number(t.energy / CYCLES, 4) for t in (one, other)),
+            )
+        )
+    return Table(header, tuple(rows), tuple(range(1, 8)))

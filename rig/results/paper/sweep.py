@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from identification.plots import regulator
-from rig.common.figures import Picture
+from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 from rig.results.paper.machine import true_machine
 from rig.results.paper.sweep_gains import PAPER_DEG_S, SLOW_DEG_S, Sweep, sweep

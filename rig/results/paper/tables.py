@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -12,10 +11,9 @@ from identification.plots import fit as fit_plots
 from identification.plots import signals
 from identification.plots.spread import spread
 from identification.result import Convergence
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
 from rig.common.result_files import finite
 from rig.common.tables import number, percent
+from rig.results.document import Picture, Table
 from rig.results.paper.exhibit import Exhibit, Rows, columns
 from rig.results.paper.parameters import (
     DURATION_S,
@@ -86,14 +84,6 @@ def remarks(found: Reproduction) -> list[str]:
             for stage, target, reached, cost, unit, generations in _searches(found, method)
         ]
     return lines
-
-
-def record(found: Reproduction) -> dict[str, Any]:
-    """Return the tables as they stand in the result file: method to parameter to its values."""
-    return {
-        method: {name: _entry(found, method, name, printed) for name, printed in PRINTED.items()}
-        for method in found.runs
-    }
 
 
 def exhibits(found: Reproduction) -> list[Exhibit]:
@@ -205,24 +195,6 @@ def _row(found: Reproduction, name: str, printed: Printed) -> tuple[str, ...]:
             percent(finite(statistics.median(errors.values()))),
         ]
     return tuple(cells)
-
-
-def _entry(found: Reproduction, method: str, name: str, printed: Printed) -> dict[str, Any]:
-    values, errors = found.found(method, name), found.errors(method, name)
-    worst = found.worst_seed(method, name)
-    return {
-        "true": found.truth[name],
-        "printed": printed.identified,
-        "identified": finite(values[worst]),
-        "error_percent": finite(errors[worst]),
-        "printed_true": printed.original,
-        "printed_error_percent": printed.error_percent,
-        "median_error_percent": finite(statistics.median(errors.values())),
-        "identifiable": all(
-            result.parameters[name].identifiable for result in found.runs[method].values()
-        ),
-        "seeds": {str(seed): finite(value) for seed, value in values.items()},
-    }
 
 
 def _searches(found: Reproduction, method: str) -> list[tuple[str, float, int, float, str, float]]:

@@ -17,13 +17,12 @@ from identification.estimate.equation_error.uniform_motion import (
 )
 from identification.model.friction import load_coefficient, system_friction
 from identification.plots import regulator
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
 from rig.common.tables import number, percent
 from rig.config.bench import load_bench
 from rig.config.configuration import Document, load_located
 from rig.config.sequence import Sequence as SequenceFile
 from rig.control.simulated_run import run_simulated
+from rig.results.document import Picture, Table
 from rig.results.paper.exhibit import Exhibit, Rows
 from rig.results.paper.machine import true_machine
 from rig.runs.truth import true_parameters

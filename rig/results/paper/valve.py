@@ -9,7 +9,7 @@ import numpy as np
 from drivers.mock.plant.gas_direct import impacted_area, throat_area
 from drivers.mock.plant.parts.constants import Machine
 from identification.plots import regulator
-from rig.common.figures import Picture
+from rig.results.document import Picture
 from rig.results.paper.exhibit import Exhibit, columns
 from rig.results.paper.machine import true_machine
 

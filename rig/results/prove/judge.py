@@ -17,7 +17,7 @@ from identification.diagnosis.joint import Joint
 from identification.diagnosis.oracle import oracle
 from identification.diagnosis.terms import TERMS
 from identification.recording import Dataset
-from rig.results.diagnose.diagnose import as_json, diagnose_source
+from rig.results.diagnose.diagnose import diagnose_source
 from rig.results.prove.absorbed import residual_rms
 
 
@@ -57,8 +57,8 @@ def judge(source: Path, seed: int) -> Judgement:
     outcome = diagnose_source(source, seed, onlooker=seen.append)
     diagnosed = time.perf_counter()
     if not seen:
-        # The equation of the gas generator has no baseline methods and no oracle.
-        return Judgement(as_json(outcome), {}, lambda _names: None, diagnosed - began, 0.0)
+        # A gas generator's equation has neither these baselines nor this oracle.
+        return Judgement(outcome.record(), {}, lambda _names: None, diagnosed - began, 0.0)
     first = seen[0]
     declared = outcome.dataset.model.terms
     regressors = library(first, [t for t in TERMS if t.name not in declared])
@@ -66,7 +66,7 @@ def judge(source: Path, seed: int) -> Judgement:
     bandwidth = outcome.diagnosis.fit.bandwidth_Hz
     later = time.perf_counter() - diagnosed
     asked = partial(_oracle, outcome.dataset, first, bandwidth)
-    return Judgement(as_json(outcome), named, asked, diagnosed - began, later, residual_rms(first))
+    return Judgement(outcome.record(), named, asked, diagnosed - began, later, residual_rms(first))
 
 
 def _oracle(

@@ -64,14 +64,7 @@ def row_of(
         "left": max(left.values(), default=None),
         "left_by_equation": left,
         "verdict": verdict,
-        "named": [
-            {
-                "name": e["name"],
-                "alias_group": list(e["alias_group"]),
-                "confidence": e["confidence"],
-            }
-            for e in found
-        ],
+        "named": [_named(effect) for effect in found],
         "p_value": diagnosis["p_value"],
         **_hits(kind, names, [(e["name"], *e["alias_group"]) for e in found]),
         "alarm": verdict != "nothing_missing",
@@ -88,6 +81,15 @@ def row_of(
         "oracle_fraction": None if oracle is None else _oracle_fraction(oracle, diagnosis["fits"]),
         "seconds": judgement.seconds,
         "baseline_seconds": judgement.baseline_seconds,
+    }
+
+
+def _named(effect: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what is kept of one effect of a diagnosis."""
+    return {
+        "name": effect["name"],
+        "alias_group": list(effect["alias_group"]),
+        "confidence": effect["confidence"],
     }
 
 

@@ -10,6 +10,10 @@ from typing import Any
 
 from scipy.stats import beta
 
+from rig.common.result_files import Provenance
+
+PROVE_SCHEMA = "loadrig.prove/2"
+RESULT_FILE = "prove.json"
 Row = Mapping[str, Any]
 LEVEL = 0.95
 STRONG = 3.0
@@ -34,8 +38,13 @@ def count(rows: Sequence[Row], key: str) -> dict[str, Any]:
     return rate(sum(bool(row[key]) for row in rows), len(rows))
 
 
+def proof_record(rows: Sequence[Row], provenance: Provenance) -> dict[str, Any]:
+    """Return the record of ``rig prove --json``."""
+    return {**provenance.record(PROVE_SCHEMA), **score(rows), "rigs": list(rows)}
+
+
 def score(rows: Sequence[Row]) -> dict[str, Any]:
-    """Return the body of ``rig prove --json``."""
+    """Return the figures of a proof."""
     by_kind: dict[str, list[Row]] = defaultdict(list)
     for row in rows:
         by_kind[row["kind"]].append(row)

@@ -12,14 +12,7 @@ from pathlib import Path
 from identification.corrected.model import CorrectedModel
 from identification.corrected.score import Predicted, predictions, rms
 from identification.diagnosis.view import views
-from identification.plots.predicted import predicted as drawn
 from identification.recording import Dataset
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
-from rig.common.tables import number
-
-_SHOWN_PER_ROLE = 3
-_UNITS = {"transmission": "mrad", "voltage": "V"}
 
 
 @dataclass(frozen=True)
@@ -63,52 +56,3 @@ def predict(
                 Prediction(file, names, tuple(p for view in seen for p in predictions(view, form)))
             )
     return found
-
-
-def error_table(found: Sequence[Prediction], unit: str) -> Table:
-    """Return one row per model, equation and role."""
-    rows = []
-    for one in found:
-        for equation in dict.fromkeys(p.equation for p in one.parts):
-            errors = [one.error(equation, role) for role in ("fit", "validate")]
-            scale = 1e3 if equation == "transmission" else 1.0
-            cells = (number(None if e is None else scale * e, 4) for e in errors)
-            effects = ", ".join(one.effects) or "none"
-            rows.append((one.file.stem, effects, equation, *cells, _UNITS.get(equation, unit)))
-    return Table(
-        ("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4)
-    )
-
-
-def error_record(found: Sequence[Prediction], unit: str) -> list[dict[str, object]]:
-    """Return the same for the result file, SI units."""
-    return [
-        {
-            "result": str(one.file),
-            "effects": list(one.effects),
-            "equation": equation,
-            "unit": {"transmission": "rad", "voltage": "V"}.get(equation, unit),
-            "rms": one.error(equation, "fit"),
-            "validate_rms": one.error(equation, "validate"),
-        }
-        for one in found
-        for equation in dict.fromkeys(p.equation for p in one.parts)
-    ]
-
-
-def pictures(found: Sequence[Prediction], unit: str) -> list[Picture]:
-    """Return figures of the first model's torque equation, a few recordings of each role."""
-    parts = [p for p in found[0].parts if p.equation == "torque"]
-    shown = [
-        p
-        for role in ("fit", "validate")
-        for p in [p for p in parts if p.role == role][:_SHOWN_PER_ROLE]
-    ]
-    return [
-        Picture.of(
-            f"predicted_{p.recording}",
-            f"{p.recording} ({p.role}): torque measured and predicted",
-            drawn(p, unit),
-        )
-        for p in shown
-    ]

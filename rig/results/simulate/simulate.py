@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 from identification.corrected.model import CorrectedModel
 from identification.prepare import Prepared, default_bandwidth, prepare, torque_unit
@@ -21,6 +24,7 @@ from rig.results.simulate.predict import Prediction, predict
 from rig.runs.run_record import RUN_FILE
 from rig.sources import load_source
 
+RESULT_FILE = "simulate.json"
 SHARES = (1.0, 0.5, 0.0)
 """Friction simulated, over that of the result: its error means something beside those of half of it
 and of none.
@@ -83,6 +87,11 @@ class Simulation:
         """Unit of the torque errors."""
         return torque_unit(self.dataset.recordings[0])
 
+    @property
+    def rotary(self) -> bool:
+        """Whether the bench turns; a linear one has forces and positions."""
+        return self.dataset.recordings[0].bench.motion == "rotary"
+
     def names(self, role: str) -> list[str]:
         """Return the recordings of one role."""
         return [r.name for r in self.dataset.recordings if r.role == role]
@@ -110,17 +119,9 @@ def simulate_source(
     started = time.perf_counter()
     progress("reading", 0.0)
     dataset = load_source(source)
-    names = [r.name for r in dataset.recordings]
     records = [read_result(path) for path in results]
-    for path, record in zip(results, records, strict=True):
-        require_motion(record, dataset.recordings[0].bench.motion, str(path))
-    models = [
-        FittedModel(p, model_of(record, names, str(p)))
-        for p, record in zip(results, records, strict=True)
-    ]
+    models = _models(dataset, results, records)
     bandwidth_Hz = bandwidth_Hz or records[0].get("fit", {}).get("bandwidth_Hz")
-    cases: list[Case] = []
-    shown: list[Response] = []
     try:
         if bandwidth_Hz is None:
             bandwidth_Hz = min(
@@ -129,34 +130,57 @@ def simulate_source(
         prepared = tuple(prepare(r, bandwidth_Hz) for r in dataset.recordings)
         predictions = predict(dataset, [(m.file, m.corrected) for m in models], bandwidth_Hz)
         known = all(r.controller is not None for r in dataset.recordings)
-        total = len(models) * len(SHARES) * len(prepared)
-        for model in models if known else ():
-            for share in SHARES:
-                sums: dict[str, Sums] = {}
-                for p in prepared:
-                    progress(
-                        f"simulating {p.recording.name}",
-                        (len(cases) * len(prepared) + len(sums)) / total,
-                    )
-                    values = with_friction(model.corrected.parameters, share)
-                    response = replay(p.recording, values, model.corrected.alpha)
-                    sums[p.recording.name] = compare(p, response)
-                    if not cases:
-                        shown.append(response)
-                cases.append(Case(model, share, sums))
+        cases, responses = _closed_loop(models if known else (), prepared, progress)
     except RecordingError as error:
         raise InputError(f"{source}: {error}") from error
     described_by = source / RUN_FILE if is_folder(source) else source
     provenance = Provenance.of(0, dataset.recordings, time.perf_counter() - started, described_by)
-    inputs = {**provenance.inputs, **{str(path): sha256_file(path) for path in results}}
-    provenance = Provenance(0, inputs, provenance.seconds, provenance.created, provenance.versions)
+    read = {str(path): sha256_file(path) for path in results}
     return Simulation(
         dataset,
-        tuple(models),
+        models,
         tuple(predictions),
         prepared,
         tuple(cases),
-        tuple(shown),
+        tuple(responses),
         bandwidth_Hz,
-        provenance,
+        dataclasses.replace(provenance, inputs={**provenance.inputs, **read}),
     )
+
+
+def _models(
+    dataset: Dataset, files: Sequence[Path], records: Sequence[Mapping[str, Any]]
+) -> tuple[FittedModel, ...]:
+    """Return the models of result files, which must be of a bench of the same motion."""
+    names = [r.name for r in dataset.recordings]
+    for path, record in zip(files, records, strict=True):
+        require_motion(record, dataset.recordings[0].bench.motion, str(path))
+    return tuple(
+        FittedModel(path, model_of(record, names, str(path)))
+        for path, record in zip(files, records, strict=True)
+    )
+
+
+def _closed_loop(
+    models: Sequence[FittedModel],
+    prepared: Sequence[Prepared],
+    progress: Callable[[str, float], None],
+) -> tuple[list[Case], list[Response]]:
+    """Simulate every model with every share of its friction; return the cases, and the responses of
+    the first one.
+    """
+    cases: list[Case] = []
+    shown: list[Response] = []
+    total = len(models) * len(SHARES) * len(prepared)
+    for model, share in product(models, SHARES):
+        sums: dict[str, Sums] = {}
+        for p in prepared:
+            done = len(cases) * len(prepared) + len(sums)
+            progress(f"simulating {p.recording.name}", done / total)
+            values = with_friction(model.corrected.parameters, share)
+            response = replay(p.recording, values, model.corrected.alpha)
+            sums[p.recording.name] = compare(p, response)
+            if not cases:
+                shown.append(response)
+        cases.append(Case(model, share, sums))
+    return cases, shown

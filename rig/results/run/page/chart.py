@@ -12,12 +12,11 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from html import escape
-from itertools import pairwise
 
 import numpy as np
 
-from identification.recording import Array
 from rig.results.run.page.envelope import Bins, in_columns
+from rig.results.run.page.time_axis import TimeAxis, nice, tick_label
 
 COLUMNS = 1000
 """Columns that a curve is drawn in; each shows the least and the greatest of its samples."""
@@ -36,7 +35,6 @@ _LEAST_LABELLED = 0.25
 """Width, of the whole, from which a limit has its value written beside it."""
 _LEAST_NAMED = 1.5
 """Width in percent from which a stretch of time has its name written over it."""
-_NICE = (1.0, 2.0, 5.0, 10.0)
 STYLE = (
     ".chart{margin:.5rem 0 1rem;break-inside:avoid}.chart figcaption{line-height:1.35}"
     ".chart .read{color:#555;font-size:.85rem}.chart .beyond{color:#a30000;font-weight:600}"
@@ -132,73 +130,6 @@ class Chart:
     least: float = 0.0
 
 
-class TimeAxis:
-    """Time to place on the page. Long pauses with the drive off are drawn short.
-
-    Args:
-        powered: Stretches of time that are drawn to scale, s, in order.
-    """
-
-    _PAUSE = 0.02
-    """Width of a pause that is drawn short."""
-
-    def __init__(self, powered: Sequence[tuple[float, float]]) -> None:
-        joined = [powered[0]]
-        longest = 0.02 * sum(stop - start for start, stop in powered)
-        for start, stop in powered[1:]:
-            if start - joined[-1][1] > longest:
-                joined.append((start, stop))
-            else:
-                joined[-1] = (joined[-1][0], stop)
-        self.pauses = [(before[1], after[0]) for before, after in pairwise(joined)]
-        pause = min(self._PAUSE, 0.2 / max(len(self.pauses), 1))
-        total = max(sum(stop - start for start, stop in joined), 1e-9)
-        scale = (1.0 - pause * len(self.pauses)) / total
-        times, places, at = [], [], 0.0
-        for start, stop in joined:
-            times += [start, stop]
-            places += [at, at + scale * (stop - start)]
-            at = places[-1] + pause
-        self._times, self._places, self._joined, self._total = times, places, joined, total
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """First and last time, s."""
-        return self._times[0], self._times[-1]
-
-    def place(self, time: Array) -> Array:
-        """Return where times are, 0 at the left edge and 1 at the right."""
-        return np.asarray(np.interp(time, self._times, self._places))
-
-    def at(self, time: float) -> float:
-        """Return where one time is."""
-        return float(self.place(np.array([time]))[0])
-
-    def ticks(self) -> Iterator[tuple[float, str]]:
-        """Yield places and labels of the ticks, far enough from one another for a telephone."""
-        step = _nice(self._total / 5.0)
-        last = -1.0
-        for start, stop in self._joined:
-            for k in range(math.ceil(start / step - 1e-9), math.floor(stop / step + 1e-9) + 1):
-                place = self.at(k * step)
-                if place - last >= 0.12:
-                    yield place, _number(k * step, step)
-                    last = place
-
-
-def _nice(rough: float) -> float:
-    """Return the next of 1, 2, 5 times a power of ten."""
-    if not rough > 0.0 or not math.isfinite(rough):
-        return 1.0
-    power = 10.0 ** math.floor(math.log10(rough))
-    return next(power * nice for nice in _NICE if power * nice >= rough * (1.0 - 1e-9))
-
-
-def _number(value: float, step: float) -> str:
-    digits = max(0, -math.floor(math.log10(step) + 1e-9))
-    return f"{value + 0.0:.{digits}f}" if digits < 7 and abs(value) < 1e7 else f"{value:.3g}"
-
-
 def draw(
     chart: Chart, axis: TimeAxis, shades: Sequence[Shade] = (), mark: Mark | None = None
 ) -> str:
@@ -283,9 +214,9 @@ def _levels(chart: Chart, low: float, high: float) -> Iterator[tuple[float, str]
     if chart.categories:
         yield from ((float(index), name) for index, name in enumerate(chart.categories))
         return
-    step = _nice((high - low) / (6.0 if chart.tall else 4.0))
+    step = nice((high - low) / (6.0 if chart.tall else 4.0))
     for k in range(math.ceil(low / step), math.floor(high / step) + 1):
-        yield k * step, _number(k * step, step)
+        yield k * step, tick_label(k * step, step)
 
 
 def _names(shades: Sequence[Shade], axis: TimeAxis) -> Iterator[str]:

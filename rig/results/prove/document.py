@@ -1,23 +1,17 @@
-"""Output of ``rig prove``: tables, result file, page."""
+"""What ``rig prove`` says: the blind proof as a document."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from identification.plots.proof import confusion_matrix, power_curve
-from rig.common.errors import InputError
-from rig.common.figures import Picture, save
-from rig.common.parameter_table import Table
-from rig.common.places import write_json, write_text
 from rig.common.result_files import Provenance
 from rig.common.tables import number
-from rig.results.prove.score import STRONG, score
-from rig.results.report import provenance_tables, render
+from rig.results.document import Document, Note, Picture, Section, Table
+from rig.results.prove.score import STRONG
+from rig.results.sections import provenance_section
 
-PROVE_SCHEMA = "loadrig.prove/2"
-RESULT_FILE = "prove.json"
 _RATES = {
     "top1": f"one effect, strength {STRONG:g} or more: named first",
     "alias_group": f"one effect, strength {STRONG:g} or more: in the alias group",
@@ -56,12 +50,34 @@ _PLACES = {
 }
 
 
-def record(rows: Sequence[Mapping[str, Any]], provenance: Provenance) -> dict[str, Any]:
-    """Return the record of ``rig prove --json``."""
-    return {**provenance.record(PROVE_SCHEMA), **score(rows), "rigs": list(rows)}
+def prove_document(result: Mapping[str, Any], provenance: Provenance) -> Document:
+    """Return a proof, the record of its result file, as a document."""
+    return Document(
+        "The blind proof",
+        f"{len(result['rigs'])} rigs, each sealed before its diagnosis",
+        tuple(_summary(result)),
+        tuple(_sections(result, provenance)),
+    )
 
 
-def rates(result: Mapping[str, Any]) -> Table:
+def _summary(result: Mapping[str, Any]) -> Iterator[Section]:
+    for cells in (_rates(result), _methods(result), _places(result)):
+        if cells.rows:
+            yield Section("", (cells,))
+    yield Section("", tuple(map(Note, _remarks(result))))
+
+
+def _sections(result: Mapping[str, Any], provenance: Provenance) -> Iterator[Section]:
+    yield Section("", tuple(map(Note, _remarks(result))))
+    yield Section("Rates", (_rates(result), *_power(result)))
+    yield Section("Against the baselines", (_methods(result),))
+    yield Section("Where it was found", (_places(result),))
+    yield Section("What was called what", (_confusion(result), *_confused(result)))
+    yield Section("Rigs", (_rigs(result),))
+    yield provenance_section(provenance)
+
+
+def _rates(result: Mapping[str, Any]) -> Table:
     """Return the proof's rates, one row each; those without trials are left out."""
     rows = []
     for key, words in _RATES.items():
@@ -74,7 +90,7 @@ def rates(result: Mapping[str, Any]) -> Table:
     return Table(("what", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
-def methods(result: Mapping[str, Any]) -> Table:
+def _methods(result: Mapping[str, Any]) -> Table:
     """Return the diagnosis beside the baseline methods, on the same trials."""
     names = [m for m in _TITLES if m in result["methods"]]
     rows = []
@@ -93,7 +109,7 @@ def methods(result: Mapping[str, Any]) -> Table:
     )
 
 
-def places(result: Mapping[str, Any]) -> Table:
+def _places(result: Mapping[str, Any]) -> Table:
     """Return how often the mismatch was found where the effect shows."""
     rows = []
     for key, words in _PLACES.items():
@@ -106,7 +122,7 @@ def places(result: Mapping[str, Any]) -> Table:
     return Table(("mismatch located", "trials", "share", "95 % interval"), tuple(rows), (1, 2, 3))
 
 
-def remarks(result: Mapping[str, Any]) -> list[str]:
+def _remarks(result: Mapping[str, Any]) -> list[str]:
     """Return remarks on the rates."""
     lines = [
         f"{result['outside']['named_confidently']} trials outside the catalogue had an effect "
@@ -138,56 +154,10 @@ def remarks(result: Mapping[str, Any]) -> list[str]:
     return lines
 
 
-def write(
-    folder: Path, result: Mapping[str, Any], provenance: Provenance, json_file: Path | None
-) -> Path:
-    """Write result file, figures and page into ``folder``, and the result to ``json_file`` where
-    given; return the page.
-
-    Raises:
-        InputError: A place cannot be written.
-    """
-    pictures = _pictures(result)
-    sections = [
-        {
-            "title": "Rates",
-            "table": rates(result),
-            "pictures": [p for p in pictures if p.name == "power"],
-        },
-        {"title": "Against the baselines", "table": methods(result), "pictures": []},
-        {"title": "Location", "table": places(result), "pictures": []},
-        {
-            "title": "Confusion",
-            "table": _confusion(result),
-            "pictures": [p for p in pictures if p.name != "power"],
-        },
-        {"title": "Trials", "table": _rigs(result), "pictures": []},
-    ]
-    try:
-        save(pictures, folder)
-        for place in filter(None, (folder / RESULT_FILE, json_file)):
-            write_json(place, result)
-        page = render(
-            "prove.html.j2",
-            title="The blind proof",
-            subtitle=f"{len(result['rigs'])} trials, each sealed before its diagnosis",
-            notes=remarks(result),
-            sections=sections,
-            **provenance_tables(provenance),
-        )
-        path = folder / "report.html"
-        write_text(path, page)
-    except OSError as error:
-        raise InputError(
-            f"{folder}: cannot be written: {error.strerror}; give --out or --json another place"
-        ) from error
-    return path
-
-
-def _pictures(result: Mapping[str, Any]) -> list[Picture]:
+def _power(result: Mapping[str, Any]) -> Iterator[Picture]:
     bands = result["power"]
     if not bands:
-        return []
+        return
     labels = [
         f"{b['from']:g} and more" if b["to"] is None else f"{b['from']:g} to {b['to']:g}"
         for b in bands
@@ -200,14 +170,13 @@ def _pictures(result: Mapping[str, Any]) -> list[Picture]:
             "top1": "named first",
         }.items()
     }
-    return [
-        Picture.of("power", "Found and named against strength", power_curve(labels, curves)),
-        Picture.of(
-            "confusion",
-            "First effect named for each injected one",
-            confusion_matrix(result["confusion"]),
-        ),
-    ]
+    yield Picture.of("power", "Found and named against strength", power_curve(labels, curves))
+
+
+def _confused(result: Mapping[str, Any]) -> Iterator[Picture]:
+    if result["power"]:
+        matrix = confusion_matrix(result["confusion"])
+        yield Picture.of("confusion", "What each effect was called", matrix)
 
 
 def _confusion(result: Mapping[str, Any]) -> Table:

@@ -1,4 +1,4 @@
-"""How sure an identification is: what trades off, bounds hit, starts and profiles, as text, record
+"""How sure an identification is: what trades off, bounds hit, starts and profiles, as lines, tables
 and pictures.
 """
 
@@ -6,15 +6,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict
-from typing import Any
 
 from identification.plots import profile as plots
 from identification.result import Identification, MeasuredNoise, Profile, Resampled
-from rig.common.figures import Picture
-from rig.common.parameter_table import Table
-from rig.common.result_files import finite
 from rig.common.tables import interval, number
+from rig.results.document import Picture, Table
 
 PROFILE_NOTE = (
     "Profile: where -2 log likelihood, the others optimised anew, has risen by 2.71. Scaled: what "
@@ -131,49 +127,6 @@ def _bootstrap_row(r: Resampled, result: Identification) -> tuple[str, ...]:
         f"{r.solved} of {r.draws}",
         r.unit,
     )
-
-
-def uncertainty_record(result: Identification) -> dict[str, Any]:
-    """Return the keys that a result file has of this."""
-    return {
-        "tradeoffs": [
-            {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
-            for t in result.tradeoffs
-        ],
-        "least_pinned": result.least_pinned,
-        "noise": None if result.noise is None else asdict(result.noise),
-        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
-        "starts": [
-            {
-                "stage": s.stage,
-                "cost": s.cost,
-                "ends": [finite(e) for e in s.ends],
-                "reached_best": s.best,
-            }
-            for s in result.starts
-        ],
-        "profiles": {
-            c.name: {
-                "unit": c.unit,
-                "values": [finite(v) for v in c.values],
-                "deviance": [finite(v) for v in c.deviance],
-                "low": finite(c.low),
-                "high": finite(c.high),
-                "scale": finite(c.scale),
-            }
-            for c in result.profiles
-        },
-        "bootstrap": {
-            r.name: {
-                "unit": r.unit,
-                "low": finite(r.low),
-                "high": finite(r.high),
-                "draws": r.draws,
-                "solved": r.solved,
-            }
-            for r in result.resampled
-        },
-    }
 
 
 def uncertainty_pictures(results: Sequence[Identification]) -> list[Picture]:

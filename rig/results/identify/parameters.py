@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 from identification.result import Identification, Parameter
 from rig.common.tables import interval, number, percent
-
-
-@dataclass(frozen=True)
-class Table:
-    """Cells as text.
-
-    Attributes:
-        header: Column titles.
-        rows: Cells, row by row.
-        right: Indices of the columns of numbers.
-    """
-
-    header: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    right: tuple[int, ...]
+from rig.results.document import Table
 
 
 def parameter_table(

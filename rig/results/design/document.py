@@ -1,0 +1,106 @@
+"""What ``rig identify --plan`` says: a planned experiment as a document, for the terminal alone."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from identification.design.pinning import Pinned
+from rig.common.tables import number, percent
+from rig.config.sequence import StageSection
+from rig.results.design.experiment import Experiment
+from rig.results.design.proposal import pinned_words
+from rig.results.document import Document, Note, Section, Table
+
+
+def plan_document(experiment: Experiment) -> Document:
+    """Return what is pinned now and would be, and the stages of the proposal."""
+    title = f"Experiment in place of {experiment.sequence.name}"
+    return Document(title, "", tuple(_summary(experiment)))
+
+
+def _summary(experiment: Experiment) -> Iterator[Section]:
+    now, then = experiment.proposal.present, experiment.proposal.pinned
+    sequence, proposed = experiment.sequence.name, experiment.proposed.name
+    head = "90 % interval over the value, half width, from a rehearsal on the nominal model:"
+    yield Section("", (Note(head),))
+    yield Section("", (_widths(experiment),))
+    lines = (
+        f"{sequence}: {pinned_words(now)}",
+        f"{proposed}: {pinned_words(then)}",
+        _advice(experiment),
+    )
+    yield Section("", tuple(map(Note, lines)))
+    yield Section("", (_stages(experiment),))
+    last = (
+        f"nominal: {experiment.nominal_source}; current noise {experiment.current_noise_A:.3g} A "
+        f"rms; {_drive(experiment)}; {experiment.proposal.judged} excitations judged, "
+        f"{experiment.proposal.rehearsed} experiments rehearsed, in {experiment.seconds:.1f} s"
+    )
+    yield Section("", (Note(last),))
+
+
+def _widths(experiment: Experiment) -> Table:
+    now, then = experiment.proposal.present, experiment.proposal.pinned
+    names = (experiment.sequence.name, experiment.proposed.name)
+    rows = tuple(
+        (
+            n,
+            number(experiment.nominal.values[n]),
+            _width(now, n),
+            _width(then, n),
+            _gain(now, then, n),
+        )
+        for n in now.half_widths
+    )
+    return Table(("parameter", "nominal", *names, "times tighter"), rows, (1, 2, 3, 4))
+
+
+def _stages(experiment: Experiment) -> Table:
+    rows = tuple(
+        (stage.name, f"{stage.weight_kg:g}", f"{stage.duration_s:g}", excitation_words(stage))
+        for stage in experiment.proposed.stages
+    )
+    return Table(("stage", "kg", "s", "excitation"), rows, (1, 2))
+
+
+def _advice(experiment: Experiment) -> str:
+    """Say what the proposal is for; or that nothing better bore a rehearsal, and it is the sequence
+    as it was.
+    """
+    aim = f"aimed at {experiment.proposal.weakest}, which is pinned worst now"
+    if experiment.proposal.pinned == experiment.proposal.present:
+        return (
+            f"{aim}: no experiment that promises more bore its rehearsal, so the sequence is "
+            f"proposed as it is; "
+            "another --seed tries others"
+        )
+    return f"{aim}; where another parameter comes out wider, run both and identify them together"
+
+
+def _drive(experiment: Experiment) -> str:
+    loop = experiment.nominal.loop
+    if loop is None:
+        return "a stiff drive loop is assumed"
+    return f"drive loop as recorded: velocity gain {loop.velocity_gain:.3g} N m s/rad"
+
+
+def _width(found: Pinned, name: str) -> str:
+    width = found.half_widths[name]
+    return percent(100.0 * width) if math.isfinite(width) else "not pinned"
+
+
+def _gain(now: Pinned, then: Pinned, name: str) -> str:
+    ratio = now.half_widths[name] / then.half_widths[name]
+    return f"{ratio:.2g}" if math.isfinite(ratio) else "-"
+
+
+def excitation_words(stage: StageSection) -> str:
+    """Return what a stage commands, in words: sines, or ramps."""
+    if stage.ramp is not None:
+        ramp = stage.ramp
+        return (
+            f"{ramp.times} times {ramp.travel_deg:g} deg there and back at "
+            f"{ramp.speed_deg_s:g} deg/s"
+        )
+    return ", ".join(f"{t.amplitude_deg:g} deg at {t.frequency_Hz:g} Hz" for t in stage.tones)

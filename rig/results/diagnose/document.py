@@ -1,0 +1,193 @@
+"""What ``rig diagnose`` says: a diagnosis as a document."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Literal
+
+from identification.diagnosis.result import Diagnosis, Effect, Fit, ResidualTrace
+from identification.plots import mismatch
+from rig.results.diagnose.diagnose import Outcome
+from rig.results.diagnose.exports import Exports
+from rig.results.diagnose.tables import (
+    effect_table,
+    fit_table,
+    rival_table,
+    shift_table,
+    step_table,
+    where_table,
+)
+from rig.results.document import (
+    Block,
+    Document,
+    Items,
+    Note,
+    Paragraph,
+    Picture,
+    Section,
+    Table,
+    Verdict,
+)
+from rig.results.sections import few_of_each_role, provenance_section, reading_notes
+
+_VERDICTS = {
+    "nothing_missing": "nothing missing",
+    "named": "named",
+    "ambiguous": "ambiguous",
+    "outside_catalogue": "outside the catalogue",
+}
+_HEADLINES = {
+    "nothing_missing": "Nothing is missing",
+    "named": "What was left out has a name",
+    "ambiguous": "These recordings cannot tell several names apart",
+    "outside_catalogue": "Something is missing that no name of the catalogue fits",
+}
+_TONES: dict[str, Literal["good", "found", "open"]] = {
+    "nothing_missing": "good",
+    "named": "found",
+    "ambiguous": "open",
+    "outside_catalogue": "open",
+}
+_SHOWN_PER_ROLE = 4
+
+
+def diagnose_document(name: str, outcome: Outcome, exports: Exports) -> Document:
+    """Return a diagnosis as a document.
+
+    Args:
+        name: Of what was diagnosed.
+        outcome: What was found.
+        exports: The files beside the page.
+    """
+    found = outcome.diagnosis
+    return Document(
+        f"Diagnosis of {name}",
+        f"{len(outcome.dataset.recordings)} recordings; the test that anything is missing at all "
+        f"has p = {found.p_value:.2g}",
+        tuple(_summary(outcome)),
+        tuple(_sections(outcome, exports)),
+    )
+
+
+def _summary(outcome: Outcome) -> Iterator[Section]:
+    found = outcome.diagnosis
+    yield Section(f"verdict: {_VERDICTS[found.verdict.value]}", (Paragraph(found.statement),))
+    for effect in found.effects:
+        if effect.statement not in found.statement:
+            yield Section("", (Paragraph(effect.statement, f"{effect.name}:"),))
+    for made in (effect_table, where_table, rival_table, fit_table, shift_table):
+        if shown := _if_any(made(found)):
+            yield Section("", shown)
+    for effect in found.effects:
+        if len(effect.alias_group) > 1:
+            lead = f"to split {', '.join(effect.alias_group)}:"
+            yield Section("", (Paragraph(effect.separating_experiment, lead),))
+    notes = (*map(Note, reading_notes(outcome.dataset.recordings)), *_warnings(found))
+    if notes:
+        yield Section("", notes)
+
+
+def _sections(outcome: Outcome, exports: Exports) -> Iterator[Section]:
+    found = outcome.diagnosis
+    verdict = found.verdict.value
+    yield Section(
+        "",
+        (Verdict(_HEADLINES[verdict], found.statement, _TONES[verdict]), *_warnings(found)),
+    )
+    if found.effects:
+        effects = (_effect(effect, found) for effect in found.effects)
+        yield Section("What was left out", (effect_table(found), *effects))
+    yield Section("Error before and after", (fit_table(found),))
+    yield Section("Where", (*_if_any(where_table(found)), *_curve(found), *_maps(found)))
+    if rivals := _if_any(rival_table(found)):
+        yield Section("Rivals", (*rivals, *_rivals(found)))
+    if shifts := _if_any(shift_table(found)):
+        note = Note("Nominal parameters fitted without and with the correction.", "aside")
+        yield Section("What it had bent", (note, *shifts))
+    if steps := _if_any(step_table(found)):
+        yield Section("How the search went", steps)
+    yield Section("Recordings", tuple(_recordings(found)))
+    if exports.files:
+        files = tuple((file.name, file.use) for file in exports.files)
+        yield Section("Beside this page", (Items(files),))
+    if exports.notes:
+        yield Section("", tuple(Note(line, "aside") for line in exports.notes))
+    yield provenance_section(outcome.provenance)
+
+
+def _if_any(cells: Table) -> tuple[Table, ...]:
+    """Return a table, or nothing where it has no rows."""
+    return (cells,) if cells.rows else ()
+
+
+def _warnings(found: Diagnosis) -> list[Note]:
+    return [Note(line, "warning") for line in found.warnings]
+
+
+def _effect(effect: Effect, found: Diagnosis) -> Section:
+    """Return what is said of one effect beside the table."""
+    blocks: list[Block] = []
+    others = [name for name in effect.alias_group if name != effect.name]
+    if effect.statement not in found.statement:
+        blocks.append(Paragraph(effect.statement))
+    if others:
+        blocks.append(Paragraph(f"These recordings cannot tell it from {', '.join(others)}."))
+    if effect.separating_experiment:
+        lead = "To tell them apart:" if others else "To confirm it:"
+        blocks.append(Paragraph(effect.separating_experiment, lead))
+    return Section(effect.name, tuple(blocks))
+
+
+def _recordings(found: Diagnosis) -> Iterator[Note | Picture]:
+    mismatched = [t for t in found.traces if t.equation == found.fit.equation]
+    order = ("validate", "fit")
+    shown = few_of_each_role(mismatched, lambda t: t.role, _SHOWN_PER_ROLE, order)
+    if hidden := len(mismatched) - len(shown):
+        yield Note(f"Figures of {hidden} more recordings are left out.", "aside")
+    for trace in shown:
+        yield _trace(trace, found)
+
+
+def _maps(found: Diagnosis) -> list[Picture]:
+    equations = dict.fromkeys(m.equation for m in found.maps)
+    return [
+        Picture.of(
+            f"maps_{equation}",
+            f"Mismatch of the {equation} equation against each coordinate, largest share first, "
+            f"with simultaneous 90 % "
+            "bands, before and after the correction",
+            mismatch.maps([m for m in found.maps if m.equation == equation]),
+        )
+        for equation in equations
+    ]
+
+
+def _rivals(found: Diagnosis) -> list[Picture]:
+    return [
+        Picture.of(
+            f"rivals_{e.name}", f"{e.name} and what was considered instead", mismatch.rivals(e)
+        )
+        for e in found.effects
+        if e.rivals
+    ]
+
+
+def _curve(found: Diagnosis) -> list[Picture]:
+    if found.curve is None:
+        return []
+    caption = (
+        f"What is missing, as a smooth curve over {found.curve.coordinate}; a simulation "
+        f"can carry it"
+    )
+    return [Picture.of("missing", caption, mismatch.curve(found.curve))]
+
+
+def _trace(trace: ResidualTrace, found: Diagnosis) -> Picture:
+    fits: dict[str, Fit] = {fit.equation: fit for fit in (*found.fits, found.fit)}
+    fit = fits.get(trace.equation)
+    role = "never used for a decision" if trace.role == "validate" else "fitted"
+    return Picture.of(
+        f"mismatch_{trace.equation}_{trace.recording}",
+        f"{trace.recording} ({role}): mismatch of the {trace.equation} equation before and after",
+        mismatch.trace(trace, None if fit is None else fit.noise_floor_rms),
+    )

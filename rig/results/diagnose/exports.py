@@ -1,0 +1,96 @@
+"""What a diagnosis leaves beside its report: the corrected model in three forms, and the experiment
+that decides.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from identification.diagnosis.result import Diagnosis, Verdict
+from rig.common.errors import InputError
+from rig.common.input_files import source_name
+from rig.config.bench import Bench
+from rig.results.diagnose.diagnose import Outcome
+from rig.results.diagnose.gas_model_file import GAS_FILE, gas_text, of_gas
+from rig.results.diagnose.model_bench import BENCH_FILE, base_bench, bench_text, model_bench
+from rig.results.diagnose.model_export import PYTHON_FILE, YAML_FILE, python_text, yaml_text
+from rig.results.diagnose.model_file import model_of
+from rig.results.diagnose.separate import separating_sequence
+
+SEQUENCE_FILE = "split.yaml"
+
+
+class Export(NamedTuple):
+    """A file: its name, what it is for, and its text."""
+
+    name: str
+    use: str
+    text: str
+
+
+class Exports(NamedTuple):
+    """Files beside the report, and notes: what they lack, what could not be made, and why."""
+
+    files: tuple[Export, ...]
+    notes: tuple[str, ...]
+
+
+def exports(source: Path, outcome: Outcome, record: Mapping[str, Any]) -> Exports:
+    """Return the corrected model as YAML, Python and simulated bench, and the experiment that
+    splits an alias group.
+
+    Args:
+        source: Run folder or campaign file that was diagnosed.
+        outcome: What was found.
+        record: Its JSON.
+    """
+    if of_gas(outcome.diagnosis):
+        use = "the corrected gas generator, as a block of a campaign file"
+        text = gas_text(outcome.diagnosis, outcome.dataset.recordings[0].bench)
+        return Exports((Export(GAS_FILE, use, text),), ())
+    base = base_bench(source)
+    files, notes = _models(source_name(source), base, outcome, record)
+    if outcome.diagnosis.verdict is Verdict.AMBIGUOUS:
+        splitting = _splitting(base, outcome.diagnosis)
+        if splitting is not None:
+            files.append(splitting)
+        else:
+            notes.append("no sequence splits this group; the experiment needs a hand on the bench")
+    return Exports(tuple(files), tuple(notes))
+
+
+def _models(
+    name: str, base: Mapping[str, Any], outcome: Outcome, record: Mapping[str, Any]
+) -> tuple[list[Export], list[str]]:
+    """Return the corrected model in the forms that it can take, and why it cannot take the
+    others.
+    """
+    files: list[Export] = []
+    recordings = outcome.dataset.recordings
+    first = recordings[0]
+    try:
+        model = model_of(record, [r.name for r in recordings], "the corrected model")
+        files.append(Export(YAML_FILE, "the corrected model", yaml_text(model, first)))
+        use = "the corrected model as plain Python functions; needs numpy alone"
+        files.append(Export(PYTHON_FILE, use, python_text(model, first, name)))
+        bench, left_out = model_bench(base, model, first.bench)
+        use = f"the corrected model as a simulated bench: rig run SEQUENCE --bench {BENCH_FILE}"
+        files.append(Export(BENCH_FILE, use, bench_text(bench, left_out)))
+    except InputError as error:
+        return files, list(error.problems)
+    return files, list(left_out)
+
+
+def _splitting(base: Mapping[str, Any], found: Diagnosis) -> Export | None:
+    """Return the sequence that splits the first alias group for which there is one."""
+    limits = Bench.model_validate_json(json.dumps(base), strict=True)
+    for effect in found.effects:
+        group = effect.alias_group
+        sequence = separating_sequence(group, limits) if len(group) > 1 else None
+        if sequence is not None:
+            use = f"splits {', '.join(group)}: rig run {SEQUENCE_FILE}, then diagnose both together"
+            return Export(SEQUENCE_FILE, use, sequence)
+    return None

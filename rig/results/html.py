@@ -1,0 +1,25 @@
+"""A document as one self-contained HTML page."""
+
+from __future__ import annotations
+
+import jinja2
+
+from rig.results.document import Block, Document
+
+
+def page(document: Document) -> str:
+    """Fill the one template. Everything is escaped, and a name that a record lacks is an error."""
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("rig.results"),
+        autoescape=True,
+        undefined=jinja2.StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters["form"] = _form
+    return environment.get_template("page.html.j2").render(document=document)
+
+
+def _form(block: Block) -> str:
+    """Return what kind of block this is, for the template."""
+    return type(block).__name__

@@ -1,0 +1,214 @@
+"""An identification as the JSON of the contract."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from identification.estimate.ladder import Interval, Rung
+from identification.estimate.paper_method.comparison import Contender
+from identification.estimate.transfer import Moved, Transfer
+from identification.model.ladder import LADDER
+from identification.result import Convergence, Fit, Identification, Parameter
+from rig.common.result_files import IDENTIFY_SCHEMA, Provenance, finite
+from rig.results.identify.identify import Outcome
+from rig.runs.partial import partial_names
+
+
+def outcome_record(outcome: Outcome) -> dict[str, Any]:
+    """Return the record of ``rig identify --json``."""
+    first, *others = outcome.results
+    record = identification_record(first, outcome.provenance) | uncertainty_record(first)
+    record["corrections"] = {r.name: list(r.notes) for r in outcome.dataset.recordings if r.notes}
+    record["partial"] = partial_names(outcome.dataset)
+    if others:
+        record["compared"] = [identification_record(r, outcome.provenance) for r in others]
+    if outcome.ladder:
+        record["ladder"] = ladder_record(outcome.ladder)
+    if outcome.transfer is not None:
+        record["transfer"] = transfer_record(outcome.transfer, str(outcome.scored_on))
+    if outcome.comparison:
+        record["comparison"] = comparison_record(outcome.comparison)
+    return record
+
+
+def identification_record(result: Identification, provenance: Provenance) -> dict[str, Any]:
+    """Return what one method found."""
+    return {
+        **provenance.record(IDENTIFY_SCHEMA),
+        "method": result.method,
+        "motion": result.motion,
+        "alpha": result.alpha,
+        "friction": result.friction,
+        "fitted": {name: finite(value) for name, value in result.fitted.items()},
+        "parameters": {name: parameter_record(p) for name, p in result.parameters.items()},
+        "fit": fit_record(result.fit),
+        "fit_by_recording": {
+            name: fit_record(fit) for name, fit in result.fits_by_recording.items()
+        },
+        "evaluations": result.evaluations,
+        "stages": [_stage_record(s) for s in result.stages],
+        "convergence": {
+            s.stage: _history_record(s) for s in result.stages if s.cost_history is not None
+        },
+        "warnings": list(result.warnings),
+    }
+
+
+def parameter_record(parameter: Parameter) -> dict[str, Any]:
+    """Return one parameter; ``value`` is null where it is not identifiable, ``floor`` where it was
+    not computed.
+    """
+    return {
+        "value": finite(parameter.value),
+        "low": finite(parameter.low),
+        "high": finite(parameter.high),
+        "unit": parameter.unit,
+        "identifiable": parameter.identifiable,
+        "at_bound": parameter.at_bound,
+        "reason": parameter.reason,
+        "floor": finite(parameter.floor),
+    }
+
+
+def fit_record(fit: Fit) -> dict[str, Any]:
+    """Return one fit; the ``validate`` figures are null where nothing was set aside."""
+    return {
+        "unit": fit.unit,
+        "bandwidth_Hz": finite(fit.bandwidth_Hz),
+        "train_rms": finite(fit.train_rms),
+        "train_relative": finite(fit.train_relative),
+        "validate_rms": finite(fit.validate_rms),
+        "validate_relative": finite(fit.validate_relative),
+    }
+
+
+def uncertainty_record(result: Identification) -> dict[str, Any]:
+    """Return the keys that a result file has of this."""
+    return {
+        "tradeoffs": [
+            {"names": list(t.names), "correlation": finite(t.correlation), "statement": t.statement}
+            for t in result.tradeoffs
+        ],
+        "least_pinned": result.least_pinned,
+        "noise": None if result.noise is None else asdict(result.noise),
+        "bounds_hit": [p.name for p in result.parameters.values() if p.at_bound],
+        "starts": [
+            {
+                "stage": s.stage,
+                "cost": s.cost,
+                "ends": [finite(e) for e in s.ends],
+                "reached_best": s.best,
+            }
+            for s in result.starts
+        ],
+        "profiles": {
+            c.name: {
+                "unit": c.unit,
+                "values": [finite(v) for v in c.values],
+                "deviance": [finite(v) for v in c.deviance],
+                "low": finite(c.low),
+                "high": finite(c.high),
+                "scale": finite(c.scale),
+            }
+            for c in result.profiles
+        },
+        "bootstrap": {
+            r.name: {
+                "unit": r.unit,
+                "low": finite(r.low),
+                "high": finite(r.high),
+                "draws": r.draws,
+                "solved": r.solved,
+            }
+            for r in result.resampled
+        },
+    }
+
+
+def ladder_record(rungs: Sequence[Rung]) -> list[dict[str, Any]]:
+    """Return the record under ``ladder`` of ``rig identify --json``; angles in rad (m)."""
+    return [
+        {
+            "friction": rung.friction,
+            "terms": list(LADDER[rung.friction]),
+            "parameters": {name: parameter_record(p) for name, p in rung.result.parameters.items()},
+            "fitted": {name: finite(value) for name, value in rung.result.fitted.items()},
+            "fit": fit_record(rung.result.fit),
+            "train_rms": _interval_record(rung.train),
+            "validate_rms": _interval_record(rung.scored),
+            "angle_rms": _interval_record(rung.angle),
+            "best_share": rung.best,
+        }
+        for rung in rungs
+    ]
+
+
+def transfer_record(found: Transfer, source: str) -> dict[str, Any]:
+    """Return the record under ``transfer`` of ``rig identify --json``."""
+    floor = found.floor
+    return {
+        "source": source,
+        "fit": fit_record(found.fit),
+        "own": fit_record(found.own),
+        "noise_floor_rms": None if floor is None else floor.rms,
+        "noise_floor_samples": 0 if floor is None else floor.samples,
+        "fit_by_recording": {name: fit_record(fit) for name, fit in found.by_recording.items()},
+        "parameters": {m.name: _moved_record(m) for m in found.parameters},
+    }
+
+
+def comparison_record(contenders: Sequence[Contender]) -> list[dict[str, Any]]:
+    """Return the comparison as it stands in the result file; errors are relative."""
+    return [
+        {
+            "name": c.name,
+            "runs": c.runs,
+            "failures": c.failures,
+            "evaluations": c.evaluations,
+            "seconds": c.seconds,
+            "cost_above_least": finite(c.excess),
+            "error": finite(c.error),
+            "worst": c.worst,
+            "true_error": finite(c.true_error),
+            "true_worst": c.true_worst,
+            "values": {name: finite(value) for name, value in c.values.items()},
+        }
+        for c in contenders
+    ]
+
+
+def _stage_record(stage: Convergence) -> dict[str, Any]:
+    return {
+        "stage": stage.stage,
+        "method": stage.method,
+        "evaluations": stage.evaluations,
+        "generations": stage.generations,
+        "cost": finite(stage.cost),
+        "cost_unit": stage.cost_unit,
+        "target": finite(stage.target),
+        "reached": stage.reached,
+    }
+
+
+def _history_record(stage: Convergence) -> dict[str, Any]:
+    costs = [] if stage.cost_history is None else [finite(v) for v in stage.cost_history]
+    histories = {
+        name: [finite(v) for v in values] for name, values in stage.parameter_history.items()
+    }
+    return {"cost": costs, "parameters": histories}
+
+
+def _interval_record(found: Interval | None) -> dict[str, float] | None:
+    return None if found is None else {"value": found.value, "low": found.low, "high": found.high}
+
+
+def _moved_record(m: Moved) -> dict[str, Any]:
+    return {
+        "here": parameter_record(m.first),
+        "there": parameter_record(m.second),
+        "difference": m.difference,
+        "joint": m.joint,
+        "moved": m.moved,
+    }

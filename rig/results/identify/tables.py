@@ -1,0 +1,254 @@
+"""Tables of an identification and the lines that explain them: fits, stages, recordings, other
+estimators, the ladder of friction models, transfer to other recordings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from identification.estimate.ladder import Interval, Rung
+from identification.estimate.paper_method.comparison import Contender
+from identification.estimate.transfer import Transfer
+from identification.model.ladder import LADDER
+from identification.recording import Recording
+from identification.result import Fit, Identification
+from rig.common.tables import interval, number, percent
+from rig.results.document import Table
+
+COMPARISON_NOTE = (
+    "The searches minimise the paper's equation error, stage by stage, in one box; the default "
+    "method goes on to the "
+    "prediction errors. Failed: ended more than 0.1 % above the least cost found. Errors: worst "
+    "parameter, median run."
+)
+_FIT_HEADER = ("bandwidth", "error, rms", "relative")
+
+
+def fit_table(results: Sequence[Identification]) -> Table:
+    """Return the error of each fit, and on what was set aside, one row each."""
+    rows = []
+    for result in results:
+        fit = result.fit
+        rows.append(
+            (result.method, "all", "fit", *_fit_cells(fit, fit.train_rms, fit.train_relative))
+        )
+        if fit.validate_rms is not None:
+            rows.append(
+                (
+                    result.method,
+                    "all",
+                    "validate",
+                    *_fit_cells(fit, fit.validate_rms, fit.validate_relative),
+                )
+            )
+    return Table(("method", "recordings", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+
+
+def recording_fit_table(results: Sequence[Identification]) -> Table:
+    """Return the error of each method on each recording."""
+    rows = []
+    for result in results:
+        roles = {trace.recording: trace.role for trace in result.traces}
+        rows += [
+            (result.method, name, roles[name], *_fit_cells(fit, fit.train_rms, fit.train_relative))
+            for name, fit in result.fits_by_recording.items()
+        ]
+    return Table(("method", "recording", "role", *_FIT_HEADER), tuple(rows), (3, 4, 5))
+
+
+def stage_table(results: Sequence[Identification]) -> Table:
+    """Return the effort and the end of each stage of each method."""
+    rows = tuple(
+        (
+            result.method,
+            stage.stage,
+            stage.method,
+            str(stage.evaluations),
+            str(stage.generations),
+            f"{number(stage.cost, 4)} {stage.cost_unit}",
+            "-" if stage.target is None else f"{number(stage.target)} {stage.cost_unit}",
+            {None: "-", True: "yes", False: "no"}[stage.reached],
+        )
+        for result in results
+        for stage in result.stages
+    )
+    header = (
+        "method",
+        "stage",
+        "optimiser",
+        "evaluations",
+        "generations",
+        "cost",
+        "target",
+        "reached",
+    )
+    return Table(header, rows, (3, 4, 5, 6))
+
+
+def recording_table(recordings: Sequence[Recording]) -> Table:
+    """Return what was identified, and what was corrected on reading it."""
+    rows = tuple(
+        (
+            r.name,
+            r.role,
+            r.stage,
+            "gas generator" if r.hot_fire else f"{number(r.weight_mass)} kg",
+            str(len(r.time)),
+            f"{number(1.0 / r.period, 4)} Hz",
+            "; ".join(r.notes) or "none",
+        )
+        for r in recordings
+    )
+    return Table(
+        ("recording", "role", "stage", "weight", "samples", "rate", "corrections"), rows, (3, 4, 5)
+    )
+
+
+def comparison_table(contenders: Sequence[Contender]) -> Table:
+    """Return one row per estimator; the column against the truth is left out where that is not
+    known.
+    """
+    known = any(c.true_error is not None for c in contenders)
+    header = (
+        "estimator",
+        "runs",
+        "failed",
+        "evaluations",
+        "s",
+        "cost above least",
+        "error against default",
+    )
+    rows = [
+        (
+            c.name,
+            str(c.runs),
+            str(c.failures),
+            str(c.evaluations),
+            number(c.seconds, 2),
+            "-" if c.excess is None else percent(100.0 * c.excess),
+            "reference" if c.excess is None else f"{percent(100.0 * c.error)} ({c.worst})",
+            *([_true(c)] if known else []),
+        )
+        for c in contenders
+    ]
+    return Table(
+        (*header, *(["error against truth"] if known else [])), tuple(rows), (1, 2, 3, 4, 5)
+    )
+
+
+def ladder_table(rungs: Sequence[Rung]) -> Table:
+    """Return one row per rung: error of the fit, on what was set aside, and of the simulated angle
+    there.
+    """
+    first = rungs[0].result
+    unit, small = first.fit.unit, "mrad" if first.motion == "rotary" else "um"
+    scale = 1e3 if first.motion == "rotary" else 1e6
+    header = (
+        "friction",
+        "terms",
+        f"fit ({unit})",
+        "90 %",
+        f"validate ({unit})",
+        "90 %",
+        f"angle ({small})",
+        "90 %",
+        "best in",
+    )
+    rows = [
+        (
+            rung.friction,
+            ", ".join(LADDER[rung.friction]),
+            *_cells(rung.train, 1.0),
+            *_cells(rung.scored, 1.0),
+            *_cells(rung.angle, scale),
+            percent(100.0 * rung.best),
+        )
+        for rung in rungs
+    ]
+    return Table(header, tuple(rows), (2, 4, 6, 8))
+
+
+def ladder_notes(rungs: Sequence[Rung]) -> list[str]:
+    """Return what the table's columns mean."""
+    first = rungs[0]
+    where = "the recordings set aside" if first.scored is not None else "the recordings fitted"
+    lines = [
+        f"Torque errors at {number(first.result.fit.bandwidth_Hz, 3)} Hz; intervals are over "
+        f"recordings, drawn anew "
+        "for fit and score.",
+        f"Best in: share of the draws in which a rung has the least torque error on {where}.",
+    ]
+    if first.angle is not None:
+        lines.append(
+            f"Angle: error of the closed loop simulated from its command and first sample, on "
+            f"{where}."
+        )
+    return lines
+
+
+def transfer_table(found: Transfer) -> Table:
+    """Return one row per parameter: on both, the difference, and whether it is more than the joint
+    interval.
+    """
+    rows = tuple(
+        (
+            m.name,
+            number(m.first.value),
+            number(m.second.value),
+            number(m.difference, 3),
+            "-" if m.joint is None else f"+- {number(m.joint, 3)}",
+            m.unit,
+            {None: "not identifiable on both", False: "no", True: "yes"}[m.moved],
+        )
+        for m in found.parameters
+    )
+    return Table(
+        ("parameter", "here", "there", "difference", "90 %", "unit", "moved"), rows, (1, 2, 3, 4)
+    )
+
+
+def transfer_notes(found: Transfer) -> list[str]:
+    """Return the errors in words."""
+    fit, own = found.fit, found.own
+    line = (
+        f"carried over, the model errs by {number(fit.train_rms, 3)} {fit.unit} rms "
+        f"({percent(100.0 * fit.train_relative)}) at {number(fit.bandwidth_Hz, 3)} Hz; identified "
+        f"there it would by "
+        f"{number(own.train_rms, 3)} {own.unit}"
+    )
+    floor = found.floor
+    if floor is None:
+        return [
+            line,
+            "the noise floor there is unknown: nothing is done twice under the same command",
+        ]
+    ways = [
+        f"{count} {what}"
+        for count, what in ((floor.periods, "periodic"), (floor.repeats, "repeated"))
+        if count
+    ]
+    return [
+        line,
+        f"the noise floor there is {number(floor.rms, 3)} {fit.unit}, from {floor.samples} pairs "
+        f"of samples of "
+        f"{' and '.join(ways)} recordings: the error is {number(fit.train_rms / floor.rms, 3)} "
+        f"times that",
+    ]
+
+
+def _fit_cells(fit: Fit, rms: float | None, relative: float | None) -> tuple[str, str, str]:
+    return (
+        f"{number(fit.bandwidth_Hz, 4)} Hz",
+        "-" if rms is None else f"{number(rms, 4)} {fit.unit}",
+        percent(None if relative is None else 100.0 * relative),
+    )
+
+
+def _true(c: Contender) -> str:
+    return "-" if c.true_error is None else f"{percent(100.0 * c.true_error)} ({c.true_worst})"
+
+
+def _cells(found: Interval | None, scale: float) -> tuple[str, str]:
+    if found is None:
+        return "-", "-"
+    return number(scale * found.value, 3), interval(scale * found.low, scale * found.high)

@@ -1,0 +1,72 @@
+"""What ``rig paper`` says: the paper's tables and figures beside what came out here, as a
+document.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from rig.common.result_files import Provenance
+from rig.results.document import (
+    Document,
+    Items,
+    Note,
+    Paragraph,
+    Section,
+    SideBySide,
+)
+from rig.results.paper.chosen import chosen
+from rig.results.paper.exhibit import Exhibit
+from rig.results.paper.parameters import Reproduction
+from rig.results.paper.tables import remarks, tables
+from rig.results.sections import provenance_section
+
+PAGE_FILE = "paper.html"
+
+
+def paper_document(
+    found: Reproduction,
+    figures: Sequence[Exhibit],
+    of_tables: Sequence[Exhibit],
+    provenance: Provenance,
+) -> Document:
+    """Return the paper done again as a document.
+
+    Args:
+        found: Its tables.
+        figures: Exhibits of the figures.
+        of_tables: Those of the tables; the terminal shows the tables alone.
+        provenance: Seed, inputs, time.
+    """
+    sections = (
+        *map(_section, (*figures, *of_tables)),
+        Section("Chosen here, as the paper does not give it", (_listed(chosen()),), "chosen"),
+        provenance_section(provenance),
+    )
+    return Document(
+        "The paper's figures and tables, done again",
+        "Load Characteristics and Modeling Methods for the Flow Regulator of a Solid Ducted Rocket",
+        tuple(_summary(found, figures)),
+        sections,
+    )
+
+
+def _summary(found: Reproduction, figures: Sequence[Exhibit]) -> Iterator[Section]:
+    for title, cells in tables(found).items():
+        yield Section(title, (cells,))
+    yield Section("", tuple(map(Note, remarks(found))))
+    for exhibit in figures:
+        yield Section(exhibit.title, (_listed(exhibit.found),))
+
+
+def _section(exhibit: Exhibit) -> Section:
+    paper = Section("The paper", (Paragraph(exhibit.paper),))
+    here = Section("Here", tuple(map(Paragraph, exhibit.found)))
+    values = () if exhibit.table is None else (exhibit.table,)
+    return Section(
+        exhibit.title, (SideBySide(paper, here), *values, *exhibit.pictures), exhibit.name
+    )
+
+
+def _listed(lines: Sequence[str]) -> Items:
+    return Items(tuple(("", line) for line in lines))

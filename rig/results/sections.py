@@ -1,0 +1,58 @@
+"""What the documents of several commands share: provenance, corrections on reading, the few
+recordings that are drawn.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from identification.recording import Recording
+from rig.common.result_files import Provenance
+from rig.results.document import Section, Table
+
+Drawn = TypeVar("Drawn")
+_NUMBER = re.compile(r"\d[\d.e+-]*")
+
+
+def provenance_section(provenance: Provenance) -> Section:
+    """Return the section that ends every page: what made the result, when and from which files."""
+    facts = (
+        (
+            "versions",
+            ", ".join(f"{name} {release}" for name, release in provenance.versions.items()),
+        ),
+        ("created", provenance.created),
+        ("seed", str(provenance.seed)),
+        ("time spent", f"{provenance.seconds:.3g} s"),
+    )
+    files = tuple(provenance.inputs.items())
+    inputs = (Table(("input file", "SHA-256"), files, ()),) if files else ()
+    return Section("Provenance", (Table(("fact", "value"), facts, ()), *inputs))
+
+
+def reading_notes(recordings: Sequence[Recording]) -> list[str]:
+    """Return what was corrected or doubted on reading; of notes that differ in their numbers only,
+    the first.
+    """
+    alike: dict[str, list[str]] = {}
+    for recording in recordings:
+        for note in recording.notes:
+            alike.setdefault(_NUMBER.sub("#", note), []).append(
+                f"reading: {recording.name}: {note}"
+            )
+    return [
+        lines[0] + (f" ({len(lines) - 1} more like this: see the report)" if len(lines) > 1 else "")
+        for lines in alike.values()
+    ]
+
+
+def few_of_each_role(
+    drawn: Sequence[Drawn],
+    role: Callable[[Drawn], str],
+    most: int,
+    roles: Sequence[str] = ("fit", "validate"),
+) -> list[Drawn]:
+    """Return the first ones of each role, in the order of the roles."""
+    return [one for each in roles for one in [one for one in drawn if role(one) == each][:most]]

@@ -1,0 +1,171 @@
+"""What ``rig simulate`` says: predicted and simulated responses as a document."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from identification.plots.predicted import predicted
+from identification.plots.simulated import simulated
+from identification.simulate.score import Sums
+from rig.common.tables import number, percent
+from rig.results.document import Document, Note, Paragraph, Picture, Section, Table
+from rig.results.sections import few_of_each_role, provenance_section
+from rig.results.simulate.predict import Prediction
+from rig.results.simulate.simulate import Simulation
+
+_SHOWN_PER_ROLE = 3
+_FRICTION = {1.0: "as fitted", 0.5: "half of it", 0.0: "none"}
+_UNITS = {"transmission": "mrad", "voltage": "V"}
+
+
+def simulate_document(name: str, found: Simulation, beside: Sequence[str]) -> Document:
+    """Return a simulation as a document.
+
+    Args:
+        name: Of the source.
+        found: What was predicted and simulated.
+        beside: What is to be said of the model as a bench file.
+    """
+    models = dict.fromkeys(str(one.file) for one in found.predictions)
+    return Document(
+        f"Simulation of {name}",
+        f"Model: {', '.join(models)}",
+        tuple(_summary(found)),
+        tuple(_sections(found, beside)),
+    )
+
+
+def _summary(found: Simulation) -> Iterator[Section]:
+    at = f"at {number(found.bandwidth_Hz, 3)} Hz"
+    yield Section(f"equation errors {at}, in motion", (_errors_of_equations(found),))
+    if found.cases:
+        head = f"closed loop, simulated from the first sample; torque {at}"
+        yield Section(head, (_pooled(found),))
+    for line in _left_out(found):
+        yield Section("", (Note(line, "aside"),))
+
+
+def _sections(found: Simulation, beside: Sequence[str]) -> Iterator[Section]:
+    yield Section("", tuple(map(Paragraph, (*_explanations(found), *beside))))
+    drawn = _predicted(found.predictions, found.unit)
+    yield Section("Equation errors", (_errors_of_equations(found), *drawn))
+    if found.cases:
+        yield Section("Closed loop", (_pooled(found),))
+        yield Section("Recordings", (_of_recordings(found), *_simulated(found)))
+    yield provenance_section(found.provenance)
+
+
+def _explanations(found: Simulation) -> Iterator[str]:
+    at = f"at {number(found.bandwidth_Hz, 4)} Hz"
+    yield f"Equation errors are over samples in motion, {at}."
+    yield from _left_out(found)
+    if found.cases:
+        yield (
+            "The loop is simulated from the first sample on: only the command, the supply and "
+            "declared loads enter."
+        )
+        yield f"Errors of angle are over all samples; those of torque {at}."
+
+
+def _left_out(found: Simulation) -> list[str]:
+    """Return what the closed loop does not show."""
+    if not found.cases:
+        return [
+            "no closed loop: the controller of these recordings is not declared (`controller:` in "
+            "a campaign)"
+        ]
+    if any(case.model.corrected.effects for case in found.cases):
+        return [
+            "the closed loop is simulated without the effects; a simulated bench made of the "
+            "result has them"
+        ]
+    return []
+
+
+def _errors_of_equations(found: Simulation) -> Table:
+    """Return one row per model, equation and role."""
+    rows = []
+    for one in found.predictions:
+        for equation in dict.fromkeys(p.equation for p in one.parts):
+            errors = [one.error(equation, role) for role in ("fit", "validate")]
+            scale = 1e3 if equation == "transmission" else 1.0
+            cells = (number(None if e is None else scale * e, 4) for e in errors)
+            effects = ", ".join(one.effects) or "none"
+            rows.append(
+                (one.file.stem, effects, equation, *cells, _UNITS.get(equation, found.unit))
+            )
+    return Table(
+        ("model", "effects", "equation", "rms, fit", "rms, validate", "unit"), tuple(rows), (3, 4)
+    )
+
+
+def _pooled(found: Simulation) -> Table:
+    """Return one row per model, share of friction and role."""
+    rows = [
+        (
+            case.model.file.stem,
+            _FRICTION[case.share],
+            role,
+            str(len(names)),
+            *_cells(found, case.over(names)),
+        )
+        for case in found.cases
+        for role in ("fit", "validate")
+        if (names := found.names(role))
+    ]
+    return Table(
+        ("model", "friction", "role", "recordings", *_errors(found)), tuple(rows), (3, 4, 5, 6)
+    )
+
+
+def _of_recordings(found: Simulation) -> Table:
+    first = found.cases[0]
+    rows = tuple(
+        (r.name, r.role, *_cells(found, first.sums[r.name])) for r in found.dataset.recordings
+    )
+    return Table(("recording", "role", *_errors(found)), rows, (2, 3, 4))
+
+
+def _errors(found: Simulation) -> tuple[str, str, str]:
+    rotary = found.rotary
+    return (
+        f"{'torque' if rotary else 'force'} error ({found.unit})",
+        "relative",
+        "angle error (mrad)" if rotary else "position error (um)",
+    )
+
+
+def _cells(found: Simulation, sums: Sums) -> tuple[str, str, str]:
+    scale = 1e3 if found.rotary else 1e6
+    return (
+        number(sums.torque_rms, 4),
+        percent(100.0 * sums.torque_relative),
+        number(scale * sums.angle_rms, 4),
+    )
+
+
+def _predicted(found: Sequence[Prediction], unit: str) -> list[Picture]:
+    """Return figures of the first model's torque equation, a few recordings of each role."""
+    parts = [p for p in found[0].parts if p.equation == "torque"]
+    return [
+        Picture.of(
+            f"predicted_{p.recording}",
+            f"{p.recording} ({p.role}): torque measured and predicted",
+            predicted(p, unit),
+        )
+        for p in few_of_each_role(parts, lambda part: part.role, _SHOWN_PER_ROLE)
+    ]
+
+
+def _simulated(found: Simulation) -> list[Picture]:
+    """Return figures of the first model in closed loop, a few recordings of each role."""
+    pairs = list(zip(found.prepared, found.responses, strict=True))
+    shown = few_of_each_role(pairs, lambda pair: pair[0].recording.role, _SHOWN_PER_ROLE)
+    return [
+        Picture.of(
+            f"simulated_{p.recording.name}",
+            f"{p.recording.name}: measured and simulated",
+            simulated(p, response),
+        )
+        for p, response in shown
+    ]
