@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rig.common.sample import Sample
-from rig.control.safety import Check, Latch, Trip, check, check_stage_time
+from rig.control.safety import Check, Latch, Trip, check, check_stage_time, remedy
 from rig.planning.limits import GasLimits, Limits
 
 LIMITS = Limits(
@@ -435,3 +435,16 @@ def test_the_latch_keeps_its_first_trip(first: float, second: float) -> None:
         assert after is tripped
     else:
         assert (after is None) == (abs(second) <= 2.0)
+
+
+def test_a_trip_outside_of_a_run_is_said_without_a_time() -> None:
+    trip = Trip(Check.ANGLE, 1.2, 1.0, "rad", 0.5)
+    assert trip.now == (
+        "joint angle 1.2 rad (68.75 deg) is beyond its limit 1 rad (57.3 deg); "
+        "reduce the amplitude or the centre, or check the encoder offset"
+    )
+
+
+def test_a_remedy_leaves_out_that_the_run_can_be_tried_again() -> None:
+    assert remedy(Check.TEMPERATURE) == "let the motor cool"
+    assert remedy(Check.PRESSURE).endswith("let the generator burn out")
