@@ -17,7 +17,7 @@ from identification.estimate.likelihood.refinement import refine_recordings
 from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import rise_to_static
 from identification.filter.breakaway_times import ROUNDS, Reduced, optimise_breakaway_times, reduce
-from identification.filter.likelihood import Problem, static_limit
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.parameters import INDEX, LOGARITHMIC, pack, unpack
@@ -59,7 +59,7 @@ def refine_pieces(
     names = [n for n in start.names if n != "J"]
     free = [INDEX[n] for n in names]
     vector = pack(start.values, model.alpha)
-    begins: dict[int, list[Array]] = {}
+    begins: dict[int, tuple[Array, ...]] = {}
     evaluations = start.evaluations
     for number in range(PASSES):
         found: list[Reduced] = []
@@ -67,21 +67,20 @@ def refine_pieces(
             moving = motion(piece)
             if moving is None:
                 continue
-            problem = Problem([moving], vector, free, model, start.noise)
-            problem.breakaway_times = begins.get(
-                k, [moving.static_crossing(static_limit(vector, moving))]
-            )
-            optimise_breakaway_times(problem, HUBER_THRESHOLD, ROUNDS if number == 0 else 1)
-            begins[k] = problem.breakaway_times
-            found.append(reduce(problem, HUBER_THRESHOLD))
-            evaluations += problem.evaluations
+            point = Point.of([moving], vector, free, model, start.noise)
+            if k in begins:
+                point = replace(point, breakaway_times=begins[k])
+            point = optimise_breakaway_times(point, HUBER_THRESHOLD, ROUNDS if number == 0 else 1)
+            begins[k] = point.breakaway_times
+            found.append(reduce(point, HUBER_THRESHOLD))
+            evaluations += point.filter.evaluations
             progress((number + (k + 1) / len(pieces)) / PASSES)
         normal = np.sum([r.normal for r in found], axis=0)
         gradient = np.sum([r.scores.sum(axis=0) for r in found], axis=0)
         step = -np.linalg.pinv(normal, hermitian=True, rcond=1e-14) @ gradient
-        x = problem.origin()
+        x = point.origin()
         x[: len(free)] += step
-        vector = problem.parameters(x)
+        vector = point.parameters(x)
         if step @ normal @ step < len(free) * SETTLED**2:
             break
     achieved, floor = start.covariance.copy(), start.floor.copy()

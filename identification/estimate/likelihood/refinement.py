@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,7 +16,7 @@ from identification.estimate.likelihood.stages import Refined
 from identification.estimate.uncertainty.covariance import covariances, named_covariances
 from identification.estimate.uncertainty.parameter_table import typical_error
 from identification.filter.breakaway_times import search_breakaway_times
-from identification.filter.likelihood import Problem
+from identification.filter.likelihood import Point
 from identification.filter.noise_level import HUBER_THRESHOLD
 from identification.filter.segments import motion
 from identification.model.ladder import NOMINAL
@@ -117,7 +116,7 @@ def _left_open(bias: Bias, names: Sequence[str]) -> Array:
     return np.diag([bias.variances[name] for name in names])
 
 
-def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
+def _with_instruments(found: Found, joint: Point, bias: Bias) -> Found:
     """Solve the inertia's equation with instruments of replicates too (M32); the others follow.
 
     Floors are theirs.
@@ -125,9 +124,9 @@ def _with_instruments(found: Found, joint: Problem, bias: Bias) -> Found:
     It is solved at the bias-corrected values, as replicates solve it at their true values: errors
     of the others enter in second order, which counts at several standard deviations.
     """
-    names, there = found.spread.names, copy(joint)
-    there.start = pack(found.values, joint.alpha)
-    search_breakaway_times(there, HUBER_THRESHOLD)
+    names = found.spread.names
+    begun = replace(joint, vector=pack(found.values, joint.alpha))
+    there = search_breakaway_times(begun, HUBER_THRESHOLD)
     solved = covariances(there, bias.replicates)
     x = there.origin()
     x[: len(solved.step)] += solved.step
